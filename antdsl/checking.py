@@ -16,7 +16,7 @@ from pathlib import Path
 
 from antdsl import syntax
 from antdsl.atomic_write import write_parts
-from antdsl.cpu_budget import CpuBudgetSpent, limit_cpu_seconds
+from antdsl.cpu_budget import CpuBudgetSpentError, limit_cpu_seconds
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.transfer import decode_reports, encode_reports
 from antdsl.files import load_sources
@@ -29,7 +29,7 @@ from antdsl.source import Source, Span
 # So few files are checked sooner than a process begins.
 MIN_FILES_FOR_PROCESSES = 12
 MAX_PROCESSES = 8
-MAX_GROUPS = 256  # that a byte can name; what is beyond is checked in the end
+MAX_FILE_GROUPS = 256  # that a byte can name; what is beyond is checked in the end
 
 
 @dataclass(slots=True)
@@ -105,7 +105,7 @@ def _check_in_processes(
     _check_sequentially(groups[0], choices, strict, parsed_files, result)
     gc.freeze()  # so that no process copies what it has not changed, only to look for garbage in it
     # A process that is ready takes the next group, the heaviest first: one byte of a pipe is the right to one group.
-    groups = groups[:0:-1][:MAX_GROUPS]
+    groups = groups[:0:-1][:MAX_FILE_GROUPS]
     mine, theirs = os.pipe()
     os.write(theirs, bytes(range(len(groups))))
     os.close(theirs)
@@ -151,13 +151,13 @@ def _check_sequentially(
         try:
             with limit_cpu_seconds(result.cpu_seconds):
                 program, result.reports[file] = check_path(file, choices, strict=strict, parsed=parsed_files)
-        except CpuBudgetSpent as spent:
+        except CpuBudgetSpentError as spent:
             program, result.reports[file] = None, _make_overdue_report(file, result.cpu_seconds, spent)
         if programs and program is not None:
             result.programs[file] = program
 
 
-def _make_overdue_report(file: Path, seconds: float, budget_error: CpuBudgetSpent) -> Report:
+def _make_overdue_report(file: Path, seconds: float, budget_error: CpuBudgetSpentError) -> Report:
     """Return the report of a file that exceeded its processor time. It names the file and the stage of the check that was
     running."""
     modules = [each.f_globals.get("__name__", "") for each, _ in traceback.walk_tb(budget_error.__traceback__)]

@@ -16,14 +16,14 @@ _budget_end_seconds = 0.0
 _MIN_TIMER_SECONDS = 1e-6
 
 
-class CpuBudgetSpent(BaseException):
+class CpuBudgetSpentError(BaseException):
     """Error if work has used more processor time than its budget. It is not an Exception, so that `except Exception` does not
     catch it."""
 
 
 @contextmanager
 def limit_cpu_seconds(seconds: float) -> Iterator[None]:
-    """Raise CpuBudgetSpent inside the context once this process and charged time exceed `seconds` of processor time. 0 is no
+    """Raise CpuBudgetSpentError inside the context once this process and charged time exceed `seconds` of processor time. 0 is no
     limit.
 
     For the main thread only. Does nothing on Windows, which has no such timer. A library call that is running finishes first.
@@ -34,7 +34,7 @@ def limit_cpu_seconds(seconds: float) -> Iterator[None]:
         return
 
     def raise_budget_spent(number: int, frame: object) -> None:
-        raise CpuBudgetSpent
+        raise CpuBudgetSpentError
 
     previous = signal.signal(signal.SIGPROF, raise_budget_spent)
     signal.setitimer(signal.ITIMER_PROF, seconds)
@@ -47,22 +47,23 @@ def limit_cpu_seconds(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGPROF, previous)
 
 
-def remaining_cpu_seconds() -> float:
+def compute_remaining_cpu_seconds() -> float:
     """Return the processor time, in seconds, that the current budget still has; infinity without a budget."""
     return max(_budget_end_seconds - time.process_time(), 0.0) if _budget_process == os.getpid() else math.inf
 
 
 def charge_cpu_seconds(seconds: float) -> None:
-    """Subtract processor time of another process from the budget. Raises CpuBudgetSpent in the main thread if nothing is left."""
+    """Subtract processor time of another process from the budget. Raises CpuBudgetSpentError in the main thread if nothing is
+    left."""
     global _budget_end_seconds
     if _budget_process != os.getpid():
         return
     _budget_end_seconds -= seconds
-    left = remaining_cpu_seconds()
+    left = compute_remaining_cpu_seconds()
     if left > 0.0:
         signal.setitimer(signal.ITIMER_PROF, max(left, _MIN_TIMER_SECONDS))
     elif threading.current_thread() is threading.main_thread():
         signal.setitimer(signal.ITIMER_PROF, 0)
-        raise CpuBudgetSpent
+        raise CpuBudgetSpentError
     else:
         signal.setitimer(signal.ITIMER_PROF, _MIN_TIMER_SECONDS)  # the timer tells the main thread

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 MAX_TASKS = 1024  # values that a list of a parameter may have in a template
 _FRAMES_PARAMETER = "Frames"  # the name of a task's frames
-_PLACEHOLDER = re.compile("\0(\\w+)\0")  # no word of a command line has this character
+_PLACEHOLDER_PATTERN = re.compile("\0(\\w+)\0")  # no word of a command line has this character
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class JobStep:
 
     def find_fixed_texts(self) -> list[str]:
         """Return the parts of the command that are equal on all machines and for all chunks."""
-        return [text for word in self.command for text in _PLACEHOLDER.split(word)[::2]]
+        return [text for word in self.command for text in _PLACEHOLDER_PATTERN.split(word)[::2]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,7 @@ def _make_placeholder(name: str) -> str:
 
 def _fill_placeholders(command: Sequence[str], values: Mapping[str, str]) -> list[str]:
     """Return the words of a command with the value of each placeholder inserted."""
-    return [_PLACEHOLDER.sub(lambda match: values[match[1]], word) for word in command]
+    return [_PLACEHOLDER_PATTERN.sub(lambda match: values[match[1]], word) for word in command]
 
 
 def format_json_lines(job: FarmJob) -> str:
@@ -143,7 +143,7 @@ def format_json_lines(job: FarmJob) -> str:
     `needs`: the names of the commands that must finish first.
     """
     paths = {place.name: str(place.path.resolve()) for place in job.paths}
-    names = {step.name: [_command_name(step, frames) for frames in step.chunk_ranges or ("",)] for step in job.steps}
+    names = {step.name: [_format_command_name(step, frames) for frames in step.chunk_ranges or ("",)] for step in job.steps}
     lines = []
     for step in job.steps:
         needs = [name for earlier_step in step.dependencies for name in names[earlier_step]]
@@ -154,7 +154,7 @@ def format_json_lines(job: FarmJob) -> str:
     return "".join(f"{line}\n" for line in lines)
 
 
-def _command_name(step: JobStep, frames: str) -> str:
+def _format_command_name(step: JobStep, frames: str) -> str:
     return f"{step.name} {frames}" if frames else step.name
 
 

@@ -17,7 +17,7 @@ _SUPPORTS_FOLDER_HANDLE = os.open in os.supports_dir_fd and os.stat in os.suppor
 PathName = str | os.PathLike[str]
 
 
-class NotRegularFile(OSError):
+class NotRegularFileError(OSError):
     """Error for a folder, a pipe, a socket or a device. The message is the kind of file, so that it can follow `FILE is`."""
 
     def __init__(self, kind: str) -> None:
@@ -28,7 +28,7 @@ class NotRegularFile(OSError):
         return self.kind
 
 
-class FileTooLarge(OSError):
+class FileTooLargeError(OSError):
     """Error for a file of `size` bytes, if a read may have at most `cap` bytes."""
 
     def __init__(self, size: int, cap: int) -> None:
@@ -42,7 +42,7 @@ def resolve_path(path: PathName) -> Path:
 
 
 def open_regular_file(path: PathName, *, follows_links: bool = True, folder: int | None = None) -> int:
-    """Return a handle on a regular file, to be closed by the caller. Raises NotRegularFile or another OSError.
+    """Return a handle on a regular file, to be closed by the caller. Raises NotRegularFileError or another OSError.
 
     `follows_links`: follow a link at the end of the path.
     `folder`: the handle of an open folder that the path is relative to.
@@ -67,32 +67,33 @@ def _require_regular_file(status: os.stat_result) -> None:
     if stat.S_ISLNK(status.st_mode):
         raise OSError(errno.ELOOP, "it is a link")
     if not stat.S_ISREG(status.st_mode):
-        raise NotRegularFile("a folder" if stat.S_ISDIR(status.st_mode) else "not a regular file")
+        raise NotRegularFileError("a folder" if stat.S_ISDIR(status.st_mode) else "not a regular file")
 
 
 def read_checked_size(file_handle: int, cap: int) -> int:
-    """Return the size of an open file in bytes. Raises FileTooLarge above `cap` bytes."""
+    """Return the size of an open file in bytes. Raises FileTooLargeError above `cap` bytes."""
     size = os.fstat(file_handle).st_size
     if size > cap:
-        raise FileTooLarge(size, cap)
+        raise FileTooLargeError(size, cap)
     return size
 
 
 def read_blocks(handle: int, cap: int) -> Iterator[bytes]:
     """Yield the contents of an open file in blocks. The handle stays open.
 
-    Raises FileTooLarge for a file of more than `cap` bytes: before any read, or as soon as a growing file exceeds the limit."""
+    Raises FileTooLargeError for a file of more than `cap` bytes: before any read, or as soon as a growing file exceeds the
+    limit."""
     read_checked_size(handle, cap)
     left = cap + 1
     while part := os.read(handle, min(left, _READ_BLOCK_BYTES)):
         left -= len(part)
         if left <= 0:
-            raise FileTooLarge(max(os.fstat(handle).st_size, cap + 1), cap)
+            raise FileTooLargeError(max(os.fstat(handle).st_size, cap + 1), cap)
         yield part
 
 
 def read_handle(handle: int, cap: int) -> bytes:
-    """Read an open file to its end, close it, and return its bytes. Raises FileTooLarge above `cap` bytes."""
+    """Read an open file to its end, close it, and return its bytes. Raises FileTooLargeError above `cap` bytes."""
     try:
         return b"".join(read_blocks(handle, cap))
     finally:
@@ -100,7 +101,7 @@ def read_handle(handle: int, cap: int) -> bytes:
 
 
 def read_size_limited(path: PathName, cap: int, *, follows_links: bool = True) -> bytes:
-    """Return all bytes of a regular file. Raises NotRegularFile, FileTooLarge above `cap` bytes, or another OSError.
+    """Return all bytes of a regular file. Raises NotRegularFileError, FileTooLargeError above `cap` bytes, or another OSError.
 
     `follows_links`: as in `open_regular_file`."""
     return read_handle(open_regular_file(path, follows_links=follows_links), cap)
@@ -116,7 +117,8 @@ def read_first_bytes(path: PathName, count: int) -> bytes:
 
 
 def open_size_limited(path: PathName, cap: int, *, follows_links: bool = True) -> IO[bytes]:
-    """Open a regular file of at most `cap` bytes for random access. Raises NotRegularFile, FileTooLarge or another OSError.
+    """Open a regular file of at most `cap` bytes for random access. Raises NotRegularFileError, FileTooLargeError or another
+    OSError.
 
     `follows_links`: as in `open_regular_file`."""
     handle = open_regular_file(path, follows_links=follows_links)

@@ -10,14 +10,14 @@ from antdsl.bodies.files.clip_document import build_clip
 from antdsl.bodies.files.document_errors import read_form
 from antdsl.bodies.files.document_model import ClipForm, Form, GroupForm, LayerForm, RigForm
 from antdsl.bodies.files.documents import build_group, build_layer, build_rig, read_metadata
-from antdsl.bodies.files.json_text import Node, read_tree
+from antdsl.bodies.files.json_text import JsonNode, read_tree
 from antdsl.diagnostics import Report
 
-Reader = Callable[[Node, Report], Any]
+Reader = Callable[[JsonNode, Report], Any]
 
 
-def reader(form: type[Form], build: Callable[[Any, Node, Report], Any]) -> Reader:
-    def read(root: Node, report: Report) -> Any:
+def reader(form: type[Form], build: Callable[[Any, JsonNode, Report], Any]) -> Reader:
+    def read(root: JsonNode, report: Report) -> Any:
         model = read_form(form, root, report)
         return None if model is None else build(model, root, report)
 

@@ -6,16 +6,16 @@ other code affects its memory and start-up. `ratios` holds the statistics, `tabl
 are in `tests/benchmarks`. Nothing in this package changes a result.
 """
 
-from antdsl.bench.cases import CASES, Case
+from antdsl.bench.cases import BENCH_CASES, BenchCase
 from antdsl.bench.costs import BenchJob, Measurement, StepCost, measure_in_process
-from antdsl.bench.ratios import Ratio, compute_bootstrap_interval, measure_in_turn
+from antdsl.bench.ratios import RatioInterval, compute_bootstrap_interval, measure_in_turn
 
 __all__ = [
-    "CASES",
+    "BENCH_CASES",
+    "BenchCase",
     "BenchJob",
-    "Case",
     "Measurement",
-    "Ratio",
+    "RatioInterval",
     "StepCost",
     "compute_bootstrap_interval",
     "measure_in_process",

@@ -29,7 +29,7 @@ class CaseError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class BenchCase:
     """A case to measure.
 
     `make_shot`: returns the shot with a given number of agents; None means the number in its scene.
@@ -168,10 +168,10 @@ def _remove_voxel_settings(text: str) -> list[str]:
 
 
 _FORAGING_AGENT_COUNTS = (125, 1_000, 15_000, 100_000, 1_000_000)
-CASES: Mapping[str, Case] = {
+BENCH_CASES: Mapping[str, BenchCase] = {
     case.name: case
     for case in (
-        Case(
+        BenchCase(
             "foraging",
             "ants that search, carry and lay scent on hills",
             _open_foraging_case,
@@ -179,7 +179,7 @@ CASES: Mapping[str, Case] = {
             (1_000, 15_000),
             _disable_contacts,
         ),
-        Case(
+        BenchCase(
             "boids",
             "three rules on a plane, about 9 neighbours each",
             _open_boids_case,
@@ -187,46 +187,46 @@ CASES: Mapping[str, Case] = {
             (1_000, 15_000),
             sight_radius_mm=programs.SIGHT_RADIUS_MM,
         ),
-        Case("trails", "ants that follow two scents on flat ground", _open_trails_case, (1_000, 15_000, 100_000)),
-        Case(
+        BenchCase("trails", "ants that follow two scents on flat ground", _open_trails_case, (1_000, 15_000, 100_000)),
+        BenchCase(
             "crowd",
             "people who walk around each other on a plane, about 9 neighbours each",
             _open_crowd_case,
             (1_000, 15_000, 100_000),
             sight_radius_mm=programs.PERSON_SIGHT_RADIUS_MM,
         ),
-        Case(
+        BenchCase(
             "cluster",
             "the boids, all within a tenth of the area",
             _open_cluster_case,
             (1_000, 15_000),
             sight_radius_mm=programs.SIGHT_RADIUS_MM,
         ),
-        Case(
+        BenchCase(
             "flocking",
             "boids on a wavy ground with states",
             _make_example_opener("flocking/scene.yaml"),
             (400, 15_000),
             sight_radius_mm=25.0,
         ),
-        Case("tunnel", "scouts dig through a hill, others follow", _make_example_opener("tunnel/scene.yaml")),
-        Case("moods", "roaches with several state machines", _make_example_opener("moods/scene.yaml"), (200, 15_000)),
-        Case("anthill", "builders that dig a nest out of a block", _make_example_opener("anthill/scene.yaml")),
-        Case(
+        BenchCase("tunnel", "scouts dig through a hill, others follow", _make_example_opener("tunnel/scene.yaml")),
+        BenchCase("moods", "roaches with several state machines", _make_example_opener("moods/scene.yaml"), (200, 15_000)),
+        BenchCase("anthill", "builders that dig a nest out of a block", _make_example_opener("anthill/scene.yaml")),
+        BenchCase(
             "node",
             "500 points that wander and keep apart: the work of one node",
             _open_node_case,
             (500,),
             published_figures="Houdini: 58.8 frames a second in VEX, 3.98 in Python",
         ),
-        Case(
+        BenchCase(
             "valley",
             "the thesis' ants, the hill as a volume",
             _open_valley_case,
             (500, 15_000),
             published_figures="the thesis: 9 frames a second with 500, 3 with 15,000",
         ),
-        Case(
+        BenchCase(
             "valley_of_meshes",
             "the thesis' ants, the hill as a mesh without digging",
             _open_mesh_valley_case,
@@ -237,6 +237,6 @@ CASES: Mapping[str, Case] = {
 }
 
 
-def find_case(name: str) -> Case:
+def find_case(name: str) -> BenchCase:
     """Return the case of a name, or a new case for a scene's path."""
-    return CASES.get(name) or Case(name, "a scene", lambda agents: open_shot(Path(name), agents))
+    return BENCH_CASES.get(name) or BenchCase(name, "a scene", lambda agents: open_shot(Path(name), agents))

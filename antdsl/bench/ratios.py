@@ -12,11 +12,11 @@ from typing import TypeVar
 
 MIN_PAIRS = 20  # pairs from which a ratio is reported with its interval
 _RESAMPLE_COUNT = 10_000
-T = TypeVar("T")
+ResultType = TypeVar("ResultType")
 
 
 @dataclass(frozen=True, slots=True)
-class Ratio:
+class RatioInterval:
     """The mean of ratios and its 95 % interval."""
 
     mean: float
@@ -31,7 +31,7 @@ class Ratio:
         return self.low > limit
 
 
-def compute_bootstrap_interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
+def compute_bootstrap_interval(ratios: Sequence[float], seed: int = 1) -> RatioInterval:
     """Return the mean of ratios, with the 2.5th and 97.5th percentile of bootstrap means (B. Efron, Annals of Statistics 7,
     1979).
 
@@ -40,10 +40,12 @@ def compute_bootstrap_interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
         raise ValueError("no ratios were measured")
     draw = random.Random(seed)
     means = sorted(fmean(draw.choices(ratios, k=len(ratios))) for _ in range(_RESAMPLE_COUNT))
-    return Ratio(fmean(ratios), means[round(0.025 * _RESAMPLE_COUNT)], means[round(0.975 * _RESAMPLE_COUNT)])
+    return RatioInterval(fmean(ratios), means[round(0.025 * _RESAMPLE_COUNT)], means[round(0.975 * _RESAMPLE_COUNT)])
 
 
-def measure_in_turn(measure: Callable[[int], T], runners: int, count: int, warm_up_runs: int = 1) -> list[tuple[T, ...]]:
+def measure_in_turn(
+    measure: Callable[[int], ResultType], runners: int, count: int, warm_up_runs: int = 1
+) -> list[tuple[ResultType, ...]]:
     """Return the costs of `runners` runners, measured alternately: one tuple per round, with the cost of each runner in order.
 
     `measure`: returns the cost of a runner by its number. `count`: the number of rounds; the first runner of a round changes.

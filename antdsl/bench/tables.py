@@ -12,7 +12,7 @@ from statistics import mean
 from typing import Any
 
 from antdsl import __version__
-from antdsl.bench.cases import CASES
+from antdsl.bench.cases import BENCH_CASES
 from antdsl.bench.costs import Measurement
 from antdsl.bench.ratios import MIN_PAIRS, compute_bootstrap_interval
 from antdsl.numerics.processor.host import read_processor_name
@@ -21,7 +21,7 @@ REPORTED_PACKAGES = ("numpy", "scipy", "llvmlite", "open3d", "open3d-cpu")
 
 
 @dataclass(frozen=True, slots=True)
-class CaseResult:
+class BenchCaseResult:
     """The measurements of a case with one number of agents.
 
     `alone`: one measurement per backend, each in a separate process.
@@ -68,7 +68,7 @@ def format_full_run(measurement: Measurement) -> list[str]:
     return [*ms[:2], f"{1 / max(run.wall, 1e-9):.1f}", *ms[2:]]
 
 
-def build_step_rows(result: CaseResult) -> list[list[str]]:
+def build_step_rows(result: BenchCaseResult) -> list[list[str]]:
     """Return the rows of the table of steps, one per backend, with the columns STEP_COLUMNS. Bytes are those of all stored values
     of agents; `grew by` is the growth of the process."""
     rows = []
@@ -91,7 +91,7 @@ def build_step_rows(result: CaseResult) -> list[list[str]]:
     return rows
 
 
-def build_phase_table(result: CaseResult) -> tuple[list[str], list[list[str]]]:
+def build_phase_table(result: BenchCaseResult) -> tuple[list[str], list[list[str]]]:
     """Return the column names and the rows of the table of phases: CPU and wall-clock milliseconds. The most expensive phase of
     the first backend comes first."""
     columns = ["phase"]
@@ -108,7 +108,7 @@ def build_phase_table(result: CaseResult) -> tuple[list[str], list[list[str]]]:
     return columns, rows
 
 
-def compare_backends(result: CaseResult) -> list[str]:
+def compare_backends(result: BenchCaseResult) -> list[str]:
     """Return a line for each backend after the first, with its ratio to the first. Both were measured alternately in one
     process."""
     if result.together is None:
@@ -120,16 +120,16 @@ def compare_backends(result: CaseResult) -> list[str]:
     ]
 
 
-def list_messages(result: CaseResult) -> list[str]:
+def list_messages(result: BenchCaseResult) -> list[str]:
     """Return the messages about deviations from the request, each line once."""
     measured = [*result.alone, *([] if result.together is None else [result.together])]
     return list(dict.fromkeys(line for each in measured for line in each.told))
 
 
-def describe_result(result: CaseResult) -> str:
+def describe_result(result: BenchCaseResult) -> str:
     """Return one line of text: the case, its number of agents, neighbours and nodes, and published figures."""
     measurement = result.alone[0]
-    case = CASES.get(measurement.job.case)
+    case = BENCH_CASES.get(measurement.job.case)
     words = [f"{measurement.job.case}, {measurement.agents:,} {'agent' if measurement.agents == 1 else 'agents'}"]
     words += [case.description] if case is not None else []
     words += [f"{measurement.neighbours:.1f} neighbours each"] if measurement.neighbours is not None else []
@@ -138,7 +138,7 @@ def describe_result(result: CaseResult) -> str:
     return "; ".join(words)
 
 
-def as_json(results: Sequence[CaseResult]) -> dict[str, Any]:
+def make_json_document(results: Sequence[BenchCaseResult]) -> dict[str, Any]:
     """Return all measurements, with the ratios that tables display, as JSON values."""
     return {"machine": describe_machine(), "results": [asdict(result) for result in results]}
 

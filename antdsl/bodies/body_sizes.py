@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from antdsl.bodies.agents.body_extents import compute_standing_box
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.library import load_library_body
-from antdsl.bodies.posed_body import COLLISION_LAYER, find_base_layer
+from antdsl.bodies.posed_body import COLLISION_LAYER_NAME, find_base_layer
 from antdsl.diagnostics import Report
 from antdsl.plan.lowering.birth import is_standing
 from antdsl.plan.lowering.writer import BodyProportions
@@ -39,7 +39,7 @@ def _measure_proportions(body: Definition, word: str | None) -> BodyProportions:
     low, high = compute_standing_box(body, find_base_layer(body))
     if word in CAPSULE_BY_BODY:
         return BodyProportions(1.0 / max(float(high[1] - low[1]), 1e-3), CAPSULE_BY_BODY[word].width / 2)
-    least, most = compute_standing_box(body, body.layers.get(COLLISION_LAYER) or find_base_layer(body))
+    least, most = compute_standing_box(body, body.layers.get(COLLISION_LAYER_NAME) or find_base_layer(body))
     return BodyProportions(1.0 / max(float(high[1] - low[1]), 1e-3), max(float(most[2] - least[2]), 1e-3) / 2)
 
 

@@ -17,7 +17,7 @@ from antdsl.bodies.agents.packed import hash_definition
 from antdsl.bodies.body_sizes import measure_standing_proportions, report_odd_sizes
 from antdsl.bodies.files.reading import load_definition
 from antdsl.bodies.library import load_library_body
-from antdsl.bodies.posed_body import COLLISION_LAYER, find_base_layer
+from antdsl.bodies.posed_body import COLLISION_LAYER_NAME, find_base_layer
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.limits import MAX_WORN_LAYERS
@@ -31,7 +31,7 @@ from antdsl.scene.load import Scene
 from antdsl.scene.setting import BodyCapsuleData, ClipData, LegsData
 from antdsl.source import Span
 
-Body = TypeVar("Body", Definition, str)
+BodyType = TypeVar("BodyType", Definition, str)
 _MAX_LISTED_NAMES = 12  # maximum number of names in a message
 
 
@@ -40,13 +40,13 @@ class NamedBody:
     """A body of a species. The scene names it, or it has the name of the species.
 
     `key`: its key, as `scene.body_choice` makes it.
-    `text`: the library word or the path in the scene.
+    `written_name`: the library word or the path in the scene.
     `place`: the location at which the scene names it.
     `weight`: its share among the bodies of the species."""
 
     key: str
     species: str
-    text: str
+    written_name: str
     place: Span
     weight: float = 1.0
 
@@ -104,34 +104,36 @@ def load_crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Repo
     files: dict[str, Definition | None] = {}
     named = list_named_bodies(scene, tuple(program.species))
     chosen = {line.species for line in scene.model.crowd if line.body is not None}
-    words = {each.key: each.text for each in named if each.text in BODY_WORDS and each.species in program.species}
+    words = {each.key: each.written_name for each in named if each.written_name in BODY_WORDS and each.species in program.species}
     shown_species = {line.species for line in scene.model.crowd if line.wear} | {
         n
         for n, s in program.species.items()
         if any(True for m in s.machines for _ in (*_iterate_play_lines(m), *_iterate_display_lines(m)))
     }
-    library = {each.key: load_library_body(each.text) for each in named if each.key in words and each.species in shown_species}
+    library = {
+        each.key: load_library_body(each.written_name) for each in named if each.key in words and each.species in shown_species
+    }
     worn: dict[str, Definition] = {}
     in_crowd = {line.species for line in scene.model.crowd}
     for each in named:
-        if each.text in BODY_WORDS:
+        if each.written_name in BODY_WORDS:
             if each.key in library and each.species in in_crowd:
                 species = program.species[each.species]
-                _check_body(species, library[each.key], each.text, each.place, report, each.species not in chosen)
+                _check_body(species, library[each.key], each.written_name, each.place, report, each.species not in chosen)
             continue
-        if each.text not in files:
-            files[each.text], findings = load_definition(each.text, scene.roots, each.place)
+        if each.written_name not in files:
+            files[each.written_name], findings = load_definition(each.written_name, scene.roots, each.place)
             report.extend(findings)
-        definition = files[each.text]
+        definition = files[each.written_name]
         if definition is not None and each.species in program.species:
-            _check_body(program.species[each.species], definition, each.text, each.place, report)
+            _check_body(program.species[each.species], definition, each.written_name, each.place, report)
             worn[each.key] = definition
     _check_layers(scene, program, named, worn | library, report)
     weights: dict[str, tuple[float, ...]] = {}
     for each in named:
         weights[each.species] = (*weights.get(each.species, ()), each.weight)
     weights = {species: parts for species, parts in weights.items() if len(parts) > 1}
-    mixed = {each.key: each.text for each in named if each.species in weights and each.text in BODY_WORDS}
+    mixed = {each.key: each.written_name for each in named if each.species in weights and each.written_name in BODY_WORDS}
     definitions = {text: definition for text, definition in files.items() if definition is not None}
     bodies = CrowdBodies(
         worn,
@@ -147,7 +149,7 @@ def load_crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Repo
     return bodies, report
 
 
-def _select_first_bodies(bodies: Mapping[str, Body]) -> dict[str, Body]:
+def _select_first_bodies(bodies: Mapping[str, BodyType]) -> dict[str, BodyType]:
     """Return by species the first of its bodies. `bodies`: by key."""
     return {find_species_of_key(key): body for key, body in bodies.items() if find_number_of_key(key) == 0}
 
@@ -207,7 +209,7 @@ def compute_collision_size(body: Definition, is_standing: bool = False) -> BodyC
     if body.capsule is not None:
         length, width, height, ahead = (each / body.length for each in body.capsule)
         return BodyCapsuleData(max(length, width), width, height, ahead)
-    layer = body.layers.get(COLLISION_LAYER) or find_base_layer(body)
+    layer = body.layers.get(COLLISION_LAYER_NAME) or find_base_layer(body)
     low, high = (
         compute_standing_box(body, layer)
         if is_standing

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.affine import Floats
 from antdsl.bodies.agents.blending import blend_poses
 from antdsl.bodies.agents.boxes import compute_rest_box
-from antdsl.bodies.agents.definition import STATE_MATERIAL, Binding, Capture, Definition, Layer, Shape
+from antdsl.bodies.agents.definition import STATE_MATERIAL, Binding, Definition, Layer, SkinShape, SkinWeights
 from antdsl.bodies.agents.deformers import deform_binding
-from antdsl.bodies.agents.driving import DrivenPose, offset_joints, rotate_towards_looks, set_pose_channels
-from antdsl.bodies.agents.leg_ik import BodySpaceFeet, LegSolver
+from antdsl.bodies.agents.driving import PoseAdjustments, offset_joints, rotate_joints_to_look_directions, set_pose_channels
+from antdsl.bodies.agents.leg_ik import BodySpaceFeet, LegIkSolver
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, build_machine_playback
-from antdsl.bodies.agents.poses import Poses, build_clip_table, to_local_transforms
+from antdsl.bodies.agents.poses import WorldPoses, build_clip_table, to_local_transforms
 from antdsl.bodies.agents.varied_bodies import compute_vertex_colours, scale_groups
 from antdsl.bodies.body import compute_vertex_normals
 from antdsl.bodies.skinned_mesh import SkinnedMesh, build_skinned_mesh
@@ -32,8 +32,8 @@ _CELL_GROWTH = 2.0  # maximum factor by which a coarse shape is stretched to its
 COARSE_CELLS_PER_SHAPE = 3  # minimum number of grid cells along the longest side of a shape
 
 
-BODY_LAYER, CLOSE_LAYER, COLLISION_LAYER = "body", "close", "collision"  # layers
-NO_DRIVEN_POSE = DrivenPose()
+BODY_LAYER_NAME, CLOSE_LAYER_NAME, COLLISION_LAYER_NAME = "body", "close", "collision"  # layers
+NO_DRIVEN_POSE = PoseAdjustments()
 NEUTRAL_COLOUR = (0.1, 0.1, 0.1)  # linear; of surfaces without a colour
 _GOLDEN_RATIO_FRACTION = (5**0.5 - 1) / 2  # its multiples, modulo 1, are spread evenly over 0 to 1
 
@@ -80,7 +80,7 @@ class PosedBody:
         self.tint_weights = np.concatenate([np.zeros(0, np.float32), *(part[3] for part in parts)])
         self.material_names = np.concatenate([np.zeros(0, "U1"), *(part[4] for part in parts)])
 
-    def compute_colours(self, driven_pose: DrivenPose) -> Floats:
+    def compute_colours(self, driven_pose: PoseAdjustments) -> Floats:
         """Return the linear colours of vertices by their materials, float32[n, v, 3], or [1, v, 3] if all agents have the same.
 
         The variation of the material `state` is left out, see `compute_natural_colours`."""
@@ -88,7 +88,7 @@ class PosedBody:
         own = replace(variation, materials={n: c for n, c in variation.materials.items() if n != STATE_MATERIAL})
         return compute_vertex_colours(own, driven_pose.variation_draws, self.material_names, self.material_colours)
 
-    def compute_natural_colours(self, driven_pose: DrivenPose, count: int) -> Floats:
+    def compute_natural_colours(self, driven_pose: PoseAdjustments, count: int) -> Floats:
         """Return the linear colour of the material `state` for `count` agents, float32[count, 3], with their variation.
 
         Bodies without this material give a neutral grey."""
@@ -106,20 +106,22 @@ class PosedBody:
     def reach(self) -> float:
         """Return the distance from the origin to the farthest point of the box of the rest pose, in body lengths."""
         drawn = Layer(
-            BODY_LAYER, tuple(b for b in self._bindings if not b.deformer), tuple(b for b in self._bindings if b.deformer)
+            BODY_LAYER_NAME, tuple(b for b in self._bindings if not b.deformer), tuple(b for b in self._bindings if b.deformer)
         )
-        low, high = compute_rest_box(replace(self._definition, layers={BODY_LAYER: drawn}))
+        low, high = compute_rest_box(replace(self._definition, layers={BODY_LAYER_NAME: drawn}))
         return float(np.linalg.norm(np.maximum(np.abs(low), np.abs(high)))) / self._full_definition.length
 
     @cached_property
     def fine_body(self) -> PosedBody:
         """Return the body for agents that are large in a picture, with the layer `close` if it exists."""
-        close = self._full_definition.layers.get(CLOSE_LAYER)
+        close = self._full_definition.layers.get(CLOSE_LAYER_NAME)
         if close is None:
             return self
-        layers = {name: layer for name, layer in self._full_definition.layers.items() if name != CLOSE_LAYER}
+        layers = {name: layer for name, layer in self._full_definition.layers.items() if name != CLOSE_LAYER_NAME}
         return PosedBody(
-            replace(self._full_definition, layers=layers | {BODY_LAYER: replace(close, name=BODY_LAYER)}), self.clips, self.layers
+            replace(self._full_definition, layers=layers | {BODY_LAYER_NAME: replace(close, name=BODY_LAYER_NAME)}),
+            self.clips,
+            self.layers,
         )
 
     @cached_property
@@ -129,14 +131,14 @@ class PosedBody:
         If there is a layer `close`, the layer `body` is used unchanged."""
         return (
             self
-            if CLOSE_LAYER in self._full_definition.layers
+            if CLOSE_LAYER_NAME in self._full_definition.layers
             else PosedBody(coarsen_definition(self._full_definition), self.clips, self.layers)
         )
 
     @cached_property
     def distant_body(self) -> PosedBody:
         """Return the body with the fewest triangles, for agents of a few pixels."""
-        layers = {name: layer for name, layer in self._full_definition.layers.items() if name != CLOSE_LAYER}
+        layers = {name: layer for name, layer in self._full_definition.layers.items() if name != CLOSE_LAYER_NAME}
         drawn = _select_needed_shapes(
             self._full_definition, {binding.shape for layer in layers.values() for binding in _list_layer_bindings(layer)}
         )
@@ -174,9 +176,9 @@ class PosedBody:
         return taken
 
     @cached_property
-    def leg_solver(self) -> LegSolver | None:
+    def leg_solver(self) -> LegIkSolver | None:
         """Return the solver that places the body's feet; None for a body without legs."""
-        return LegSolver(self._full_definition) if self._full_definition.legs else None
+        return LegIkSolver(self._full_definition) if self._full_definition.legs else None
 
     @property
     def definition(self) -> Definition:
@@ -204,9 +206,9 @@ class PosedBody:
         feet: BodySpaceFeet | None = None,
         threads: int = 1,
         *,
-        driven_pose: DrivenPose = NO_DRIVEN_POSE,
+        driven_pose: PoseAdjustments = NO_DRIVEN_POSE,
         needs_local: bool = False,
-    ) -> Poses:
+    ) -> WorldPoses:
         """Return the transforms and channels of `count` agents, in the definition's space.
 
         `machines`: the clips that agents play. `feet`: if given, legs bend to reach these feet, and trunks move with them.
@@ -214,7 +216,7 @@ class PosedBody:
         playing = build_machine_playback(self._table, self._played, machines, count, driven_pose.lean)
         poses = blend_poses(self._table, self._definition.groups, playing, needs_local=needs_local, threads=threads)
         poses = set_pose_channels(self._table, poses, driven_pose.channels)
-        poses = rotate_towards_looks(
+        poses = rotate_joints_to_look_directions(
             self._table,
             poses,
             driven_pose.look_directions,
@@ -225,7 +227,7 @@ class PosedBody:
         poses = scale_groups(self._table, poses, self._definition.variation, self._definition.groups, driven_pose.variation_draws)
         if self.leg_solver is not None and feet is not None:
             stands = self.leg_solver.compute_stance_weights(self._played, machines, count)
-            poses = self.leg_solver.bend_legs(poses, feet.scale_trunk(stands), stands)
+            poses = self.leg_solver.bend_legs(poses, feet.scale_trunk_motion(stands), stands)
         return (
             replace(poses, local_transforms=to_local_transforms(self._table, poses.world_transforms))
             if needs_local and poses.local_transforms is None
@@ -239,14 +241,14 @@ class PosedBody:
         feet: BodySpaceFeet | None = None,
         threads: int = 1,
         *,
-        driven_pose: DrivenPose = NO_DRIVEN_POSE,
+        driven_pose: PoseAdjustments = NO_DRIVEN_POSE,
     ) -> tuple[Floats, Floats]:
         """Return vertices and unit normals float32[n, v, 3] of `count` agents, in body lengths. The arguments are those of
         `compute_poses`."""
         points, normals = self.compute_shape_points(self.compute_poses(machines, count, feet, threads, driven_pose=driven_pose))
         return points[:, self.point_indices], normals[:, self.point_indices]
 
-    def compute_shape_points(self, poses: Poses) -> tuple[Floats, Floats]:
+    def compute_shape_points(self, poses: WorldPoses) -> tuple[Floats, Floats]:
         """Return points and unit normals float32[n, p, 3] of the shapes of all bindings, one after the other. Lengths are body
         lengths; front is +x, up +y."""
         deformed_shapes = [deform_binding(self._definition, binding, poses) for binding in self._bindings]
@@ -259,13 +261,13 @@ class PosedBody:
 def find_base_layer(definition: Definition) -> Layer:
     """Return the layer that is always drawn. A body without one gets a layer without shapes."""
     layers = definition.layers
-    worn = [layer for name, layer in layers.items() if name != COLLISION_LAYER]
-    return layers.get(BODY_LAYER) or next(iter(worn), Layer(BODY_LAYER))
+    worn = [layer for name, layer in layers.items() if name != COLLISION_LAYER_NAME]
+    return layers.get(BODY_LAYER_NAME) or next(iter(worn), Layer(BODY_LAYER_NAME))
 
 
-def _select_needed_shapes(definition: Definition, names: Iterable[str]) -> dict[str, Shape]:
+def _select_needed_shapes(definition: Definition, names: Iterable[str]) -> dict[str, SkinShape]:
     """Return the shapes called `names` and the shapes that they blend with, by name."""
-    shapes: dict[str, Shape] = {}
+    shapes: dict[str, SkinShape] = {}
     left = list(names)
     while left:
         name = left.pop()
@@ -287,7 +289,7 @@ def _list_layer_bindings(layer: Layer) -> tuple[Binding, ...]:
     return (*layer.static, *layer.deforming)
 
 
-def _add_missing_normals(shape: Shape) -> Shape:
+def _add_missing_normals(shape: SkinShape) -> SkinShape:
     """Return a shape with normals; missing ones are computed from its faces."""
     if shape.normals is not None:
         return shape
@@ -295,7 +297,7 @@ def _add_missing_normals(shape: Shape) -> Shape:
 
 
 def _split_by_material(
-    shape: Shape, colours: Mapping[str, tuple[float, float, float]]
+    shape: SkinShape, colours: Mapping[str, tuple[float, float, float]]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32], NDArray[np.str_]]:
     """Return the vertices of a shape; a point with several materials becomes several vertices.
 
@@ -327,7 +329,7 @@ def coarsen_definition(definition: Definition) -> Definition:
     return replace(definition, shapes=shapes, layers=layers)
 
 
-def coarsen_shape(shape: Shape, cell: float) -> Shape:
+def coarsen_shape(shape: SkinShape, cell: float) -> SkinShape:
     """Return a shape in which one point replaces all points of each cell of a grid with the edge `cell`: their mean.
 
     The mean follows the joints of the first point of the cell. Triangles with two corners in one cell are omitted. The bounding
@@ -358,9 +360,9 @@ def coarsen_shape(shape: Shape, cell: float) -> Shape:
     capture = (
         None
         if follows is None
-        else Capture(follows.names, follows.joints[first], follows.weights[first], follows.inverse_matrices)
+        else SkinWeights(follows.names, follows.joints[first], follows.weights[first], follows.inverse_matrices)
     )
-    return Shape(
+    return SkinShape(
         shape.name, points.astype(np.float32), faces[has_area], normals, None, shape.materials,
         None if shape.material is None else shape.material[has_area],
         {name: values[first] for name, values in shape.attributes.items()}, capture,

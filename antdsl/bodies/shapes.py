@@ -158,7 +158,7 @@ def _build_leaf() -> ColouredMesh:
     vein = np.cos(15 * (x - 0.8 * np.abs(z)) * np.pi / 2)
     high = 0.10 + 0.22 * z**2 + 0.10 * np.sin(2.2 * u + 0.3) + 0.012 * vein * (np.abs(v) < 0.95)
     top = np.stack([x, high, z], axis=2).reshape(-1, 3)
-    faces = _join_grid(along, across)
+    faces = _triangulate_grid(along, across)
     rib = np.exp(-((z / 0.035) ** 2)) + 0.45 * np.clip(vein - 0.75, 0, 1) * 4 * np.exp(-np.abs(z))
     tone = 0.5 + 0.5 * compute_wave_noise(top, 91, 0.9, 2)
     green, pale, brown = np.array([0.28, 0.46, 0.12]), np.array([0.58, 0.66, 0.28]), np.array([0.50, 0.40, 0.16])
@@ -191,7 +191,7 @@ def _build_stick() -> ColouredMesh:
         ring = np.cos(turn)[..., None] * side + np.sin(turn)[..., None] * np.cross(side, axis)
         points = (first + (last - first) * u[..., None] + bend[..., None] * side + reach[..., None] * ring).reshape(-1, 3)
         points += 0.012 * compute_wave_noise(points * [0.3, 1, 1], 92, 0.12, 2)[:, None] * ring.reshape(-1, 3)
-        parts.append((points, _join_grid(along, around + 1)[:, ::-1]))
+        parts.append((points, _triangulate_grid(along, around + 1)[:, ::-1]))
         tone = 1 + 0.25 * compute_wave_noise(points * [0.3, 1, 1], 93, 0.1, 2)[:, None]
         shades.append(np.array([0.43, 0.33, 0.24]) * tone)
     vertices, triangles = join_meshes(parts)
@@ -241,7 +241,7 @@ def _build_flag() -> ColouredMesh:
     u, v = np.meshgrid(np.linspace(0, 1, 14), np.linspace(0, 1, 7), indexing="ij")
     wave = 0.10 * u * np.sin(7 * u + 1.5 * v)
     front = np.stack([0.05 + 0.95 * u, 1.3 + 0.6 * v - 0.08 * u, wave], axis=2).reshape(-1, 3)
-    faces = _join_grid(14, 7)
+    faces = _triangulate_grid(14, 7)
     points, triangles = join_meshes(
         [(post * [0.045, 1.0, 0.045] + [0, 0.95, 0], post_faces), (front, faces), (front - [0, 0, 0.01], faces[:, ::-1])]
     )
@@ -251,7 +251,7 @@ def _build_flag() -> ColouredMesh:
     return points, triangles, shade.astype(np.float32)
 
 
-def _join_grid(rows: int, columns: int) -> NDArray[np.int32]:
+def _triangulate_grid(rows: int, columns: int) -> NDArray[np.int32]:
     """Return the triangles of a grid of points, row by row. They face the direction of (rows × columns) by the left-hand rule."""
     row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
     a = (row * columns + column).reshape(-1)

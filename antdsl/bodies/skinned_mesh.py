@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
 from antdsl.bodies.agents.blend_shapes import (
-    blend_shapes,
+    apply_blend_shapes,
     compute_attribute_offsets,
     compute_knot_shares,
-    find_blend_knots,
+    list_blend_knots,
     match_points,
 )
-from antdsl.bodies.agents.definition import Binding, Capture, Clip, Definition, Rig, Shape
+from antdsl.bodies.agents.definition import Binding, Clip, Definition, Rig, SkinShape, SkinWeights
 from antdsl.bodies.agents.deformers import SKINNING_DEFORMERS, find_deformers
 from antdsl.bodies.agents.transforms import compute_world_matrices
 
 MAX_JOINTS_PER_VERTEX = 4  # most joints that a vertex follows
-NO_JOINT = -1  # the joint of a bone that does not move in agent space
+NO_JOINT_NUMBER = -1  # the joint of a bone that does not move in agent space
 _EQUAL_MATRIX_TOLERANCE = 1e-4  # relative to the largest entry; matrices that differ less share a bone
 _SINGULAR_DETERMINANT = 1e-9  # matrices with a smaller determinant count as singular
 Matrix = NDArray[np.float64]
@@ -85,7 +85,7 @@ class _BoneTable:
     """The bones that were requested so far. Each bone is stored once."""
 
     def __init__(self, definition: Definition) -> None:
-        self.rest = compute_world_matrices(definition.rig.parents, definition.rig.rest)
+        self.rest = compute_world_matrices(definition.rig.parents, definition.rig.rest_matrices)
         self.joints: list[int] = []
         self.inverses: list[Matrix] = []
 
@@ -115,7 +115,7 @@ def _build_static_part(definition: Definition, binding: Binding, bone_table: _Bo
     bones = np.zeros((len(points), MAX_JOINTS_PER_VERTEX), np.int32)
     weights = np.zeros((len(points), MAX_JOINTS_PER_VERTEX), np.float32)
     weights[:, 0] = 1
-    joint, inverse = NO_JOINT, np.eye(4)
+    joint, inverse = NO_JOINT_NUMBER, np.eye(4)
     if binding.transform:
         joint = definition.rig.find_joint(binding.transform)
         rest = bone_table.rest[joint]
@@ -145,7 +145,7 @@ def _build_skinned_part(definition: Definition, binding: Binding, bone_table: _B
     return _MeshPart(shape.points, _get_normals_or_zeros(shape), number[joints], weights)
 
 
-def _select_strongest_joints(capture: Capture) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _select_strongest_joints(capture: SkinWeights) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the joints with the largest weights of each point, at most four, and these weights."""
     joints, weights = capture.joints, capture.weights
     if joints.shape[1] < MAX_JOINTS_PER_VERTEX:
@@ -159,7 +159,7 @@ def _select_strongest_joints(capture: Capture) -> tuple[NDArray[np.int32], NDArr
     )
 
 
-def _get_normals_or_zeros(shape: Shape) -> NDArray[np.float32]:
+def _get_normals_or_zeros(shape: SkinShape) -> NDArray[np.float32]:
     """Return the normals of a shape; zeros if it has none."""
     return np.zeros_like(shape.points) if shape.normals is None else shape.normals
 
@@ -188,10 +188,10 @@ def compute_blend_targets(
     sizes = [len(definition.shapes[each.shape].points) for each in bindings]
     starts = np.cumsum([0, *sizes])
     offsets_by_target: dict[BlendTarget, NDArray[np.float32]] = {}
-    rest = compute_world_matrices(definition.rig.parents, definition.rig.rest)
+    rest = compute_world_matrices(definition.rig.parents, definition.rig.rest_matrices)
     for start, binding in zip(starts, bindings, strict=False):
         shape, chain = definition.shapes[binding.shape], find_deformers(binding.deformer) if binding.deformer else ()
-        if shape.blend is None or chain[:1] != (blend_shapes,):
+        if shape.blend is None or chain[:1] != (apply_blend_shapes,):
             continue
         carried = binding.transform and not any(step in SKINNING_DEFORMERS for step in chain)
         turn = rest[definition.rig.find_joint(binding.transform)][:3, :3] if carried else np.eye(3)
@@ -202,14 +202,14 @@ def compute_blend_targets(
 
 
 def _compute_target_offsets(
-    definition: Definition, shape: Shape, rotation: NDArray[np.float64]
+    definition: Definition, shape: SkinShape, rotation: NDArray[np.float64]
 ) -> list[tuple[BlendTarget, NDArray[np.intp], NDArray[np.float64]]]:
     """Return the targets of a shape: each target, the points that it moves, and their offsets, rotated by `rotation`."""
     blend = shape.blend
     assert blend is not None
     target_offsets = []
     for name, channel in zip(blend.shapes, blend.channels, strict=True):
-        targets, knots = find_blend_knots(definition, name)
+        targets, knots = list_blend_knots(definition, name)
         for place, target in enumerate(targets):
             base_points, target_points = match_points(shape, target, blend.point_id)
             offsets = np.zeros((len(base_points), 6))

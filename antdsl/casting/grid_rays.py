@@ -38,7 +38,8 @@ def write_first_hits(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write the results of `TriangleGrid.find_first_faces` to `t` and `face`, for rays `begin` to `end` (exclusive)."""
+    """Write the results of `TriangleGrid.find_first_faces` to `ray_parameters` and `face`, for rays `begin` to `end`
+    (exclusive)."""
     cells = allocate_scratch(2 * PREFETCH_GROUP_SIZE, I64)
     for low in range(begin, end, PREFETCH_GROUP_SIZE):
         high = min(low + PREFETCH_GROUP_SIZE, end)
@@ -182,7 +183,8 @@ def cast_feeler(grid: GridTables, position: Vec3F32, direction: Vec3F32, reach: 
 
 @kernel_helper
 def find_first_hit(grid: GridTables, start: Vec3, displacement: Vec3) -> tuple[F64, I64]:
-    """Return the ray parameter (0 to 1) at which a ray from `a` along the displacement `w` hits its first face, and this face."""
+    """Return the ray parameter (0 to 1) at which a ray from `start` along the displacement `displacement` hits its first face,
+    and this face."""
     shape, size, first, face_list, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
     part = 1.0 / shape[3]
     px, py, pz = (start[0] - shape[0]) * part, (start[1] - shape[1]) * part, (start[2] - shape[2]) * part

@@ -105,7 +105,7 @@ def prefetch_face_lists_of_rows(grid: GridTables, rows: Array1[I64], count: I64)
 
 @inlined
 def _find_cell_layer(coordinate: F64, low: F64, offset: F64, size: I64) -> I64:
-    """Return the number of the layer of cubes at a coordinate (mm), limited to the grid. `part`: cubes per mm."""
+    """Return the number of the layer of cubes at a coordinate (mm), limited to the grid. `offset`: cubes per mm."""
     return min(max(round_to_int(np.floor((coordinate - low) * offset)), 0), size - 1)
 
 

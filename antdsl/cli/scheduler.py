@@ -61,7 +61,8 @@ def require_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> No
 def open_engine(
     scheduler: SchedulerAddress, workers: int, threads: int, files: Iterable[Path], visible_file: VisibleFile | None = None
 ) -> Iterator[Engine]:
-    """Yield the engine that runs the tasks of a command. Problems end the command. Raises WorkersLost if no scheduler answers.
+    """Yield the engine that runs the tasks of a command. Problems end the command. Raises WorkersLostError if no scheduler
+    answers.
 
     Without an address in `scheduler`, the engine has `workers` processes with `threads` threads each. Otherwise it is the cluster
     at that address. Its workers receive `files`, or see `visible_file` at its path."""
@@ -79,7 +80,7 @@ def open_engine(
         raise CommandError(
             ExitCode.INPUT_OUTPUT, words, f"install it: {_INSTALL_HINT}; without `--scheduler`, everything runs on this machine"
         )
-    from antdsl.executors import TaskRejected
+    from antdsl.executors import TaskRejectedError
     from antdsl.executors.cluster import connect_cluster, load_security, start_local_cluster
 
     try:
@@ -88,7 +89,7 @@ def open_engine(
             if address == "local":
                 address, security = stack.enter_context(start_local_cluster(workers, threads))
             yield stack.enter_context(connect_cluster(address, security, files, visible_file))
-    except TaskRejected as error:
+    except TaskRejectedError as error:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}") from None
 
 
@@ -189,7 +190,7 @@ def run_cache_tasks(
     `scheduler`: address, certificates, and whether the scheduler may run without certificates.
     `make_tasks`: is called with the path of the cache, its links resolved, and the destination of files.
     """
-    from antdsl.executors import WorkersLost, run_tasks
+    from antdsl.executors import WorkersLostError, run_tasks
     from antdsl.executors.input_bundle import VisibleFile
     from antdsl.outputs.cache.cache_reader import STATIC_FILE_NAME, make_frame_path, open_cache
     from antdsl.outputs.cache.hashes import HASHES_FILE_NAME
@@ -223,7 +224,7 @@ def run_cache_tasks(
                     print_warning(f"failed: frames {first}..{last}: {answered.problem}")
                 else:
                     yield answered
-    except WorkersLost as error:
+    except WorkersLostError as error:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", "the same command computes all frames again") from None
     if failure_count:
         raise CommandError(ExitCode.FINDINGS, "error: the failed frames are missing")

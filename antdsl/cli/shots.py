@@ -42,7 +42,7 @@ def run_shots(
     """
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.diagnostics import Report
-    from antdsl.executors import WorkersLost, run_tasks
+    from antdsl.executors import WorkersLostError, run_tasks
     from antdsl.outputs.cache.cache_reader import CACHE_ENTRY_NAMES
     from antdsl.outputs.cache.cache_writer import ForeignFolder, PathBlocked, prepare_folder
     from antdsl.outputs.cache_start import StartError
@@ -111,7 +111,7 @@ def run_shots(
                     print_note(f"{answered.answer['frames']} frames; the cache is in {folder}")
     except KeyboardInterrupt as error:
         raise CommandError(choose_stop_exit_code(error), "stopped", "continue with the same command and `--resume`") from None
-    except WorkersLost as error:
+    except WorkersLostError as error:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {error}", "continue with the same command and `--resume`") from None
     if failure_count:
         raise CommandError(ExitCode.FINDINGS, f"error: {failure_count} of {len(scenes)} scenes failed")

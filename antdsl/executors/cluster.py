@@ -30,14 +30,14 @@ from antdsl.executors.cluster_worker import (
     run_task_on_worker,
 )
 from antdsl.executors.input_bundle import FileBundle, VisibleFile, pack_files
-from antdsl.executors.tasks import LOOPBACK, POLL_SECONDS, TLS_FILE_NAMES, Engine, Task, TaskRejected, WorkersLost
+from antdsl.executors.tasks import LOOPBACK, POLL_SECONDS, TLS_FILE_NAMES, Engine, Task, TaskRejectedError, WorkersLostError
 from antdsl.source_hash import hash_sources
 
 _ROLES = ("scheduler", "worker", "nanny")
 _CONNECT_SECONDS = 15  # limit for connecting to a scheduler
 _FILE_TRANSFER_SECONDS = 5.0  # limit for the transfer of files before tasks are submitted
 _MAX_FUTILE_RESUBMITS = 3  # maximum number of resubmissions of all tasks without an answer in between
-_ALL_WORKERS_LOST = "every worker that received it was lost"
+_ALL_WORKERS_LOST_MESSAGE = "every worker that received it was lost"
 _MAX_MESSAGE_CHARACTERS = 2000  # characters of one sentence of a worker
 
 
@@ -80,8 +80,8 @@ def start_local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Secur
 def connect_cluster(
     address: str, security: Security | None, files: Iterable[Path], visible_file: VisibleFile | None = None
 ) -> Iterator[Cluster]:
-    """Yield a connection to a cluster. Raises WorkersLost if no scheduler answers, TaskRejected if no worker is suitable or the
-    files are too large.
+    """Yield a connection to a cluster. Raises WorkersLostError if no scheduler answers, TaskRejectedError if no worker is
+    suitable or the files are too large.
 
     `files`: the files that workers receive. With `visible_file`, no file is sent: each worker must see this file at its path, and
     is assumed to see the others."""
@@ -91,7 +91,7 @@ def connect_cluster(
         try:
             client = stack.enter_context(Client(address, security=security, timeout=_CONNECT_SECONDS, set_as_default=False))
         except (OSError, ValueError) as error:
-            raise WorkersLost(f"no scheduler responds at {address}: {str(error).splitlines()[0]}") from None
+            raise WorkersLostError(f"no scheduler responds at {address}: {str(error).splitlines()[0]}") from None
         shared = visible_file is not None and all(
             is_visible is True for is_visible in client.run(can_see_file, visible_file, on_error="return").values()
         )
@@ -131,7 +131,7 @@ class Cluster(Engine):
             elif identity["sources"] != hash_sources():
                 unfit[address] = explain_mismatch(address, identity, hash_sources())
         if worker_identities and len(unfit) == len(worker_identities):
-            raise TaskRejected("\n".join(unfit.values()))
+            raise TaskRejectedError("\n".join(unfit.values()))
         self._messages += unfit.values()
         with suppress(ImportError, AttributeError):  # raised for a worker that has already been reported
             client.register_plugin(self._project)
@@ -157,7 +157,7 @@ class Cluster(Engine):
         self._frame_by_key.pop(task.key, None)
         future: Future[str] = Future()
         if task.key in self._abandoned_keys:
-            future.set_exception(TaskRejected(_ALL_WORKERS_LOST))
+            future.set_exception(TaskRejectedError(_ALL_WORKERS_LOST_MESSAGE))
         else:
             words = task.function, json.dumps(task.document), self.name, task.key, self._attempt
             future = self._executor.submit(run_task_on_worker, *words)
@@ -165,9 +165,9 @@ class Cluster(Engine):
         return future
 
     def _require_scheduler(self) -> None:
-        """Raise WorkersLost if the connection to the scheduler is lost."""
+        """Raise WorkersLostError if the connection to the scheduler is lost."""
         if self._client.status != "running":
-            raise WorkersLost(self.explain_process_end())
+            raise WorkersLostError(self.explain_process_end())
 
     def find_frame(self, future: Future[str]) -> int | None:
         return self._frame_by_key.get(self._key_by_future.get(future, ""))
@@ -221,7 +221,7 @@ class Cluster(Engine):
         return "the connection to the scheduler was lost"
 
     def describe_failure(self, exception: BaseException) -> str:
-        return _ALL_WORKERS_LOST if isinstance(exception, KilledWorker) else super().describe_failure(exception)
+        return _ALL_WORKERS_LOST_MESSAGE if isinstance(exception, KilledWorker) else super().describe_failure(exception)
 
     def stop(self) -> None:
         with suppress(Exception):  # the scheduler may have gone
@@ -233,9 +233,9 @@ class Cluster(Engine):
             try:
                 part = self._client.run(read_file_part, self.name, file, start, workers=[worker])[worker]
             except (OSError, KeyError) as error:
-                raise WorkersLost(f"worker {worker} was lost: {error}") from None
+                raise WorkersLostError(f"worker {worker} was lost: {error}") from None
             if not part:
-                raise WorkersLost(f"`{file}` of worker {worker} is shorter than expected")
+                raise WorkersLostError(f"`{file}` of worker {worker} is shorter than expected")
             start += len(part)
             yield part
 

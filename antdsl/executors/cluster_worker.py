@@ -22,7 +22,7 @@ from distributed.diagnostics.plugin import WorkerPlugin
 
 from antdsl import __version__
 from antdsl.executors.input_bundle import FileBundle, VisibleFile, find_unpacked_path
-from antdsl.executors.tasks import TaskFunction, TaskRejected, WorkerContext, run_task
+from antdsl.executors.tasks import TaskFunction, TaskRejectedError, WorkerContext, run_task
 from antdsl.limits import MAX_TASK_OUTPUT_BYTES, MIB
 from antdsl.safe_read import open_size_limited
 from antdsl.source_hash import hash_sources
@@ -51,8 +51,8 @@ class ProjectPlugin(WorkerPlugin):  # type: ignore[misc]
         folder = Path(worker.local_directory) / self.name
         try:
             await asyncio.to_thread(_unpack_bundle, self.bundle, folder)
-        except (OSError, TaskRejected) as error:
-            words = str(error) if isinstance(error, TaskRejected) else f"its disk: {(error.strerror or str(error)).lower()}"
+        except (OSError, TaskRejectedError) as error:
+            words = str(error) if isinstance(error, TaskRejectedError) else f"its disk: {(error.strerror or str(error)).lower()}"
             worker.log_event(
                 self.name, {"refused": f"worker {worker.address} gets no tasks, because it does not have the files: {words}"}
             )
@@ -68,12 +68,12 @@ class ProjectPlugin(WorkerPlugin):  # type: ignore[misc]
         worker.log_event(self.name, {"fit": worker.address})
 
 
-_task_lock = threading.Lock()
+_TASK_LOCK = threading.Lock()
 
 
 def _unpack_bundle(bundle: FileBundle, folder: Path) -> None:
     """Unpack the files to the folder where tasks look for them, unless an earlier command did."""
-    with _task_lock:
+    with _TASK_LOCK:
         complete_mark = folder / "whole"  # exists once all other files are complete
         if complete_mark.is_file():
             return
@@ -110,7 +110,7 @@ def run_task_on_worker(work: TaskFunction, document_text: str, project_name: str
     dask_worker = get_worker()
     project = dask_worker.plugins.get(project_name)
     if project is None or project.worker is None:
-        raise TaskRejected(f"worker {dask_worker.address} does not have the files of this command")
+        raise TaskRejectedError(f"worker {dask_worker.address} does not have the files of this command")
 
     def say_frame(frame: int) -> None:
         dask_worker.log_event(project_name, {"key": key, "frame": frame})
@@ -118,7 +118,7 @@ def run_task_on_worker(work: TaskFunction, document_text: str, project_name: str
     try:
         return run_task(work, document_text, project.worker, say_frame)
     except OSError as error:
-        raise TaskRejected(f"worker {dask_worker.address}: {(error.strerror or str(error)).lower()}") from None
+        raise TaskRejectedError(f"worker {dask_worker.address}: {(error.strerror or str(error)).lower()}") from None
 
 
 def read_file_part(project_name: str, file: str, start: int) -> bytes:
@@ -126,7 +126,7 @@ def read_file_part(project_name: str, file: str, start: int) -> bytes:
     folder = Path(get_worker().local_directory) / project_name / "made"
     path = (folder / file).resolve()
     if not path.is_relative_to(folder.resolve()):
-        raise TaskRejected(f"`{file}` is not one of the files that a task wrote")
+        raise TaskRejectedError(f"`{file}` is not one of the files that a task wrote")
     with open_size_limited(path, MAX_TASK_OUTPUT_BYTES, follows_links=False) as handle:
         handle.seek(start)
         return handle.read(FILE_PART_BYTES)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 
-from antdsl.executors.tasks import TaskRejected
+from antdsl.executors.tasks import TaskRejectedError
 from antdsl.limits import MAX_BUNDLE_BYTES
 from antdsl.safe_read import read_size_limited
 
@@ -24,14 +24,14 @@ class FileBundle:
     digest: str
 
     def unpack(self, folder: Path) -> None:
-        """Write the files below a folder. Raises TaskRejected if they do not match the hash, or if a path leads out of the
+        """Write the files below a folder. Raises TaskRejectedError if they do not match the hash, or if a path leads out of the
         folder."""
         if hash_files(self.files) != self.digest:
-            raise TaskRejected("the project's files were changed during the transfer")
+            raise TaskRejectedError("the project's files were changed during the transfer")
         for name, content in self.files.items():
             path = folder / name
             if not path.resolve().is_relative_to(folder.resolve()):
-                raise TaskRejected(f"the path of a project file leads out of its folder: `{name}`")
+                raise TaskRejectedError(f"the path of a project file leads out of its folder: `{name}`")
             path.parent.mkdir(parents=True, exist_ok=True)
             with open(path, "xb") as file:
                 file.write(content)
@@ -60,15 +60,15 @@ class VisibleFile:
 
 
 def pack_files(paths: Iterable[Path]) -> FileBundle:
-    """Return an input bundle of regular files. Raises TaskRejected if their total size exceeds `MAX_BUNDLE_BYTES`, OSError if one
-    cannot be read."""
+    """Return an input bundle of regular files. Raises TaskRejectedError if their total size exceeds `MAX_BUNDLE_BYTES`, OSError
+    if one cannot be read."""
     files: dict[str, bytes] = {}
     left = MAX_BUNDLE_BYTES
     for path in sorted({Path(os.path.abspath(path)) for path in paths}):
         content = read_size_limited(path, MAX_BUNDLE_BYTES)
         left -= len(content)
         if left < 0:
-            raise TaskRejected(f"the files of the scenes exceed {MAX_BUNDLE_BYTES >> 20} MiB, the limit for a transfer")
+            raise TaskRejectedError(f"the files of the scenes exceed {MAX_BUNDLE_BYTES >> 20} MiB, the limit for a transfer")
         files[_make_relative_path(path)] = content
     return FileBundle(files, hash_files(files))
 

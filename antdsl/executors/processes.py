@@ -87,14 +87,14 @@ def _describe_exit(code: int | None) -> str:
     return f"its process ended with code {code}"
 
 
-_worker = WorkerContext(1)
+_PROCESS_WORKER = WorkerContext(1)
 _frame_by_slot: MutableSequence[int] = []
 
 
 def _initialise_process(threads: int, frame_by_slot: MutableSequence[int]) -> None:
     """Initialise a process of the pool: its environment, signals, and the thread that ends it with its parent."""
-    global _worker, _frame_by_slot
-    _worker, _frame_by_slot = WorkerContext(threads), frame_by_slot
+    global _PROCESS_WORKER, _frame_by_slot
+    _PROCESS_WORKER, _frame_by_slot = WorkerContext(threads), frame_by_slot
     if not sys.warnoptions:
         warnings.simplefilter("ignore")  # warnings of libraries, as in the main process
     # Ctrl-C reaches the process that requested the tasks, which ends this one
@@ -120,4 +120,4 @@ def _run_task_in_process(work: TaskFunction, document_text: str, slot: int) -> s
     def say_frame(frame: int) -> None:
         _frame_by_slot[slot] = frame
 
-    return run_task(work, document_text, _worker, say_frame)
+    return run_task(work, document_text, _PROCESS_WORKER, say_frame)

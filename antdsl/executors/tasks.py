@@ -25,11 +25,11 @@ _MAX_TASK_ATTEMPTS = 3  # maximum number of attempts of a task with files that c
 TaskAnswer = dict[str, Any]
 
 
-class TaskRejected(Exception):
+class TaskRejectedError(Exception):
     """Error for a task that cannot be carried out. The message is for the requester. The task does not run again."""
 
 
-class WorkersLost(Exception):
+class WorkersLostError(Exception):
     """Error if no process or worker is left to run tasks. The message is for the requester."""
 
 
@@ -96,11 +96,11 @@ class Engine(ABC):
 
     @abstractmethod
     def start(self) -> None:
-        """Start the engine, or start it again after a stop. Raises WorkersLost."""
+        """Start the engine, or start it again after a stop. Raises WorkersLostError."""
 
     @abstractmethod
     def submit(self, task: Task) -> Future[str]:
-        """Submit a task. Call this only while fewer than `task_capacity` tasks run. Raises WorkersLost."""
+        """Submit a task. Call this only while fewer than `task_capacity` tasks run. Raises WorkersLostError."""
 
     @abstractmethod
     def stop(self) -> None:
@@ -120,12 +120,12 @@ class Engine(ABC):
 
     def describe_failure(self, exception: BaseException) -> str:
         """Return the message for a task that ended with an exception. Raises the exception if it is an error of antdsl itself."""
-        if isinstance(exception, TaskRejected | MemoryError | OSError):
+        if isinstance(exception, TaskRejectedError | MemoryError | OSError):
             return str(exception) or "out of memory"
         raise exception
 
     def fetch_file(self, worker: str, file: str, size: int) -> Iterator[bytes]:
-        """Yield the parts of a file that a task wrote on a worker. Raises WorkersLost if the file is missing or shorter than
+        """Yield the parts of a file that a task wrote on a worker. Raises WorkersLostError if the file is missing or shorter than
         `size`."""
         raise NotImplementedError  # only tasks on other machines leave files to fetch
 
@@ -148,7 +148,7 @@ def run_tasks(
     `report_note`: is called with messages about workers.
 
     If a process is lost, the cause is unknown, so all running tasks run again, one by one. A task that breaks the engine while it
-    runs alone is given up. Raises WorkersLost if the engine cannot start again.
+    runs alone is given up. Raises WorkersLostError if the engine cannot start again.
     """
     waiting, suspects, lost_tasks = iter(tasks), deque[Task](), deque[Task]()
     running: dict[Future[str], Task] = {}
@@ -229,10 +229,10 @@ def _fetch_outcome(
     try:
         if answer.get("files"):
             _fetch_files(answer, engine, choose_folder(task))
-    except WorkersLost as lost:
+    except WorkersLostError as lost:
         attempts[task.key] = attempts.get(task.key, 0) + 1
         return None if attempts[task.key] < _MAX_TASK_ATTEMPTS else TaskOutcome(task, None, str(lost), notes)
-    except (OSError, TaskRejected) as error:
+    except (OSError, TaskRejectedError) as error:
         return TaskOutcome(task, None, str(error), notes)
     return TaskOutcome(task, answer, notes=notes)
 
@@ -243,7 +243,7 @@ def _fetch_files(answer: TaskAnswer, engine: Engine, folder: Path) -> None:
     for name, size, digest in answer["files"]:
         path, left = (root / name).resolve(), left - size
         if not path.is_relative_to(root) or left < 0:
-            raise TaskRejected(f"a worker made `{name}` of {size:,} bytes, which is too large or leads out of `{folder}`")
+            raise TaskRejectedError(f"a worker made `{name}` of {size:,} bytes, which is too large or leads out of `{folder}`")
         create_folder_durably(path.parent)
         hashed = hashlib.blake2b(digest_size=16)
         with atomic_file(path) as file:
@@ -251,7 +251,7 @@ def _fetch_files(answer: TaskAnswer, engine: Engine, folder: Path) -> None:
                 hashed.update(data)
                 file.write(data)
             if hashed.hexdigest() != digest:
-                raise WorkersLost(f"`{name}` changed during the transfer")
+                raise WorkersLostError(f"`{name}` changed during the transfer")
     engine.remove_task_files(answer["worker"], answer["made"])
 
 
@@ -275,17 +275,17 @@ def run_task(
     answer = work(json.loads(document_text), worker)
     document_text = json.dumps({"answer": answer, "notes": worker.notes})
     if len(document_text) > MAX_TASK_ANSWER_BYTES:
-        raise TaskRejected(f"its result has {len(document_text):,} bytes; the limit is {MAX_TASK_ANSWER_BYTES:,}")
+        raise TaskRejectedError(f"its result has {len(document_text):,} bytes; the limit is {MAX_TASK_ANSWER_BYTES:,}")
     return document_text
 
 
 @contextmanager
 def raise_as_task_rejected(*kinds: type[Exception]) -> Iterator[None]:
-    """Raise TaskRejected in place of exceptions of these kinds, with the same message."""
+    """Raise TaskRejectedError in place of exceptions of these kinds, with the same message."""
     try:
         yield
     except kinds as error:
-        raise TaskRejected(str(error)) from None
+        raise TaskRejectedError(str(error)) from None
 
 
 def hash_document(document: Mapping[str, Any]) -> str:

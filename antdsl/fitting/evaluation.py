@@ -10,7 +10,7 @@ from statistics import median
 from typing import Any
 
 from antdsl.diagnostics import Report
-from antdsl.executors import Engine, Task, TaskRejected, WorkerContext, hash_document, run_tasks
+from antdsl.executors import Engine, Task, TaskRejectedError, WorkerContext, hash_document, run_tasks
 from antdsl.loading import SharedParsedFiles
 from antdsl.pipeline import RunChoices, check_path
 from antdsl.runtime import BindingCache, Options
@@ -18,7 +18,7 @@ from antdsl.safe_read import resolve_path
 from antdsl.specs.cases import CaseFinder
 from antdsl.specs.running import RunContext, run_cases
 
-_MISSED_RESIDUAL = 1e3  # of a goal that has no finite value, in tolerances
+_RESIDUAL_OF_MISSED_GOAL = 1e3  # of a goal that has no finite value, in tolerances
 Values = Mapping[str, str]
 
 
@@ -39,8 +39,10 @@ class GoalResult:
         unit = self.tolerance * abs(target)
         distance = abs(value - target)
         if not math.isfinite(distance) or not math.isfinite(unit):
-            return _MISSED_RESIDUAL
-        return min(distance / unit, _MISSED_RESIDUAL) if unit > 0 else (0.0 if distance == 0 else _MISSED_RESIDUAL)
+            return _RESIDUAL_OF_MISSED_GOAL
+        return (
+            min(distance / unit, _RESIDUAL_OF_MISSED_GOAL) if unit > 0 else (0.0 if distance == 0 else _RESIDUAL_OF_MISSED_GOAL)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +70,7 @@ class PointResult:
         return self.passed_share >= self.pass_share * (1 - 1e-9)
 
     @property
-    def loss(self) -> float:
+    def weighted_loss(self) -> float:
         """Return the quantity that a fit minimises: the mean squared residual and the mean number of failed lines."""
         if not self.failed_lines:
             return math.inf
@@ -172,13 +174,13 @@ def evaluate_spec(document: Mapping[str, Any], worker: WorkerContext) -> dict[st
     finder = find_spec(scene, document["spec"], grants, document["set"], report, parsed)
     runs = finder.make_runs([document["seed"]]) if report.ok else []
     if not report.ok or not runs:
-        raise TaskRejected("; ".join(problem.message for problem in report.errors))
+        raise TaskRejectedError("; ".join(problem.message for problem in report.errors))
     run_cases(runs, RunContext(Options(threads=worker.threads), binding_cache=built))
     cases = [case for run in runs for case in run.cases]
     goal_spans = {line.span for case in cases for line in case.plan.judgements if line.goal is not None}
     failed = [failure for case in cases for failure in case.failures if failure.span not in goal_spans]
     if any(line.goal is not None for case in cases for line in case.plan.judgements) and not any(case.goals for case in cases):
-        raise TaskRejected(failed[0].message if failed else "the run ended before its last frame")
+        raise TaskRejectedError(failed[0].message if failed else "the run ended before its last frame")
     goals = [
         {
             "text": goal.text,

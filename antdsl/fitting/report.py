@@ -66,7 +66,12 @@ def _make_entry(point: PointResult) -> dict[str, Any]:
         }
         for goal in point.goals
     ]
-    return {"values": dict(point.values), "loss": _make_finite(point.loss), "passed_share": point.passed_share, "goals": goals}
+    return {
+        "values": dict(point.values),
+        "loss": _make_finite(point.weighted_loss),
+        "passed_share": point.passed_share,
+        "goals": goals,
+    }
 
 
 def _make_finite(value: float) -> float | None:
@@ -84,6 +89,6 @@ def format_points(result: FitResult, units: Mapping[str, str]) -> str:
         for point in points:
             values = [text.removesuffix(units[name]) for name, text in point.values.items()]
             medians = [_make_finite(median(goal.values)) for goal in point.goals] or [None] * len(goals)
-            cells = [_make_finite(point.loss), point.passed_share, *medians]
+            cells = [_make_finite(point.weighted_loss), point.passed_share, *medians]
             rows.append([part, *values, *("" if cell is None else cell for cell in cells)])
     return format_csv(rows)

@@ -19,7 +19,7 @@ from antdsl.sweeps.factors import Factor
 
 _MIN_POPULATION = 8  # of the evolution
 _POPULATION_PER_FACTOR = 5
-_GOOD_LOSS = 0.01  # the search ends here: goals are met to a tenth of their tolerance
+_SUFFICIENT_LOSS = 0.01  # the search ends here: goals are met to a tenth of their tolerance
 _WORST_LOSS = 1e9  # of points without results; the evolution needs finite numbers
 
 
@@ -51,17 +51,19 @@ def fit_goals(
     max(8, 5 × factors) points. `report_generation`: is called with the number of a generation and the least loss so far."""
     sample = evaluator.evaluate(chosen.points)
     ranked = np.argsort([_bound_loss(point) for point in sample], kind="stable")
-    if generations and chosen.shares is not None and _bound_loss(sample[ranked[0]]) > _GOOD_LOSS:
+    if generations and chosen.shares is not None and _bound_loss(sample[ranked[0]]) > _SUFFICIENT_LOSS:
         count = min(len(sample), max(_MIN_POPULATION, _POPULATION_PER_FACTOR * len(chosen.factors)))
-        _evolve(chosen.factors, evaluator, chosen.shares[ranked[:count]], generations, seed, report_generation)
+        _run_differential_evolution(
+            chosen.factors, evaluator, chosen.shares[ranked[:count]], generations, seed, report_generation
+        )
     results = list(evaluator.results.values())
     best = min(results, key=_bound_loss)
     drawn = {id(point) for point in sample}
     searched = tuple(point for point in results if id(point) not in drawn)
-    return FitResult(tuple(sample), searched, best if math.isfinite(best.loss) else None)
+    return FitResult(tuple(sample), searched, best if math.isfinite(best.weighted_loss) else None)
 
 
-def _evolve(
+def _run_differential_evolution(
     factors: Sequence[Factor],
     evaluator: PointEvaluator,
     population: NDArray[np.float64],
@@ -80,7 +82,7 @@ def _evolve(
         nonlocal generation
         generation += 1
         report_generation(generation, float(intermediate_result.fun))
-        return bool(intermediate_result.fun <= _GOOD_LOSS)
+        return bool(intermediate_result.fun <= _SUFFICIENT_LOSS)
 
     differential_evolution(
         lambda row: math.nan,  # `evaluate_all` evaluates the rows
@@ -96,7 +98,7 @@ def _evolve(
 
 
 def _bound_loss(result: PointResult) -> float:
-    return min(result.loss, _WORST_LOSS)
+    return min(result.weighted_loss, _WORST_LOSS)
 
 
 def _make_values(factors: Sequence[Factor], shares: NDArray[np.float64]) -> Values:

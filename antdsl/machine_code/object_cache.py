@@ -24,7 +24,7 @@ from antdsl.atomic_write import PART_SUFFIX, write_atomically
 from antdsl.diagnostics.model import replace_unprintable
 from antdsl.limits import MIB
 from antdsl.machine_code import signing
-from antdsl.safe_read import NotRegularFile, open_regular_file, read_handle, read_size_limited
+from antdsl.safe_read import NotRegularFileError, open_regular_file, read_handle, read_size_limited
 from antdsl.user_folders import cache_folder
 
 if TYPE_CHECKING:
@@ -298,7 +298,7 @@ def _require_key(key: str) -> None:
 
 
 def _describe_problem(problem: OSError | ValueError) -> str:
-    if isinstance(problem, NotRegularFile):
+    if isinstance(problem, NotRegularFileError):
         return f"it is {problem.kind}"
     if isinstance(problem, OSError):
         return problem.strerror or "the system denies access"

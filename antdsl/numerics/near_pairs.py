@@ -23,8 +23,7 @@ def find_pairs_within(points: Floats, reach: float) -> tuple[Index, Index]:
 
 
 def find_pairs_between(points: Floats, others: Floats, reach: float) -> tuple[Index, Index]:
-    """Return the pairs of a point [n,3] and an element of `others` [k,3] that are at most `reach` apart: indices of the points,
-    then indices of `others`."""
+    """Return the pairs of a point [n,3] and an element of `others` [k,3] at most `reach` apart, as indices of both."""
     return _find_pairs(points, others, reach, _NEIGHBOUR_OFFSETS)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import BodyError
-from antdsl.bodies.agents.driving import DrivenPose
+from antdsl.bodies.agents.driving import PoseAdjustments
 from antdsl.bodies.body import rotate_vectors
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.numerics.records import take_rows
@@ -250,7 +250,7 @@ class Gallery:
                         *body.build_idle_clips(ids[own], frame * self.dt),
                         *(take_rows(plays, own) if len(keys) > 1 else plays),
                     ),
-                    feet=read_feet(key, arrays, len(own), 0 if body.leg_solver is None else body.leg_solver.count),
+                    feet=read_feet(key, arrays, len(own), 0 if body.leg_solver is None else body.leg_solver.leg_count),
                     driven_pose=own_driven,
                     body_key=key,
                 )
@@ -258,7 +258,7 @@ class Gallery:
         return tuple(crowds)
 
     def _choose_colours(
-        self, species: SpeciesEntry, arrays: Arrays, rows: NDArray[np.intp], body: PosedBody, driven_pose: DrivenPose
+        self, species: SpeciesEntry, arrays: Arrays, rows: NDArray[np.intp], body: PosedBody, driven_pose: PoseAdjustments
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return the display colours (n, 3) of agents, and whether each comes from a state or an edit (n,).
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from threading import Event
 from time import monotonic
 
-from antdsl.safe_read import FileTooLarge, open_regular_file, read_blocks
+from antdsl.safe_read import FileTooLargeError, open_regular_file, read_blocks
 
 _UNCHANGED_SECONDS = 0.03  # a file is read after it was unchanged for this time
 _MISSING_FILE_SECONDS = 0.3  # the same for a missing or empty file, which is the middle of a save in most editors
@@ -126,7 +126,7 @@ class FileWatch:
         try:
             for block in read_blocks(handle, _MAX_READ_BYTES):
                 hashed.update(block)
-        except FileTooLarge:
+        except FileTooLargeError:
             return repr(_read_stamp(path)).encode()
         except OSError:
             return None

@@ -24,7 +24,15 @@ from antdsl import cpu_budget, limits
 from antdsl.numerics.processor.host import get_address_space_limit
 from antdsl.reader import PRELOADED_MODULES, READER_FUNCTIONS, confinement
 from antdsl.reader.private_folder import PrivateFolder
-from antdsl.reader.protocol import Arrays, PipeClosedError, ProtocolError, ReaderMessage, ReadRefusal, read_message, write_message
+from antdsl.reader.protocol import (
+    Arrays,
+    PipeClosedError,
+    ProtocolError,
+    ReaderMessage,
+    ReadRefusedError,
+    read_message,
+    write_message,
+)
 
 _CHILD_PROGRAM = Path(__file__).with_name("child.py")
 _MAX_STORED_FAILURES = 256  # failed requests that are not repeated
@@ -33,7 +41,7 @@ REFUSAL_CODES: Final = frozenset(["bad-image", "bad-mesh", "bad-path", "bad-rig"
                           "moving-topology", "no-such-prim", "too-large"])  # fmt: skip
 
 
-class ReaderFailure(Exception):
+class ReaderFailureError(Exception):
     """Error if the reader gives no answer: it died, used too much time or memory, sent something invalid, or cannot be started.
 
     The text is worded to follow the name of a file; `help` says what to do. `is_lasting`: the same request would fail again.
@@ -84,7 +92,7 @@ class _ReaderProcess:
                 total = reported
         return self._count_cpu_seconds(total)
 
-    def end(self) -> tuple[int, float]:
+    def wait_for_end(self) -> tuple[int, float]:
         """Kill the child. Return its exit status, and the CPU seconds that it used since the last count."""
         self.kill()
         for pipe in (self.requests, self.answers):
@@ -151,7 +159,7 @@ class FileReader:
                 self._end_process()
                 if get_address_space_limit() < limits.READER_BASE_MEMORY_BYTES:
                     raise MemoryError("the reader process has too little memory to start") from None
-                raise ReaderFailure("the reader process cannot be started") from problem
+                raise ReaderFailureError("the reader process cannot be started") from problem
 
     def send_request(
         self, kind: str, document: Mapping[str, Any], arrays: Arrays, *, size: int, seconds: int, digest: str, files: str
@@ -164,7 +172,7 @@ class FileReader:
             self._reject_repeated_request(digest, files)
             try:
                 return self._exchange_messages(kind, document, arrays, size, seconds)
-            except ReaderFailure as error:
+            except ReaderFailureError as error:
                 if files and error.is_heavy:
                     self._heavy_failures[files] = (str(error), error.help)
                 if digest and error.is_lasting:
@@ -172,28 +180,29 @@ class FileReader:
                     if len(self._failures) > _MAX_STORED_FAILURES:
                         self._failures.popitem(last=False)
                 raise
-            except ReadRefusal:
+            except ReadRefusedError:
                 raise
             except BaseException:  # interrupted between a request and its answer, or out of memory or time
                 self._end_process(is_counted=False)
                 raise
 
     def _reject_repeated_request(self, digest: str, files: str) -> None:
-        """Raise ReaderFailure for a request that failed before, and for any request after the scene has used its CPU time."""
+        """Raise ReaderFailureError for a request that failed before, and for any request after the scene has used its CPU
+        time."""
         for failures, key in ((self._failures, digest), (self._heavy_failures, files)):
             if key and key in failures:
-                raise ReaderFailure(*failures[key])
+                raise ReaderFailureError(*failures[key])
         allowed = self._allowed_cpu_seconds
         if self._used_cpu_seconds > allowed:
             words = f"cannot be read: reading the files of this scene took more than {allowed:,.0f} s of processor time"
-            raise ReaderFailure(words, "use smaller files, or fewer files", is_lasting=False)
+            raise ReaderFailureError(words, "use smaller files, or fewer files", is_lasting=False)
 
     def _exchange_messages(
         self, kind: str, document: Mapping[str, Any], arrays: Arrays, size: int, seconds: int
     ) -> ReaderMessage:
         assert kind in READER_FUNCTIONS
         allowed = seconds + limits.READER_BASE_CPU_SECONDS + size // limits.READER_BYTES_PER_CPU_SECOND
-        left = cpu_budget.remaining_cpu_seconds()
+        left = cpu_budget.compute_remaining_cpu_seconds()
         memory = min(limits.READER_BASE_MEMORY_BYTES + limits.READER_MEMORY_PER_FILE_BYTE * size, limits.MAX_READER_MEMORY_BYTES)
         request_document = {**document, "kind": kind, "seconds": allowed if left > allowed else math.ceil(left), "memory": memory}
         previous, late, previous_seconds = self._reader_process, threading.Event(), self._used_cpu_seconds
@@ -201,7 +210,7 @@ class FileReader:
             running = self._start_process()
         except OSError as problem:
             words = "cannot be read: the reader process cannot be started"
-            raise ReaderFailure(words, "run `antdsl doctor`", is_lasting=False) from problem
+            raise ReaderFailureError(words, "run `antdsl doctor`", is_lasting=False) from problem
         try:
             with _kill_after_deadline(running, limits.READER_BASE_WALL_SECONDS + 4 * allowed, late):
                 running.read_greeting()
@@ -219,7 +228,7 @@ class FileReader:
             raise failure from None
         except ProtocolError:
             self._end_process()
-            raise ReaderFailure(_INVALID_ANSWER_MESSAGE, _DAMAGED_FILE_HELP) from None
+            raise ReaderFailureError(_INVALID_ANSWER_MESSAGE, _DAMAGED_FILE_HELP) from None
         self._count_cpu_seconds(running.count_new_cpu_seconds(answer.document.get("cpu")))
         return self._check_answer(answer, memory)
 
@@ -233,16 +242,16 @@ class FileReader:
         if isinstance(document.get("answer"), dict):
             return ReaderMessage(document["answer"], answer.arrays)
         if "refusal" in document:
-            refusal = ReadRefusal.from_document(document["refusal"], REFUSAL_CODES)
+            refusal = ReadRefusedError.from_document(document["refusal"], REFUSAL_CODES)
             if refusal is not None:
                 raise refusal
         if document.get("failure") == "memory":
             self._end_process()
             raise _make_memory_failure(memory)
         if document.get("failure") == "exception":
-            raise ReaderFailure("cannot be read: it is damaged", _DAMAGED_FILE_HELP)
+            raise ReaderFailureError("cannot be read: it is damaged", _DAMAGED_FILE_HELP)
         self._end_process()
-        raise ReaderFailure(_INVALID_ANSWER_MESSAGE, _DAMAGED_FILE_HELP)
+        raise ReaderFailureError(_INVALID_ANSWER_MESSAGE, _DAMAGED_FILE_HELP)
 
     def start_early(self, format: str) -> None:
         """Start the reader in advance, as the function `start_reader_early`."""
@@ -262,18 +271,18 @@ class FileReader:
             if "multiprocessing.util" in sys.modules:  # a process of a pool exits without calling the functions of `atexit`
                 from multiprocessing.util import Finalize
 
-                Finalize(None, self.end, exitpriority=1)
+                Finalize(None, self.end_reader_process, exitpriority=1)
         return self._folder
 
     def _end_process(self, *, is_counted: bool = True) -> int:
         """End the child and return its exit status. With `is_counted`, count its CPU time."""
         running, self._reader_process = self._reader_process, None
-        status, seconds = (0, 0.0) if running is None else running.end()
+        status, seconds = (0, 0.0) if running is None else running.wait_for_end()
         if is_counted:
             self._count_cpu_seconds(seconds)
         return status
 
-    def end(self) -> None:
+    def end_reader_process(self) -> None:
         """End the child and remove the private folder."""
         with self._lock:
             self._end_process()
@@ -314,32 +323,32 @@ def _kill_after_deadline(
         timer.cancel()
 
 
-def _explain_death(reader_process: _ReaderProcess, status: int, is_late: bool, memory: int) -> ReaderFailure:
+def _explain_death(reader_process: _ReaderProcess, status: int, is_late: bool, memory: int) -> ReaderFailureError:
     """Return the failure for a child that ended without an answer to a request that may use `memory` bytes.
 
     Raises MemoryError if this process cannot grant that much."""
     if is_late or status == _OVERDUE_STATUS:
         words = "cannot be read: reading it takes too long"
-        return ReaderFailure(words, _SMALLER_FILE_HELP, is_lasting=not is_late, is_heavy=True)
+        return ReaderFailureError(words, _SMALLER_FILE_HELP, is_lasting=not is_late, is_heavy=True)
     if status == _KILLED_STATUS or get_address_space_limit() < memory:
         return _make_memory_failure(memory)
     if reader_process.active_layers is None:
         words = "cannot be read: the reader process exits at its start"
-        return ReaderFailure(words, "run `antdsl doctor`", is_lasting=False)
+        return ReaderFailureError(words, "run `antdsl doctor`", is_lasting=False)
     words = "the library for its format crashes; the file may be damaged, too large or nested too deeply"
-    return ReaderFailure(f"cannot be read: {words}", _DAMAGED_FILE_HELP)
+    return ReaderFailureError(f"cannot be read: {words}", _DAMAGED_FILE_HELP)
 
 
-def _make_memory_failure(needed_bytes: int) -> ReaderFailure:
+def _make_memory_failure(needed_bytes: int) -> ReaderFailureError:
     """Return the failure of a request that ran out of memory. Raises MemoryError if the limit of this process is the cause, not
     the limit of the request."""
     if get_address_space_limit() < needed_bytes:
         raise MemoryError("the reader process has no memory")
-    return ReaderFailure("cannot be read: reading it needs too much memory", _SMALLER_FILE_HELP, is_heavy=True)
+    return ReaderFailureError("cannot be read: reading it needs too much memory", _SMALLER_FILE_HELP, is_heavy=True)
 
 
 _file_reader = FileReader()
-atexit.register(lambda: _file_reader.end())
+atexit.register(lambda: _file_reader.end_reader_process())
 
 
 def send_request(
@@ -353,9 +362,9 @@ def send_request(
     - `request_digest`: a hash of all input of the request; a request that failed is not repeated
     - `files_digest`: a hash of the files alone; if a request uses too much, others about them fail until the next scene
 
-    Raises ReadRefusal if the child reports why it does not read something, and ReaderFailure if it gives no answer. Raises
-    MemoryError if this process cannot grant enough, and CpuBudgetSpent if the budget of a check is spent. No answer is
-    trusted."""
+    Raises ReadRefusedError if the child reports why it does not read something, and ReaderFailureError if it gives no answer.
+    Raises MemoryError if this process cannot grant enough, and CpuBudgetSpentError if the budget of a check is spent. No answer
+    is trusted."""
     return _file_reader.send_request(
         kind, document, arrays or {}, size=file_bytes, seconds=extra_cpu_seconds, digest=request_digest, files=files_digest
     )
@@ -377,7 +386,7 @@ def create_reader_folder() -> Path:
 
 
 def find_active_layers() -> dict[str, int]:
-    """Return the layers that confine the reader on this system. Raises ReaderFailure if the reader cannot be started."""
+    """Return the layers that confine the reader on this system. Raises ReaderFailureError if the reader cannot be started."""
     return _file_reader.find_active_layers()
 
 
@@ -386,7 +395,7 @@ _inherited_readers: list[FileReader] = []  # never freed: a thread of the parent
 
 def end_reader() -> None:
     """End the reader and remove the private folder now, for a process that exits without the functions of `atexit`."""
-    _file_reader.end()
+    _file_reader.end_reader_process()
 
 
 def _forget_inherited_readers() -> None:

@@ -176,7 +176,7 @@ def _reject_json_constant(word: str) -> NoReturn:
     raise ValueError(word)
 
 
-class ReadRefusal(Exception):
+class ReadRefusedError(Exception):
     """The reader's reason for not reading something.
 
     - `code`: the code of a diagnostic; the text of the error is its message
@@ -190,12 +190,12 @@ class ReadRefusal(Exception):
         super().__init__(message)
         self.code, self.help, self.key, self.subject = code, help, key, subject
 
-    def as_document(self) -> dict[str, Any]:
+    def make_document(self) -> dict[str, Any]:
         """Return the refusal as a document that can be sent through the pipe."""
         return {"code": self.code, "message": str(self), "help": self.help, "key": self.key, "about": self.subject}
 
     @classmethod
-    def from_document(cls, document: Any, codes: Any) -> ReadRefusal | None:
+    def from_document(cls, document: Any, codes: Any) -> ReadRefusedError | None:
         """Return the refusal that a process sent. None if the document is not a refusal, or if its code is not in `codes`."""
         if not isinstance(document, dict):
             return None

@@ -50,7 +50,7 @@ def limit_request(seconds: int, memory: int) -> None:
     _reduce_process_limit("RLIMIT_AS", memory)
 
 
-def allow_memory(extra_bytes: int) -> None:
+def raise_memory_limit(extra_bytes: int) -> None:
     """Allow `extra_bytes` more bytes of address space for this request, for work of known size. No effect in a process without a
     limit."""
     try:

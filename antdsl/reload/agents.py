@@ -15,7 +15,7 @@ from antdsl.plan import ir
 from antdsl.plan.registers import find_pair_values
 from antdsl.plan.traverse import collect_required_nodes
 from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME, MIGRATED_REGISTERS
-from antdsl.reload.footing import MIN_REPORTED_DISTANCE, align_with_ground, find_footings
+from antdsl.reload.footing import MIN_REPORTED_DISTANCE, align_bodies_with_ground, find_footings_after_reload
 from antdsl.runtime.binding.bind_world import compute_run_value
 from antdsl.runtime.binding.binding_cache import compute_digest
 from antdsl.runtime.binding.initial_attributes import write_initial_values
@@ -30,7 +30,7 @@ _MIGRATED_COLUMNS = [name for name, column in FIXED_COLUMN_BY_NAME.items() if co
 
 
 @dataclass(slots=True)
-class MigratedSpecies:
+class SpeciesMigration:
     """The result of a migration for the agents of one species. Names in lists are attributes, or states as `machine.state`.
 
     `agent_count`: the number of agents. `moved_count`: how many moved to other positions.
@@ -51,14 +51,14 @@ class MigratedSpecies:
 
 def migrate_agents(
     old_world: World, world: World, name: str, rows: RowIndices
-) -> tuple[MigratedSpecies, dict[str, NDArray[Any]]]:
+) -> tuple[SpeciesMigration, dict[str, NDArray[Any]]]:
     """Move agents, given by their rows in `old_world`, to a world that has no agents of the species yet.
 
     Return the result of the migration, and the registers with retained values. When all species are migrated, `fill_registers`
     fills the other registers."""
     old_population, new_population = old_world.populations[name], world.populations[name]
-    migrated = MigratedSpecies(name, len(rows))
-    footing, place, moved = find_footings(old_world, world, old_population)
+    migrated = SpeciesMigration(name, len(rows))
+    footing, place, moved = find_footings_after_reload(old_world, world, old_population)
     add_rows(new_population, old_population.ids[rows].copy(), old_world.frame, place[rows], footing.select_rows(rows))
     new_population.columns |= {name: old_population.columns[name][rows] for name in _MIGRATED_COLUMNS}
     new_population.next_id = old_population.next_id
@@ -72,7 +72,7 @@ def migrate_agents(
     _migrate_items(old_world, world, new_population.plan, values)
     _migrate_pairs(old_population, world, new_population.plan, rows, values)
     write_registers(new_population, values)
-    align_with_ground(world, new_population, moved[rows])
+    align_bodies_with_ground(world, new_population, moved[rows])
     migrated.moved_count = int(
         np.count_nonzero(length(new_population.position - old_population.position[rows]) > MIN_REPORTED_DISTANCE)
     )
@@ -107,7 +107,7 @@ def write_registers(population: Population, values: Mapping[str, NDArray[Any]]) 
 
 
 def _find_matching_registers(
-    old_world: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, migrated: MigratedSpecies
+    old_world: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, migrated: SpeciesMigration
 ) -> list[str]:
     """Return the registers with values that are retained, by name; write findings about the other registers to `migrated`."""
     matching = [
@@ -184,7 +184,7 @@ def _add_register_name(names: list[str], register: str) -> None:
 
 
 def _migrate_states(
-    old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]], migrated: MigratedSpecies
+    old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]], migrated: SpeciesMigration
 ) -> None:
     """Convert the numbers of states to those of the new plan, by name. Agents in a removed state start in the initial state."""
     machines = {machine.name: machine for machine in old_plan.machines}

@@ -22,7 +22,7 @@ def is_same_solid(old_world: World, world: World, name: str) -> bool:
     return one is not None and other is not None and compute_digest(one) == compute_digest(other)
 
 
-def find_footings(
+def find_footings_after_reload(
     old_world: World, world: World, old_population: Population
 ) -> tuple[Footing, NDArray[np.float64], NDArray[np.bool_]]:
     """Return the footings in `world` of all agents of `old_population`, their positions (n, 3) in mm, and which agents moved.
@@ -35,7 +35,7 @@ def find_footings(
     return footing, np.where(moved[:, None], place, old_population.position), moved
 
 
-def align_with_ground(world: World, population: Population, moved_mask: NDArray[np.bool_]) -> None:
+def align_bodies_with_ground(world: World, population: Population, moved_mask: NDArray[np.bool_]) -> None:
     """Rotate up, heading and velocity of the agents flagged in `moved_mask` to lie along their new ground."""
     rows = np.flatnonzero(moved_mask)
     if not len(rows):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.processor.float_environment import standard_floats
 from antdsl.plan import ir
-from antdsl.reload.agents import MigratedSpecies, fill_registers, migrate_agents, write_registers
+from antdsl.reload.agents import SpeciesMigration, fill_registers, migrate_agents, write_registers
 from antdsl.reload.footing import is_same_solid
 from antdsl.runtime.binding.agent_placement import initialise_agents, place_new_agents
 from antdsl.runtime.binding.bind_world import bind_empty
@@ -39,7 +39,7 @@ class Migration:
     size.
     `restarted_items`: amounts that begin with the value of the scene, as `item.attribute`."""
 
-    species: list[MigratedSpecies] = field(default_factory=list)
+    species: list[SpeciesMigration] = field(default_factory=list)
     added_counts: dict[str, int] = field(default_factory=dict)
     removed_counts: dict[str, int] = field(default_factory=dict)
     restarted_items: list[str] = field(default_factory=list)  # also new items
@@ -273,7 +273,7 @@ def describe_migration(migration: Migration) -> str:
     return " · ".join(parts)
 
 
-def _describe_species(migrated: MigratedSpecies, name_prefix: str) -> list[str]:
+def _describe_species(migrated: SpeciesMigration, name_prefix: str) -> list[str]:
     """Return the changes of one species as phrases. `name_prefix`: text in front of names, empty for a single species."""
     parts = [
         f"{count:,} of removed state `{name_prefix}{_shorten_state_name(removed_state)}` "

@@ -13,7 +13,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from antdsl.safe_read import FileTooLarge, NotRegularFile, open_regular_file, read_handle
+from antdsl.safe_read import FileTooLargeError, NotRegularFileError, open_regular_file, read_handle
 
 _WINDOWS_DEVICE_NAMES = frozenset(
     ["con", "prn", "aux", "nul", "conin$", "conout$", *(f"{name}{i}" for name in ("com", "lpt") for i in "0123456789¹²³")]
@@ -242,9 +242,9 @@ def _check_characters(text: str, relative_text: str) -> None:
 
 def _make_read_refusal(problem: OSError, display_path: str) -> PathRefused:
     """Return the error for an existing file that cannot be read."""
-    if isinstance(problem, NotRegularFile):
+    if isinstance(problem, NotRegularFileError):
         return PathRefused("not-a-file", f"`{display_path}` is {problem.kind}", "name a file")
-    if isinstance(problem, FileTooLarge):
+    if isinstance(problem, FileTooLargeError):
         return PathRefused(
             "too-large", f"`{display_path}` has {problem.size:,} bytes, and more than {problem.cap:,} are not read"
         )

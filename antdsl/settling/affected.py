@@ -13,7 +13,7 @@ from antdsl.outputs.edits.side_effects import Trunks, find_changed, find_overlap
 _MIN_TOUCH_DEPTH = -0.05  # of the smaller width: a wider gap between two bodies is no contact
 
 
-def iterate_affected(cache: EditedCache, *, includes_touched: bool = True) -> Iterator[tuple[int, set[int]]]:
+def find_affected_agents_by_frame(cache: EditedCache, *, includes_touched: bool = True) -> Iterator[tuple[int, set[int]]]:
     """Yield each frame with the keys of the agents that edits affect in it.
 
     Of two agents that overlap because of edits, the agent that no edit changes is affected. If edits change both, it is the agent

@@ -19,17 +19,17 @@ from antdsl.pipeline import Shot
 from antdsl.runtime import FaultStop, LimitStop, World, state_hash, step
 from antdsl.runtime.moving.contacts.contact_solver import record_stances, resolve_contacts
 from antdsl.runtime.world import AXES
-from antdsl.settling.affected import iterate_affected
-from antdsl.settling.scripted_agents import Ids, hold_against_pushes, place_scripted_agents
+from antdsl.settling.affected import find_affected_agents_by_frame
+from antdsl.settling.scripted_agents import Ids, increase_mass_of_scripted_agents, place_scripted_agents
 
 _MAX_SETTLING_ROUNDS = 3
 _REACTION_LEAD_SECONDS = 0.5  # before it is affected, an agent begins to react
 NOTHING_TO_SETTLE = "nothing to settle: after the edits, no agents overlap, and none has lost a neighbour"
-_START_ROUNDS, _START_SECONDS = 8, 0.25  # of contacts that separate agents in the first frame of a cache
+_START_SEPARATION_ROUNDS, _START_SEPARATION_SECONDS = 8, 0.25  # of contacts that separate agents in the first frame of a cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Settlement:
+class SettlingResult:
     """The agents that were simulated again. `checkpoint_frame`: the frame of the checkpoint from which they were simulated.
 
     `left_out_count`: the number of affected agents that the shot does not have."""
@@ -38,7 +38,7 @@ class Settlement:
     checkpoint_frame: int
     left_out_count: int
 
-    def describe(self) -> str:
+    def describe_result(self) -> str:
         """Return a text with the number of agents, their frames, and the checkpoint."""
         others = (
             f"; {self.left_out_count:,} others are unchanged: their body or species was edited" if self.left_out_count else ""
@@ -56,12 +56,12 @@ class SettlingError(Exception):
 
 def settle_cache(
     cache: EditedCache, scene: Path | None = None, grants: Mapping[str, Path] | None = None, threads: int = 1
-) -> Settlement | None:
+) -> SettlingResult | None:
     """Return the frames of the agents that the edits of a cache affect; None if there are none.
 
     Raises SettlingError, or ExplainError if the shot of the cache is not found or has changed."""
-    settling = Settling(cache, lambda _: _open_history(cache, scene, grants, threads), find_next_ids(cache.original))
-    for _ in settling.run():
+    settling = EditSettling(cache, lambda _: _open_history(cache, scene, grants, threads), find_next_ids(cache.original))
+    for _ in settling.run_rounds():
         pass
     return settling.settlement
 
@@ -77,8 +77,9 @@ def _open_history(cache: EditedCache, scene: Path | None, grants: Mapping[str, P
     return CacheHistory(cache.original, shot, threads, cache.original.read_state_hashes(), has_feet=True)
 
 
-class Settling:
-    """Simulates the agents again that the edits of a cache affect. `run` works in parts, for callers with other work to do.
+class EditSettling:
+    """Simulates the agents again that the edits of a cache affect. `run_rounds` works in parts, for callers with other work to
+    do.
 
     - `open_history`: returns the history of the cache for the first frame that is simulated again
     - `next_ids`: by species, the first id that no agent of the run has
@@ -93,10 +94,10 @@ class Settling:
         attributes: tuple[str, ...] = (),
     ) -> None:
         self.cache, self.next_ids, self.attributes = cache, next_ids, attributes
-        self.settlement: Settlement | None = None
+        self.settlement: SettlingResult | None = None
         self._open_history = open_history
 
-    def run(self) -> Iterator[str]:
+    def run_rounds(self) -> Iterator[str]:
         """Settle the cache. Yield a text about the progress after each frame.
 
         Raises SettlingError, or what `open_history` raises."""
@@ -121,12 +122,12 @@ class Settling:
 
     def _find_affected(self, cache: EditedCache, affected: dict[int, int], *, includes_touched: bool) -> Iterator[str]:
         """Add affected agents by key, each with the first frame in which it is affected."""
-        for number, keys in iterate_affected(cache, includes_touched=includes_touched):
+        for number, keys in find_affected_agents_by_frame(cache, includes_touched=includes_touched):
             for key in keys:
                 affected.setdefault(key, number)
             yield f"frame {number} is examined"
 
-    def _settle_agents(self, history: History, affected: dict[int, int]) -> Generator[str, None, Settlement]:
+    def _settle_agents(self, history: History, affected: dict[int, int]) -> Generator[str, None, SettlingResult]:
         """Simulate affected agents again, from the nearest checkpoint."""
         cache, shot = self.cache, history.shot
         chosen = _choose_agents(cache, shot, affected)
@@ -141,8 +142,8 @@ class Settling:
         world, point = _restore_world(history, min(begins.values()))
         attributes = self.attributes or shot.scene.model.output.attributes
         resimulation = _Resimulation(cache, history, world, begins, self.next_ids, attributes)
-        yield from resimulation.run()
-        return Settlement(SettledFrames.of(resimulation.frames, resimulation.begins), point, len(affected) - len(chosen))
+        yield from resimulation.simulate_frames()
+        return SettlingResult(SettledFrames.of(resimulation.frames, resimulation.begins), point, len(affected) - len(chosen))
 
 
 def _choose_agents(cache: EditedCache, shot: Shot, affected: dict[int, int]) -> dict[int, int]:
@@ -209,14 +210,14 @@ class _Resimulation:
         self.next_ids, self.frames = next_ids, dict[int, Arrays]()
         self.maker = FrameMaker(world, history.shot.program, attributes, None, history.shot.scene.model.output.events)
 
-    def run(self) -> Iterator[str]:
+    def simulate_frames(self) -> Iterator[str]:
         """Simulate all frames. Yield a text after each."""
         world, first = self.world, self.cache.frames()[0]
         start = world.frame
         for number in (each for each in self.cache.frames() if each >= start):
             free = self._find_free(number)
             if number > start:
-                with hold_against_pushes(world, free):
+                with increase_mass_of_scripted_agents(world, free):
                     _step(self.history, world)
             self._place_others(number, free)
             if number == first:
@@ -244,11 +245,11 @@ class _Resimulation:
 
     def _separate_at_start(self, number: int, free_ids: Mapping[str, Ids]) -> None:
         """Separate bodies in the first frame of a cache, without a step."""
-        for _ in range(_START_ROUNDS):
-            with hold_against_pushes(self.world, free_ids), np.errstate(all="ignore"):
+        for _ in range(_START_SEPARATION_ROUNDS):
+            with increase_mass_of_scripted_agents(self.world, free_ids), np.errstate(all="ignore"):
                 stances = record_stances(self.world)
                 if stances is not None:
-                    resolve_contacts(self.world, stances, _START_SECONDS)
+                    resolve_contacts(self.world, stances, _START_SEPARATION_SECONDS)
             self._place_others(number, free_ids)
         for population in self.world.populations.values():
             for k, axis in enumerate(AXES):

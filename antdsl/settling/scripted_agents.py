@@ -125,7 +125,7 @@ def _write_register(population: Population, name: str, rows: NDArray[np.intp], v
 
 
 @contextmanager
-def hold_against_pushes(world: World, free_ids: Mapping[str, Ids]) -> Iterator[None]:
+def increase_mass_of_scripted_agents(world: World, free_ids: Mapping[str, Ids]) -> Iterator[None]:
     """Within the context, make all agents except `free_ids` so heavy that contacts push only the free ones.
 
     The heavy agents are also made fast enough for their paths."""

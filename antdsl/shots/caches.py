@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from antdsl.executors import Task, TaskRejected, WorkerContext, hash_document, raise_as_task_rejected
+from antdsl.executors import Task, TaskRejectedError, WorkerContext, hash_document, raise_as_task_rejected
 from antdsl.outputs.cache.cache_writer import DifferentInputs, ForeignFolder, PathBlocked
 from antdsl.outputs.cache.lock import FolderLocked
 from antdsl.outputs.cache.manifest import find_relative_path
@@ -54,14 +54,14 @@ def simulate_cache(document: Mapping[str, Any], worker: WorkerContext) -> dict[s
     choices = RunChoices(grants, FrameRange(*document["frames"]), document["seed"], document["set"], until=document["until"])
     shot, report = open_scene(worker.find_local_path(document["scene"]), choices)
     if shot is None or not report.ok:
-        raise TaskRejected("; ".join(problem.message for problem in report.errors))
+        raise TaskRejectedError("; ".join(problem.message for problem in report.errors))
     options = dict(document["options"])
     resume, force = options.pop("resume"), options.pop("force")
     to = Destination.from_document(document)
     place = to.choose_task_folder(worker, document["key"])
     with raise_as_task_rejected(*_REFUSED_ERRORS):
         if hash_document({**shot.inputs, **hash_start_frame(shot)}) != document["inputs"]:
-            raise TaskRejected("files that the scene reads have changed since the command began")
+            raise TaskRejectedError("files that the scene reads have changed since the command began")
         recording = begin_recording(
             shot, place / document["name"], Options(threads=worker.threads, **options), resume=resume, force=force
         )

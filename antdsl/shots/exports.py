@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from antdsl.executors import Task, TaskRejected, WorkerContext, raise_as_task_rejected
+from antdsl.executors import Task, TaskRejectedError, WorkerContext, raise_as_task_rejected
 from antdsl.outputs.cache.cache_reader import CacheError
 from antdsl.outputs.cache.manifest import ManifestError
 from antdsl.outputs.edits.edited_cache import open_edited_cache
@@ -40,7 +40,7 @@ def export_frames(document: Mapping[str, Any], worker: WorkerContext) -> dict[st
     to, name = Destination.from_document(document), document["name"]
     export = find_export(Path(name))
     if export is None or document["form"] not in export.per_frame_forms:
-        raise TaskRejected(f"`{name}` needs `####` for one file per frame")
+        raise TaskRejectedError(f"`{name}` needs `####` for one file per frame")
     with raise_as_task_rejected(ManifestError, CacheError, PictureUnavailable, ExportUnavailable):
         cache = open_edited_cache(worker.find_local_path(document["cache"]))
         if document["agents"] is not None:

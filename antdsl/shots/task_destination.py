@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from antdsl.atomic_write import create_sibling_file
-from antdsl.executors import Task, TaskRejected, WorkerContext, hash_document
+from antdsl.executors import Task, TaskRejectedError, WorkerContext, hash_document
 from antdsl.executors.tasks import TaskFunction
 from antdsl.limits import MAX_TASK_OUTPUT_BYTES
 from antdsl.safe_read import open_size_limited, read_blocks
@@ -51,14 +51,14 @@ class Destination:
         return task_folder
 
     def describe_files(self, worker: WorkerContext, task_folder: Path, key: str) -> dict[str, Any]:
-        """Return the answer of a task after it has written files. It lists the files that must be fetched. Raises TaskRejected if
-        they are too large."""
+        """Return the answer of a task after it has written files. It lists the files that must be fetched. Raises
+        TaskRejectedError if they are too large."""
         if task_folder == Path(self.folder):
             return {"worker": "", "made": key, "files": []}
         files = [path for path in sorted(task_folder.rglob("*")) if path.is_file()]
         total = sum(path.stat().st_size for path in files)
         if total > MAX_TASK_OUTPUT_BYTES:
-            raise TaskRejected(
+            raise TaskRejectedError(
                 f"it made {total:,} bytes, and more than {MAX_TASK_OUTPUT_BYTES:,} are not fetched; name a folder that "
                 f"workers see too"
             )

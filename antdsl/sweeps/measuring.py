@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from antdsl import __version__
-from antdsl.executors import Engine, Task, TaskRejected, WorkerContext, raise_as_task_rejected, run_tasks
+from antdsl.executors import Engine, Task, TaskRejectedError, WorkerContext, raise_as_task_rejected, run_tasks
 from antdsl.measures.run_measures import RunMeasures
 from antdsl.numerics.processor.host import read_processor_name
 from antdsl.outputs.cache_start import StartError, start_from_cache
@@ -74,9 +74,9 @@ def measure_job(document: Mapping[str, Any], worker: WorkerContext) -> dict[str,
 def _simulate_job(job: SweepJob, worker: WorkerContext, binding_cache: BindingCache) -> dict[str, Any]:
     shot, report = open_scene(Path(job.scene), job.make_choices())
     if shot is None or not report.ok:
-        raise TaskRejected("; ".join(problem.message for problem in report.errors))
+        raise TaskRejectedError("; ".join(problem.message for problem in report.errors))
     if compute_job_key(shot, job.seed, find_start_hashes(shot)) != job.key:
-        raise TaskRejected(
+        raise TaskRejectedError(
             "files that the scene reads have changed since the sweep began; run the same command again to use the new files"
         )
     began = time.perf_counter()

@@ -10,7 +10,7 @@ from pathlib import Path
 from antdsl import limits
 from antdsl.atomic_write import atomic_file
 from antdsl.diagnostics.model import Report
-from antdsl.safe_read import FileTooLarge, NotRegularFile, open_regular_file, read_handle
+from antdsl.safe_read import FileTooLargeError, NotRegularFileError, open_regular_file, read_handle
 from antdsl.source import Source, Span
 from antdsl.syntax.editions import FIRST_LINE
 
@@ -77,9 +77,9 @@ def _read_file(name: str, handle: int | None, report: Report) -> bytes | None:
         return None
     try:
         return read_handle(open_regular_file(name) if handle is None else handle, limits.MAX_PROGRAM_BYTES)
-    except FileTooLarge:
+    except FileTooLargeError:
         _report_too_large(name, report)
-    except NotRegularFile as why:
+    except NotRegularFileError as why:
         report.error("cannot-read", f"`{name}` is {why.kind}", None, "name a `.ant` file")
     except OSError as error:
         reason = (error.strerror or "unknown reason").lower()

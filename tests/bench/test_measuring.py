@@ -17,15 +17,14 @@ from compilers import need_llvmlite, need_numba
 from pydantic import TypeAdapter
 
 from antdsl import resources
-from antdsl.bench import CASES, BenchJob
+from antdsl.bench import BENCH_CASES, BenchJob
 from antdsl.bench.cases import CaseError, find_case, open_shot
 from antdsl.bench.costs import MEASUREMENT_ADAPTER, MeasuringError, measure_in_process
 from antdsl.bench.measuring import measure_job
 from antdsl.bench.programs import BOIDS_PROGRAM, NODE_PROGRAM
 from antdsl.bench.tables import (
     STEP_COLUMNS,
-    CaseResult,
-    as_json,
+    BenchCaseResult,
     build_phase_table,
     build_step_rows,
     compare_backends,
@@ -33,6 +32,7 @@ from antdsl.bench.tables import (
     describe_result,
     format_ratios,
     list_messages,
+    make_json_document,
 )
 from antdsl.cli.printing.bench_tables import print_case_result
 from antdsl.machine_code import llvm_compiler as native_machine
@@ -51,9 +51,9 @@ def test_programs_of_cases_are_as_the_formatter_writes_them(text: str) -> None:
     assert formatted(Source("case.ant", text))[0] == text
 
 
-@pytest.mark.parametrize("name", list(CASES))
+@pytest.mark.parametrize("name", list(BENCH_CASES))
 def test_every_case_can_be_opened(name: str) -> None:
-    case = CASES[name]
+    case = BENCH_CASES[name]
     agents = min(case.agents, default=None)
     shot = case.make_shot(agents)
     assert agents is None or sum(crowd.count for crowd in shot.setting.crowds) == agents
@@ -61,12 +61,12 @@ def test_every_case_can_be_opened(name: str) -> None:
 
 
 def test_the_valley_of_meshes_is_the_valley_without_its_volume() -> None:
-    with_volume, without = CASES["valley"].make_shot(500).setting, CASES["valley_of_meshes"].make_shot(500).setting
+    with_volume, without = BENCH_CASES["valley"].make_shot(500).setting, BENCH_CASES["valley_of_meshes"].make_shot(500).setting
     assert set(with_volume.solids) == {"hill"} and not without.solids
     assert set(without.surfaces) == set(with_volume.surfaces) | {"hill"}
     assert np.array_equal(without.surfaces["hill"].vertices, with_volume.solids["hill"].mesh.vertices)
     with pytest.raises(CaseError, match="500 ants or 15,000, not 7"):
-        CASES["valley"].make_shot(7)
+        BENCH_CASES["valley"].make_shot(7)
 
 
 @pytest.mark.parametrize(("name", "least", "most"), [("boids", 7.5, 10.5), ("cluster", 60, 105)])
@@ -138,11 +138,11 @@ def test_machine_code_is_ready_before_steps_are_measured_and_its_making_and_load
     assert [block for block in by_numpy if block in ("act", "blend")] == ["act", "blend"], "the first step, and no other"
     assert measurement.set_up.code and measurement.set_up.kept and measurement.set_up.second
     assert os.environ.get(CACHE_VARIABLE) == previous_folder and list(tmp_path.iterdir()) == []
-    (row,) = build_step_rows(CaseResult((measurement,)))
+    (row,) = build_step_rows(BenchCaseResult((measurement,)))
     assert "" not in row[-3:] and row[STEP_COLUMNS.index("code, CPU s")] != ""
     other = measure_job(BenchJob("node", 60, ("numpy",), turns=1, steps=1))
     assert (other.set_up.code, other.set_up.kept) == (None, None)
-    (row,) = build_step_rows(CaseResult((other,)))
+    (row,) = build_step_rows(BenchCaseResult((other,)))
     assert row[-3:-1] == ["", ""]
 
 
@@ -155,7 +155,7 @@ def test_code_that_no_folder_keeps_has_no_time_to_be_loaded_in(monkeypatch: pyte
     monkeypatch.setattr("antdsl.machine_code.signing.get_signer", no_key)
     measurement = measure_job(BenchJob("node", 60, ("native",), turns=1, steps=1))
     assert measurement.set_up.code and measurement.set_up.kept is None
-    (line,) = list_messages(CaseResult((measurement,)))
+    (line,) = list_messages(BenchCaseResult((measurement,)))
     assert line.startswith("native: compiled code is not stored in") and "there is none (Permission denied)" in line
 
 
@@ -166,10 +166,10 @@ def test_missing_machine_code_is_reported_with_the_times(
     coming.set_exception(compile_queue.CodeUnavailable("llvmlite is not there: install it"))
     monkeypatch.setattr("antdsl.runtime.backends.native.native_backend.start_building", lambda *_: coming)
     measurement = measure_job(BenchJob("node", 1, ("native", "numpy"), turns=1, steps=1))
-    (line,) = list_messages(CaseResult((measurement,)))
+    (line,) = list_messages(BenchCaseResult((measurement,)))
     assert line.startswith("native: NumPy runs instead of machine code") and line.endswith("llvmlite is not there: install it")
     assert MEASUREMENT_ADAPTER.validate_json(json.dumps(asdict(measurement))) == measurement
-    print_case_result(CaseResult((measurement,), measurement))
+    print_case_result(BenchCaseResult((measurement,), measurement))
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].startswith("node, 1 agent; ") and printed[1] == line
     assert {"grew by, MiB", "first step, CPU s"} <= {words.split("  ")[0] for words in printed}
@@ -180,7 +180,7 @@ def test_words_of_what_was_measured() -> None:
     cost = one.costs["numpy"]
     slower = replace(cost, cpu=[2 * each for each in cost.cpu])
     together = replace(one, job=replace(one.job, backends=("numpy", "other")), costs={"numpy": cost, "other": slower})
-    result = CaseResult((one,), together)
+    result = BenchCaseResult((one,), together)
     assert compare_backends(result) == ["other: 2.000 (2.000 to 2.000) of the CPU time of numpy, in turn in one process"]
     (row,) = build_step_rows(result)
     cells = dict(zip(STEP_COLUMNS, row, strict=True))
@@ -190,7 +190,7 @@ def test_words_of_what_was_measured() -> None:
     columns, rows = build_phase_table(result)
     assert columns == ["phase", "numpy: CPU ms", "wall ms"] and {"blend", "move"} <= {each[0] for each in rows}
     assert format_ratios([1.0, 2.0]) == "1.50 (2 turns)"
-    assert [TypeAdapter(CaseResult).validate_python(each) for each in as_json([result])["results"]] == [result]
+    assert [TypeAdapter(BenchCaseResult).validate_python(each) for each in make_json_document([result])["results"]] == [result]
     assert {"date", "machine", "numpy", "antdsl"} <= set(describe_machine())
 
 

@@ -13,7 +13,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from pairs import Cost, main, measure_scene
 
-from antdsl.bench.ratios import Ratio, compute_bootstrap_interval, measure_in_turn
+from antdsl.bench.ratios import RatioInterval, compute_bootstrap_interval, measure_in_turn
 from antdsl.bench.scaling import compress_crowds, scale_setting
 from antdsl.pipeline import open_scene
 from antdsl.runtime import bind
@@ -30,7 +30,7 @@ def test_the_interval_holds_the_mean_and_grows_with_the_spread() -> None:
     assert compute_bootstrap_interval([1.0] * 20) == compute_bootstrap_interval([1.0] * 5)
 
 
-def noisy(slower: float, seed: int) -> Ratio:
+def noisy(slower: float, seed: int) -> RatioInterval:
     """The ratio of costs as a noisy machine gives them: both of a pair are slowed down together by up to two, and each by up to a
     tenth alone, now and then by a half more."""
     draw = np.random.default_rng(seed)

@@ -19,11 +19,10 @@ from counts import counts_of
 from page_tables import markdown_table
 from pydantic import TypeAdapter
 
-from antdsl.bench import CASES, BenchJob, measure_in_process
+from antdsl.bench import BENCH_CASES, BenchJob, measure_in_process
 from antdsl.bench.tables import (
     SET_UP_COLUMNS,
-    CaseResult,
-    as_json,
+    BenchCaseResult,
     build_phase_table,
     compare_backends,
     find_measured_backend,
@@ -31,6 +30,7 @@ from antdsl.bench.tables import (
     format_ratios,
     format_set_up,
     list_messages,
+    make_json_document,
 )
 from antdsl.runtime.backends import BACKENDS
 
@@ -55,33 +55,33 @@ def measure(name: str, agents: int | None) -> dict[str, Any]:
     alone = [measure_alone(BenchJob(name, agents, (each,), turns, steps, 1, full_run=not big)) for each in fast]
     alone += [measure_alone(BenchJob(name, agents, (each,), 3, 1, 1)) for each in slow]
     together = measure_in_process(BenchJob(name, agents, tuple(fast), turns, steps)) if len(fast) > 1 else None
-    result = CaseResult(tuple(alone), together)
+    result = BenchCaseResult(tuple(alone), together)
     if lines := list_messages(result):
         raise SystemExit("\n".join(lines))
     is_small = agents is None or agents <= MOST_COUNTED
-    return as_json([result]) | {"operations": count_operations(name, agents) if is_small else None}
+    return make_json_document([result]) | {"operations": count_operations(name, agents) if is_small else None}
 
 
 def count_operations(name: str, agents: int | None) -> int:
     """The operations of compiled blocks in a step, one for each row."""
-    shot = CASES[name].make_shot(agents)
+    shot = BENCH_CASES[name].make_shot(agents)
     return counts_of(shot.plan, shot.setting)["elements"]
 
 
-def results(measurements: Measurements) -> list[CaseResult]:
+def results(measurements: Measurements) -> list[BenchCaseResult]:
     """In the order of the cases and their sizes."""
-    order = list(CASES)
+    order = list(BENCH_CASES)
     all_results = [result_of(each) for each in measurements.values()]
     return sorted(all_results, key=lambda each: (order.index(each.alone[0].job.case), each.alone[0].agents))
 
 
-def result_of(measurement: dict[str, Any]) -> CaseResult:
+def result_of(measurement: dict[str, Any]) -> BenchCaseResult:
     """The result that `measure` has written."""
     (result,) = measurement["results"]
-    return TypeAdapter(CaseResult).validate_python(result)
+    return TypeAdapter(BenchCaseResult).validate_python(result)
 
 
-def steps_table(all_results: Iterable[CaseResult]) -> str:
+def steps_table(all_results: Iterable[BenchCaseResult]) -> str:
     """The whole step."""
     columns = ("case", "agents", "backend", "CPU ms", "wall ms", "frames a second", "µs per agent", "of the bound")
     rows = []
@@ -102,7 +102,7 @@ def steps_table(all_results: Iterable[CaseResult]) -> str:
     return markdown_table(columns, rows)
 
 
-def runs_table(all_results: Iterable[CaseResult]) -> str:
+def runs_table(all_results: Iterable[BenchCaseResult]) -> str:
     """Full runs, and the bare step beside them."""
     columns = ("case", "agents", "backend", "CPU ms", "wall ms", "frames a second", "its step", "its feet", "bare step, CPU ms")
     rows = []
@@ -114,7 +114,7 @@ def runs_table(all_results: Iterable[CaseResult]) -> str:
     return markdown_table(columns, rows)
 
 
-def set_up_table(all_results: Iterable[CaseResult]) -> str:
+def set_up_table(all_results: Iterable[BenchCaseResult]) -> str:
     """Set-up and memory."""
     columns = ("case", "agents", "backend", *SET_UP_COLUMNS, "bytes per agent", "grew by, MiB")
     rows = []
@@ -131,7 +131,7 @@ def set_up_table(all_results: Iterable[CaseResult]) -> str:
     return markdown_table(columns, rows)
 
 
-def phase_tables(all_results: Iterable[CaseResult]) -> str:
+def phase_tables(all_results: Iterable[BenchCaseResult]) -> str:
     """Phases, a table a case and size; phases under a hundredth of the step are left out."""
     parts = []
     for result in all_results:
@@ -145,7 +145,7 @@ def phase_tables(all_results: Iterable[CaseResult]) -> str:
     return "\n".join(parts)
 
 
-def comparison_table(all_results: Iterable[CaseResult]) -> str:
+def comparison_table(all_results: Iterable[BenchCaseResult]) -> str:
     """Beside what others have reported."""
     rows = []
     for result in all_results:
@@ -153,17 +153,17 @@ def comparison_table(all_results: Iterable[CaseResult]) -> str:
             if each.job.case in COMPARED_CASES:
                 cost = each.costs[find_measured_backend(each)]
                 rows.append([
-                    CASES[each.job.case].description,
+                    BENCH_CASES[each.job.case].description,
                     f"{each.agents:,}",
                     find_measured_backend(each),
                     f"{1000 / (1000 * mean(cost.wall)):.3g}",
                     format_full_run(each)[2],
-                    CASES[each.job.case].published_figures,
+                    BENCH_CASES[each.job.case].published_figures,
                 ])  # fmt: skip
     return markdown_table(("case", "agents", "backend", "frames a second", "of a full run", "reported"), rows)
 
 
-def operations_table(all_results: Iterable[CaseResult], operations: Mapping[tuple[str, int], int]) -> str:
+def operations_table(all_results: Iterable[BenchCaseResult], operations: Mapping[tuple[str, int], int]) -> str:
     """Operations per agent. `operations`: of a step, by case and number of agents."""
     rows = []
     for result in all_results:
@@ -173,7 +173,7 @@ def operations_table(all_results: Iterable[CaseResult], operations: Mapping[tupl
     return markdown_table(("case", "agents", "nodes of the plan", "operations per agent and step"), rows)
 
 
-def beside_table(all_results: Iterable[CaseResult]) -> str:
+def beside_table(all_results: Iterable[BenchCaseResult]) -> str:
     """Ratios of backends that took turns in one process."""
     lines = [
         f"- {one.alone[0].job.case}, {one.alone[0].agents:,} agents: {line}"
@@ -237,9 +237,9 @@ def main() -> None:
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     measurements: Measurements = json.loads(RESULTS_FILE.read_text(encoding="utf-8")) if RESULTS_FILE.is_file() else {}
-    names = [] if options.write else options.cases or ([] if options.peers else list(CASES))
+    names = [] if options.write else options.cases or ([] if options.peers else list(BENCH_CASES))
     for name in names:
-        for agents in CASES[name].agents or (None,):
+        for agents in BENCH_CASES[name].agents or (None,):
             if options.agents in (None, agents):
                 measurements[f"{name} {agents}"] = measure(name, agents)
                 print(name, agents, flush=True)

@@ -19,8 +19,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from antdsl.bench.ratios import MIN_PAIRS, compute_bootstrap_interval, measure_in_turn
-from antdsl.bodies.agents.blending import ClipPlayback, ClipTree, blend_poses
-from antdsl.bodies.agents.definition import Binding, Capture, Clip, Definition, Rig, Shape
+from antdsl.bodies.agents.blending import ClipBlendTree, ClipPlayback, blend_poses
+from antdsl.bodies.agents.definition import Binding, Clip, Definition, Rig, SkinShape, SkinWeights
 from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME, deform_binding
 from antdsl.bodies.agents.poses import ClipTable, build_clip_table
 
@@ -48,17 +48,20 @@ def crowd(agents: int) -> ClipPlayback:
     """Agents that walk and run at once, each at its own time and with its own weights."""
     random = np.random.default_rng(2)
     clips = np.tile(np.array([[0, 1]], np.int32), (agents, 1))
-    return ClipPlayback.with_shared_tree(
-        ClipTree.build_flat(2), clips, random.uniform(0, 10, (agents, 2)), random.uniform(0.1, 1, (agents, 2)).astype(np.float32)
+    return ClipPlayback.make_with_shared_tree(
+        ClipBlendTree.build_flat(2),
+        clips,
+        random.uniform(0, 10, (agents, 2)),
+        random.uniform(0.1, 1, (agents, 2)).astype(np.float32),
     )
 
 
 def by_arrays(table: ClipTable, playing: ClipPlayback, world: Floats) -> None:
     """World transforms [3, 4, J, n] in straight-line NumPy."""
-    samples, levels, width = table.samples, table.depth_levels, 10 if table.has_scale else 7
+    samples, levels, width = table.sample_rows, table.depth_levels, 10 if table.has_scale else 7
     one, two = np.float32(1), np.float32(2)
-    for a in range(0, len(playing.tree), PART):
-        b = min(a + PART, len(playing.tree))
+    for a in range(0, len(playing.tree_indices), PART):
+        b = min(a + PART, len(playing.tree_indices))
         weight = playing.weights[a:b].T / playing.weights[a:b].sum(axis=1)
         poses = []
         for slot in (0, 1):
@@ -67,7 +70,7 @@ def by_arrays(table: ClipTable, playing: ClipPlayback, world: Floats) -> None:
             at = playing.times[a:b, slot] * table.rates[clip] % turn
             row = at.astype(np.int64)
             share = (at - row).astype(np.float32)[:, None]
-            row += table.first[clip]
+            row += table.first_sample_rows[clip]
             now, then = samples.take(row, axis=0), samples.take(row + 1, axis=0)
             then -= now
             then *= share
@@ -182,8 +185,8 @@ def by_loops(table: ClipTable, playing: ClipPlayback, world: Floats) -> None:
     """World transforms [n, J, 3, 4], joints in the order of the rig, which is that of the table here."""
     parents = np.asarray(table.rig.parents, np.int64)
     _by_loops(
-        table.samples,
-        table.first,
+        table.sample_rows,
+        table.first_sample_rows,
         table.sample_counts,
         table.rates,
         playing.clips,
@@ -241,12 +244,12 @@ def shapes(agents: int) -> None:
     random = np.random.default_rng(3)
     definition = insect(scales=False)
     points, normals = random.normal(size=(2, 200, 3)).astype(np.float32)
-    capture = Capture(
+    capture = SkinWeights(
         definition.rig.names, random.integers(0, JOINTS, (200, 2)).astype(np.int32), np.full((200, 2), 0.5, np.float32),
                       np.tile(np.eye(4), (JOINTS, 1, 1)))  # fmt: skip
     between = {"dq": random.uniform(size=200).astype(np.float32)}
     faces = np.zeros((0, 3), np.int32)
-    skin = Shape("skin", points, faces, normals, attributes=between, capture=capture, dual_quaternion_blend="dq")
+    skin = SkinShape("skin", points, faces, normals, attributes=between, capture=capture, dual_quaternion_blend="dq")
     definition = replace(definition, shapes={"skin": skin})
     poses = blend_poses(build_clip_table(definition), {}, crowd(agents))
     print(f"200 points and normals, two joints each, for {agents} agents: ms")

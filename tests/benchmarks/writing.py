@@ -27,7 +27,7 @@ from statistics import fmean
 
 import numpy as np
 
-from antdsl.bench.cases import CASES, find_case
+from antdsl.bench.cases import BENCH_CASES, find_case
 from antdsl.bench.measuring import wait_for_code
 from antdsl.bench.ratios import compute_bootstrap_interval, measure_in_turn
 from antdsl.outputs.cache.cache_reader import make_frame_path
@@ -104,7 +104,7 @@ def measured(case: str, agents: int, steps: int, rounds: int, place: Path | None
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("case", choices=sorted(CASES), nargs="?", default="foraging")
+    parser.add_argument("case", choices=sorted(BENCH_CASES), nargs="?", default="foraging")
     parser.add_argument("--agents", type=int, nargs="+", default=[15_000])
     parser.add_argument("--steps", type=int, default=24)
     parser.add_argument("--rounds", type=int, default=10)

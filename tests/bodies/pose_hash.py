@@ -7,8 +7,18 @@ import hashlib
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.blending import ADDITIVE_MODE, INTERPOLATE_MODE, ClipPlayback, ClipTree, blend_poses
-from antdsl.bodies.agents.definition import Binding, BlendTargets, Capture, Channel, Clip, Definition, Rig, Shape, TransformGroup
+from antdsl.bodies.agents.blending import ADDITIVE_BLEND_MODE, INTERPOLATE_BLEND_MODE, ClipBlendTree, ClipPlayback, blend_poses
+from antdsl.bodies.agents.definition import (
+    Binding,
+    BlendTargets,
+    Channel,
+    Clip,
+    Definition,
+    Rig,
+    SkinShape,
+    SkinWeights,
+    TransformGroup,
+)
 from antdsl.bodies.agents.deformers import deform_binding
 from antdsl.bodies.agents.poses import build_clip_table
 
@@ -31,16 +41,18 @@ def main() -> None:
         clips[name] = Clip(name, 24.0, names, *parts, ("jaw",), numbers(count, 1).astype(np.float32))
     share = (random.integers(0, 65, (POINTS, 1)) / 64).astype(np.float32)
     follows = random.integers(0, JOINTS, (POINTS, 2)).astype(np.int32)
-    capture = Capture(names, follows, np.concatenate([share, 1 - share], axis=1), np.tile(np.eye(4), (JOINTS, 1, 1)))
+    capture = SkinWeights(names, follows, np.concatenate([share, 1 - share], axis=1), np.tile(np.eye(4), (JOINTS, 1, 1)))
     points, others, normals = numbers(3, POINTS, 3).astype(np.float32)
-    skin = Shape("skin", points, np.zeros((0, 3), np.int32), normals, attributes={"dq": numbers(POINTS).astype(np.float32)},
+    skin = SkinShape("skin", points, np.zeros((0, 3), np.int32), normals, attributes={"dq": numbers(POINTS).astype(np.float32)},
                  capture=capture, blend=BlendTargets(("other",), ("jaw",)), dual_quaternion_blend="dq")  # fmt: skip
-    shapes = {"skin": skin, "other": Shape("other", others, skin.faces, normals[::-1])}
+    shapes = {"skin": skin, "other": SkinShape("other", others, skin.faces, normals[::-1])}
     rig = Rig(names, np.array([-1, *(random.integers(0, k) for k in range(1, JOINTS))], np.int32), rest, (Channel("jaw"),))
     definition = Definition("made", rig, shapes, clips=clips, groups={"some": TransformGroup("some", (("j2", 0.5), ("j3", 1.0)))})
-    tree = ClipTree((1, 1, 2), ("", "some", ""), (ADDITIVE_MODE, INTERPOLATE_MODE, INTERPOLATE_MODE), (-1, 0, 0))
+    tree = ClipBlendTree(
+        (1, 1, 2), ("", "some", ""), (ADDITIVE_BLEND_MODE, INTERPOLATE_BLEND_MODE, INTERPOLATE_BLEND_MODE), (-1, 0, 0)
+    )
     times = random.integers(-500, 500, (AGENTS, 3)) / 256
-    playing = ClipPlayback.with_shared_tree(
+    playing = ClipPlayback.make_with_shared_tree(
         tree, random.integers(-1, 2, (AGENTS, 3)).astype(np.int32), times, np.abs(numbers(AGENTS, 3)).astype(np.float32)
     )
     poses = blend_poses(build_clip_table(definition), definition.groups, playing, needs_local=True)

@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 
 from antdsl.bodies.agents.boxes import compute_agent_boxes, compute_layer_boxes
-from antdsl.bodies.agents.definition import Binding, BlendTargets, Capture, Definition, Layer, Rig, Shape
+from antdsl.bodies.agents.definition import Binding, BlendTargets, Definition, Layer, Rig, SkinShape, SkinWeights
 
 RIG = Rig(("root", "arm", "hand"), np.array([-1, 0, 1], np.int32), np.tile(np.eye(4), (3, 1, 1)))
 BLOCK = np.array([[x, y, z] for x in (1.0, 3.0) for y in (0.0, 1.0) for z in (0.0, 2.0)], np.float32)
 FACES = np.array([[0, 1, 2]], np.int32)
-FOLLOWING = Capture(
+FOLLOWING = SkinWeights(
     ("hand", "arm", "root"),
     np.tile(np.array([[0, 1]], np.int32), (8, 1)),
     np.full((8, 2), 0.5, np.float32),
     np.tile(np.eye(4), (3, 1, 1)),
 )  # no vertex follows the root
 SHAPES = {
-    "block": Shape("block", BLOCK, FACES),
-    "skin": Shape("skin", BLOCK * 100, FACES, capture=FOLLOWING),
-    "head": Shape("head", BLOCK, FACES, blend=BlendTargets(("grin",), ("smile",))),
-    "grin": Shape("grin", BLOCK + np.float32(5), FACES),
+    "block": SkinShape("block", BLOCK, FACES),
+    "skin": SkinShape("skin", BLOCK * 100, FACES, capture=FOLLOWING),
+    "head": SkinShape("head", BLOCK, FACES, blend=BlendTargets(("grin",), ("smile",))),
+    "grin": SkinShape("grin", BLOCK + np.float32(5), FACES),
 }
 LAYERS = {
     "plain": Layer("plain", static=(Binding("hand", "block"),)),
@@ -70,9 +70,9 @@ def test_a_blend_shapes_box_holds_all_that_it_may_be_blended_with() -> None:
 
 def test_a_deforming_shape_of_a_single_joint_moves_with_it_as_a_static_one() -> None:
     inverse = poses(3, 5)[0]
-    follows = Capture(("root", "arm", "hand"), np.full((8, 1), 2, np.int32), np.ones((8, 1), np.float32), inverse)
+    follows = SkinWeights(("root", "arm", "hand"), np.full((8, 1), 2, np.int32), np.ones((8, 1), np.float32), inverse)
     layers = {"one": Layer("one", deforming=(Binding("", "block", (1.0, 2.0, 1.0), "linearskinning"),))}
-    body = Definition("body", RIG, {"block": Shape("block", BLOCK, FACES, capture=follows)}, layers)
+    body = Definition("body", RIG, {"block": SkinShape("block", BLOCK, FACES, capture=follows)}, layers)
     worlds = poses(9)
     least, most = compute_layer_boxes(body, worlds, ["one"])
     corners = (BLOCK - BLOCK.mean(axis=0)) * (1, 2, 1) + BLOCK.mean(axis=0)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from rigs import definition, matrix, still, turn
 
-from antdsl.bodies.agents.blending import ADDITIVE_MODE, INTERPOLATE_MODE, ClipPlayback, ClipTree, blend_poses
+from antdsl.bodies.agents.blending import ADDITIVE_BLEND_MODE, INTERPOLATE_BLEND_MODE, ClipBlendTree, ClipPlayback, blend_poses
 from antdsl.bodies.agents.clip_lists import build_playback
 from antdsl.bodies.agents.definition import Channel, Clip, TransformGroup
-from antdsl.bodies.agents.poses import Poses, build_clip_table
+from antdsl.bodies.agents.poses import WorldPoses, build_clip_table
 
 REST = matrix((0, 5, 0), turn("z", 0), (1, 1, 1))
 BODY = definition(
@@ -31,66 +31,66 @@ GROUPS = {
 }
 
 
-def one(tree: ClipTree, clips: Sequence[int], weights: Sequence[float], layers: Sequence[float] | None = None) -> Poses:
+def one(tree: ClipBlendTree, clips: Sequence[int], weights: Sequence[float], layers: Sequence[float] | None = None) -> WorldPoses:
     """The pose of one agent."""
-    playing = ClipPlayback.with_shared_tree(
+    playing = ClipPlayback.make_with_shared_tree(
         tree, np.array([clips], np.int32), np.zeros((1, len(clips))), np.array([weights], np.float32),
         None if layers is None else np.array([layers], np.float32),
     )  # fmt: skip
     return blend_poses(build_clip_table(BODY), GROUPS, playing, needs_local=True)
 
 
-def place(poses: Poses, joint: int) -> list[float]:
+def place(poses: WorldPoses, joint: int) -> list[float]:
     assert poses.local_transforms is not None
     return [round(float(k), 5) for k in poses.local_transforms[0, joint, :, 3]]
 
 
-def linear_part(poses: Poses, joint: int) -> np.ndarray:
+def linear_part(poses: WorldPoses, joint: int) -> np.ndarray:
     assert poses.local_transforms is not None
     return poses.local_transforms[0, joint, :, :3]
 
 
 def test_weights_are_normalised() -> None:
-    poses = one(ClipTree.build_flat(2), [LOW, HIGH], [1, 3])
+    poses = one(ClipBlendTree.build_flat(2), [LOW, HIGH], [1, 3])
     assert place(poses, 0) == [6, 0, 0]
     assert place(poses, 1) == [6, 0, 0]
     assert poses.channels[0].tolist() == [0.75, 0.8125]  # a clip without a channel counts with its default
-    again = one(ClipTree.build_flat(2), [LOW, HIGH], [10, 30])
+    again = one(ClipBlendTree.build_flat(2), [LOW, HIGH], [10, 30])
     assert np.allclose(poses.world_transforms, again.world_transforms, atol=1e-6)
 
 
 def test_half_of_a_quarter_turn_is_an_eighth_and_scales_are_linear() -> None:
-    linear = linear_part(one(ClipTree.build_flat(2), [LOW, HIGH], [1, 1]), 1)
+    linear = linear_part(one(ClipBlendTree.build_flat(2), [LOW, HIGH], [1, 1]), 1)
     assert np.allclose(linear, matrix(rotation=turn("z", 45), scale=(1.5, 1.5, 1.5))[:3, :3], atol=1e-6)
 
 
 def test_a_clip_counts_by_its_weight_times_that_of_its_group_at_each_joint() -> None:
-    poses = one(ClipTree.build_flat(2, "", "half"), [LOW, HIGH], [1, 1])
+    poses = one(ClipBlendTree.build_flat(2, "", "half"), [LOW, HIGH], [1, 1])
     assert place(poses, 0) == [0, 0, 0]  # not in the group
     assert place(poses, 1) == [round(8 * 0.5 / 1.5, 5), 0, 0]
     assert poses.channels[0].tolist() == [0.5, 0.25]  # the jaw is in the group, the brow is not
 
 
 def test_what_no_input_says_anything_about_is_at_rest() -> None:
-    poses = one(ClipTree.build_flat(2), [LOW, HIGH], [0, 0])
+    poses = one(ClipBlendTree.build_flat(2), [LOW, HIGH], [0, 0])
     assert place(poses, 1) == [0, 5, 0] and poses.channels[0].tolist() == [0, 0.25]
-    assert place(one(ClipTree.build_flat(1, "arm"), [HIGH], [1]), 0) == [0, 0, 0]
-    assert place(one(ClipTree.build_flat(2), [LOW, -1], [1, 3]), 1) == [0, 0, 0]  # no clip has no weight
-    assert place(one(ClipTree.build_flat(1), [-1], [1]), 1) == [0, 5, 0]
-    assert place(one(ClipTree((), ()), [], []), 1) == [0, 5, 0]
+    assert place(one(ClipBlendTree.build_flat(1, "arm"), [HIGH], [1]), 0) == [0, 0, 0]
+    assert place(one(ClipBlendTree.build_flat(2), [LOW, -1], [1, 3]), 1) == [0, 0, 0]  # no clip has no weight
+    assert place(one(ClipBlendTree.build_flat(1), [-1], [1]), 1) == [0, 5, 0]
+    assert place(one(ClipBlendTree((), ()), [], []), 1) == [0, 5, 0]
 
 
 def test_weights_below_zero_or_no_number_count_as_none_and_huge_ones_as_large() -> None:
     for odd in (-1.0, np.nan, -np.inf, 1e-44):
-        poses = one(ClipTree.build_flat(2), [LOW, HIGH], [1, odd])
+        poses = one(ClipBlendTree.build_flat(2), [LOW, HIGH], [1, odd])
         assert place(poses, 1) == [0, 0, 0]
-    assert place(one(ClipTree.build_flat(2), [LOW, HIGH], [3e38, np.inf]), 1) == [4, 0, 0]
-    assert place(one(ClipTree.build_flat(1), [HIGH], [1e-44]), 1) in ([8, 0, 0], [0, 5, 0])
+    assert place(one(ClipBlendTree.build_flat(2), [LOW, HIGH], [3e38, np.inf]), 1) == [4, 0, 0]
+    assert place(one(ClipBlendTree.build_flat(1), [HIGH], [1e-44]), 1) in ([8, 0, 0], [0, 5, 0])
 
 
 def test_a_layer_is_an_input_where_its_groups_are_and_the_topmost_weight_is_unused() -> None:
     """Walking with the whole body, and a layer of two clips for the arm alone that weighs three times as much."""
-    tree = ClipTree((0, 1, 1), ("", "arm", "arm"), (INTERPOLATE_MODE, INTERPOLATE_MODE), (-1, 0))
+    tree = ClipBlendTree((0, 1, 1), ("", "arm", "arm"), (INTERPOLATE_BLEND_MODE, INTERPOLATE_BLEND_MODE), (-1, 0))
     poses = one(tree, [LOW, HIGH, LOW], [1, 3, 1], [1, 3])
     assert place(poses, 0) == [0, 0, 0]  # the layer says nothing of the body
     assert place(poses, 1) == [0.75 * 6, 0, 0]
@@ -100,34 +100,34 @@ def test_a_layer_is_an_input_where_its_groups_are_and_the_topmost_weight_is_unus
 
 
 def test_a_layer_with_one_input_is_as_that_input() -> None:
-    straight = one(ClipTree.build_flat(2, "", "half"), [LOW, HIGH], [1, 0.5])
-    wrapped = one(ClipTree((0, 1), ("", "half"), (0, 0), (-1, 0)), [LOW, HIGH], [1, 7], [1, 0.5])
+    straight = one(ClipBlendTree.build_flat(2, "", "half"), [LOW, HIGH], [1, 0.5])
+    wrapped = one(ClipBlendTree((0, 1), ("", "half"), (0, 0), (-1, 0)), [LOW, HIGH], [1, 7], [1, 0.5])
     assert np.allclose(straight.world_transforms, wrapped.world_transforms, atol=1e-6) and np.allclose(
         straight.channels, wrapped.channels
     )
-    twice = one(ClipTree((2,), ("",), (0, 1, 0), (-1, 0, 1)), [HIGH], [0.3], [0, 0.1, 0.2])
-    assert np.allclose(twice.world_transforms, one(ClipTree.build_flat(1), [HIGH], [1]).world_transforms, atol=1e-6)
+    twice = one(ClipBlendTree((2,), ("",), (0, 1, 0), (-1, 0, 1)), [HIGH], [0.3], [0, 0.1, 0.2])
+    assert np.allclose(twice.world_transforms, one(ClipBlendTree.build_flat(1), [HIGH], [1]).world_transforms, atol=1e-6)
 
 
 def test_a_layer_of_several_inputs_is_there_as_much_as_their_groups_are_on_average() -> None:
-    tree = ClipTree((0, 1, 1), ("", "half", "half"), (INTERPOLATE_MODE, INTERPOLATE_MODE), (-1, 0))
+    tree = ClipBlendTree((0, 1, 1), ("", "half", "half"), (INTERPOLATE_BLEND_MODE, INTERPOLATE_BLEND_MODE), (-1, 0))
     poses = one(tree, [LOW, HIGH, HIGH], [1, 2, 5], [1, 1])
     assert place(poses, 1) == [round(8 * 0.5 / 1.5, 5), 0, 0]
-    mixed = one(ClipTree((0, 1, 1), ("", "half", ""), (0, 0), (-1, 0)), [LOW, HIGH, HIGH], [1, 3, 1], [1, 1])
+    mixed = one(ClipBlendTree((0, 1, 1), ("", "half", ""), (0, 0), (-1, 0)), [LOW, HIGH, HIGH], [1, 3, 1], [1, 1])
     share = (3 * 0.5 + 1 * 1) / 4
     assert place(mixed, 1) == [round(8 * share / (1 + share), 5), 0, 0]
     assert place(mixed, 0) == [round(8 * 0.25 / 1.25, 5), 0, 0]
 
 
 def test_an_additive_layer_is_there_where_its_first_input_is_and_as_much_as_others_add() -> None:
-    tree = ClipTree((0, 1, 1), ("", "arm", "body"), (INTERPOLATE_MODE, ADDITIVE_MODE), (-1, 0))
+    tree = ClipBlendTree((0, 1, 1), ("", "arm", "body"), (INTERPOLATE_BLEND_MODE, ADDITIVE_BLEND_MODE), (-1, 0))
     poses = one(tree, [LOW, HIGH, HIGH], [1, 1, 0.5], [1, 1])
     assert place(poses, 1) == [4, 0, 0]  # half of the first input
     assert place(poses, 0) == [round(4 * 0.5 / 1.5, 5), 0, 0]  # the rest pose's 0 and half of 8, there by a half
 
 
 def test_additive_layers_take_the_first_whole_and_a_share_of_what_others_differ_from_rest() -> None:
-    tree = ClipTree((0, 0), ("", ""), (ADDITIVE_MODE,), (-1,))
+    tree = ClipBlendTree((0, 0), ("", ""), (ADDITIVE_BLEND_MODE,), (-1,))
     poses = one(tree, [HIGH, NOD], [0.2, 0.5])
     assert place(poses, 0) == [8, 0, 0]  # `nod` does not have the body, which adds nothing
     assert place(poses, 1) == [8, 1, 0]  # half of 7 less the rest's 5
@@ -137,7 +137,7 @@ def test_additive_layers_take_the_first_whole_and_a_share_of_what_others_differ_
 
 
 def test_additive_layers_keep_the_scale_of_the_first_and_do_not_normalise() -> None:
-    tree = ClipTree((0, 0, 0), ("", "half", ""), (ADDITIVE_MODE,), (-1,))
+    tree = ClipBlendTree((0, 0, 0), ("", "half", ""), (ADDITIVE_BLEND_MODE,), (-1,))
     poses = one(tree, [LOW, NOD, NOD], [1, 1, 1])
     assert place(poses, 1) == [0, 0.5 * 2 + 2, 0]
     assert np.allclose(linear_part(poses, 1), 2 * matrix(rotation=turn("x", 90))[:3, :3], atol=1e-6)
@@ -146,7 +146,9 @@ def test_additive_layers_keep_the_scale_of_the_first_and_do_not_normalise() -> N
 
 def test_the_first_input_of_an_additive_layer_may_be_a_layer() -> None:
     """A blend of two clips, and a layer of one clip that is added to it."""
-    tree = ClipTree((1, 1, 2), ("", "", "arm"), (ADDITIVE_MODE, INTERPOLATE_MODE, INTERPOLATE_MODE), (-1, 0, 0))
+    tree = ClipBlendTree(
+        (1, 1, 2), ("", "", "arm"), (ADDITIVE_BLEND_MODE, INTERPOLATE_BLEND_MODE, INTERPOLATE_BLEND_MODE), (-1, 0, 0)
+    )
     poses = one(tree, [LOW, HIGH, NOD], [1, 1, 1], [1, 1, 0.5])
     assert place(poses, 0) == [4, 0, 0]
     assert place(poses, 1) == [4, 1, 0]
@@ -157,8 +159,8 @@ def test_the_first_input_of_an_additive_layer_may_be_a_layer() -> None:
 def test_an_added_rotation_is_measured_from_the_rest_pose() -> None:
     clips = still("base", {"a": {"r": turn("y", 20)}}), still("look", {"a": {"r": turn("z", 75)}})
     body = definition({"a": ""}, *clips, rest={"a": matrix(rotation=turn("x", 30))})
-    playing = ClipPlayback.with_shared_tree(
-        ClipTree((0, 0), ("", ""), (ADDITIVE_MODE,), (-1,)),
+    playing = ClipPlayback.make_with_shared_tree(
+        ClipBlendTree((0, 0), ("", ""), (ADDITIVE_BLEND_MODE,), (-1,)),
         np.array([[0, 1]], np.int32),
         np.zeros((1, 2)),
         np.ones((1, 2), np.float32),
@@ -174,8 +176,8 @@ def test_a_share_of_an_added_rotation_goes_the_shorter_way() -> None:
     rotation = np.array([[turn("z", 0)], [turn("z", 170)], [turn("z", 340)]], np.float32)
     round_it = Clip("round", 1.0, ("a",), np.zeros((3, 1, 3), np.float32), rotation, np.ones((3, 1, 3), np.float32), loop=False)
     body = definition({"a": ""}, still("base", {"a": {}}), round_it)
-    tree = ClipTree((0, 0), ("", ""), (ADDITIVE_MODE,), (-1,))
-    playing = ClipPlayback.with_shared_tree(
+    tree = ClipBlendTree((0, 0), ("", ""), (ADDITIVE_BLEND_MODE,), (-1,))
+    playing = ClipPlayback.make_with_shared_tree(
         tree, np.array([[0, 1]], np.int32), np.array([[0.0, 2.0]]), np.array([[1, 0.5]], np.float32)
     )
     poses = blend_poses(build_clip_table(body), {}, playing)
@@ -185,8 +187,8 @@ def test_a_share_of_an_added_rotation_goes_the_shorter_way() -> None:
 def test_three_rotations_are_blended_on_one_side_whatever_their_signs() -> None:
     body = definition({"a": ""}, *(still(name, {"a": {"r": r}}) for name, r in (
         ("a", turn("x", 170)), ("b", [-k for k in turn("x", 200)]), ("c", turn("x", 185)))))  # fmt: skip
-    playing = ClipPlayback.with_shared_tree(
-        ClipTree.build_flat(3), np.array([[0, 1, 2]], np.int32), np.zeros((1, 3)), np.ones((1, 3), np.float32)
+    playing = ClipPlayback.make_with_shared_tree(
+        ClipBlendTree.build_flat(3), np.array([[0, 1, 2]], np.int32), np.zeros((1, 3)), np.ones((1, 3), np.float32)
     )
     assert np.allclose(
         blend_poses(build_clip_table(body), {}, playing).world_transforms[0, 0, :, :3],
@@ -212,8 +214,9 @@ def test_nothing_jumps_while_clips_go_round_and_fade_into_each_other() -> None:
     def largest(steps: int) -> float:
         share = np.linspace(0, 1, steps + 1).astype(np.float32)
         times = np.linspace(0.6, 2.6, steps + 1)
-        playing = ClipPlayback.with_shared_tree(
-            ClipTree.build_flat(2), np.tile(np.array([[0, 1]], np.int32), (steps + 1, 1)), np.stack([times, times * 1.3], axis=1),
+        playing = ClipPlayback.make_with_shared_tree(
+            ClipBlendTree.build_flat(2), np.tile(np.array([[0, 1]], np.int32), (steps + 1, 1)),
+            np.stack([times, times * 1.3], axis=1),
             np.stack([1 - share, share], axis=1),
         )  # fmt: skip
         return float(np.abs(np.diff(blend_poses(table, {}, playing).world_transforms, axis=0)).max())
@@ -223,9 +226,9 @@ def test_nothing_jumps_while_clips_go_round_and_fade_into_each_other() -> None:
 
 def test_agents_of_different_trees_are_each_as_alone() -> None:
     trees = (
-        ClipTree.build_flat(2),
-        ClipTree((0, 0), ("", "arm"), (ADDITIVE_MODE,), (-1,)),
-        ClipTree((1,), ("",), (0, 0), (-1, 0)),
+        ClipBlendTree.build_flat(2),
+        ClipBlendTree((0, 0), ("", "arm"), (ADDITIVE_BLEND_MODE,), (-1,)),
+        ClipBlendTree((1,), ("",), (0, 0), (-1, 0)),
     )
     rows = [
         (0, [LOW, HIGH], [1, 3], [1, 9]),
@@ -245,7 +248,7 @@ def test_agents_of_different_trees_are_each_as_alone() -> None:
     with pytest.raises(ValueError, match=r"`weights` of 4 agents has the shape \(4, 1\); it must be \[4, 2 or more\]"):
         blend_poses(build_clip_table(BODY), GROUPS, replace(playing, weights=playing.weights[:, :1]))
     with pytest.raises(IndexError, match="trees are numbered from 0 to 2"):
-        blend_poses(build_clip_table(BODY), GROUPS, replace(playing, tree=np.array([0, 1, 2, 3], np.int32)))
+        blend_poses(build_clip_table(BODY), GROUPS, replace(playing, tree_indices=np.array([0, 1, 2, 3], np.int32)))
 
 
 def test_lists_of_each_agent_become_arrays_and_trees_that_are_shared() -> None:
@@ -257,7 +260,7 @@ def test_lists_of_each_agent_become_arrays_and_trees_that_are_shared() -> None:
         np.array(["", "", "", "arm", "", "arm"]), np.array([0, 0, 0, 1, 0, 1]),
         layer_counts, np.array([0, 0, 0, 0, 0, 0]), np.array([1, 1, 3, 1, 1, 1]), np.array([-1, -1, 0, -1, -1, 0]),
     )  # fmt: skip
-    assert len(playing.trees) == 3 and playing.tree[1] == playing.tree[3]
+    assert len(playing.trees) == 3 and playing.tree_indices[1] == playing.tree_indices[3]
     poses = blend_poses(table, GROUPS, playing, needs_local=True)
     assert poses.local_transforms is not None and poses.local_transforms[:, 1, 0, 3].tolist() == [6, 6, 0, 4]
     assert poses.local_transforms[:, 0, 0, 3].tolist() == [6, 0, 0, 8]
@@ -290,9 +293,9 @@ def test_lists_that_do_not_fit_are_refused_by_the_agent() -> None:
 ])  # fmt: skip
 def test_what_is_no_tree_is_refused(tree: dict[str, tuple[int, ...]], why: str) -> None:
     with pytest.raises(ValueError, match=why):
-        ClipTree(**tree)  # type: ignore[arg-type]
+        ClipBlendTree(**tree)  # type: ignore[arg-type]
 
 
 def test_a_group_that_there_is_not_is_refused() -> None:
     with pytest.raises(KeyError, match="wings"):
-        one(ClipTree.build_flat(1, "wings"), [LOW], [1])
+        one(ClipBlendTree.build_flat(1, "wings"), [LOW], [1])

@@ -62,16 +62,16 @@ def test_a_rig_is_a_tree_in_any_order_with_channels() -> None:
     rig = rig_of(RIG)
     assert rig.names == ("palm", "thumb", "finger", "fingertip") and rig.parents.tolist() == [-1, 0, 0, 2]
     assert rig.channels == (Channel("frown"), Channel("finger.swell", 0.5, "finger"))
-    assert (rig.rest == np.eye(4)).all() and rig.rest.shape == (4, 4, 4)
+    assert (rig.rest_matrices == np.eye(4)).all() and rig.rest_matrices.shape == (4, 4, 4)
 
 
 def test_what_is_written_is_read_as_it_was() -> None:
     rig = rig_of(RIG)
-    rig.rest[2, :3] = [[0.1, 2, 3, 4], [5, 1 / 3, 7, 8], [9, 10, 11, 1e-7]]
+    rig.rest_matrices[2, :3] = [[0.1, 2, 3, 4], [5, 1 / 3, 7, 8], [9, 10, 11, 1e-7]]
     text = write_rig(rig)
     again = rig_of(text)
     assert (again.names, again.channels) == (rig.names, rig.channels)
-    assert (again.parents == rig.parents).all() and (again.rest == rig.rest).all() and write_rig(again) == text
+    assert (again.parents == rig.parents).all() and (again.rest_matrices == rig.rest_matrices).all() and write_rig(again) == text
     writers: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
         (LAYER, "layer", write_layer), (GROUP, "group", write_group), (METADATA, "metadata", write_metadata),
     )  # fmt: skip

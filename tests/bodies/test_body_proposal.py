@@ -14,7 +14,7 @@ from commands import run
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.other_axes import convert_axes
+from antdsl.bodies.agents.other_axes import convert_definition_axes
 from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.files.writing import write_gltf
 from antdsl.bodies.library import load_library_body
@@ -44,7 +44,7 @@ def read_bare(word: str, folder: Path) -> Definition:
 
 @pytest.mark.parametrize("word", ["person", "hunter", "ant", "spider"])
 def test_legs_and_walks_are_those_that_the_body_has(word: str, tmp_path: Path) -> None:
-    body, lines = load_library_body(word), propose_definition(read_bare(word, tmp_path), "x.gltf").lines
+    body, lines = load_library_body(word), propose_definition(read_bare(word, tmp_path), "x.gltf").entries
     assert (lines["front"], lines["up"], lines["units"], lines["idle"]) == ("+z", "+y", "m", "idle")
     assert [(leg["upper"], leg["lower"]) for leg in lines["legs"]] == [(leg.upper, leg.lower) for leg in body.legs]
     strides = {clip["clip"]: clip.get("stride", 0.0) for clip in lines["clips"]}
@@ -72,7 +72,7 @@ def test_legs_and_walks_are_those_that_the_body_has(word: str, tmp_path: Path) -
 )
 def test_feet_with_soles_get_ankles(word: str, ankles: list[tuple[str | None, str]], tmp_path: Path) -> None:
     """Claws of an ant hold at any angle, so its legs have none."""
-    legs = propose_definition(read_bare(word, tmp_path), "x.gltf").lines["legs"]
+    legs = propose_definition(read_bare(word, tmp_path), "x.gltf").entries["legs"]
     assert [(leg.get("ankle"), leg["foot"]) for leg in legs] == ankles
 
 
@@ -80,7 +80,7 @@ def test_feet_that_end_in_points_get_no_ankles(tmp_path: Path) -> None:
     """A foot of one joint is its own ankle, as that of the hunter above, but not where it touches the ground at one point."""
     body = read_bare("hunter", tmp_path)
     shapes = {name: replace(shape, points=_point_feet(shape.points)) for name, shape in body.shapes.items()}
-    legs = propose_definition(replace(body, shapes=shapes), "x.gltf").lines["legs"]
+    legs = propose_definition(replace(body, shapes=shapes), "x.gltf").entries["legs"]
     assert [(leg.get("ankle"), leg["foot"][:-2]) for leg in legs] == [(None, "wrist_")] * 4
 
 
@@ -97,31 +97,31 @@ def test_names_of_clips_are_those_that_say_something(tmp_path: Path) -> None:
     body = read_bare("person", tmp_path)
     renamed = {"walk": "Armature|Walk_01", "run": "clip0", "idle": "Breathing", "wave": "Armature|Wave", "die": "die"}
     clips = {renamed[name]: replace(clip, name=renamed[name]) for name, clip in body.clips.items() if name in renamed}
-    lines = propose_definition(replace(body, clips=clips), "x.gltf").lines
+    lines = propose_definition(replace(body, clips=clips), "x.gltf").entries
     names = {clip["clip"]: clip["name"] for clip in lines["clips"]}
     assert names == {"Armature|Walk_01": "walk", "clip0": "walk_2", "Breathing": "idle", "Armature|Wave": "wave", "die": "die"}
 
 
 def test_another_up_axis_and_unit_are_found(tmp_path: Path) -> None:
-    body = convert_axes(read_bare("person", tmp_path), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), 10.0)
+    body = convert_definition_axes(read_bare("person", tmp_path), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), 10.0)
     proposal = propose_definition(replace(body, up=(0.0, 1.0, 0.0), unit=1000.0), "x.gltf")
-    assert (proposal.lines["front"], proposal.lines["up"], proposal.lines["units"]) == ("+x", "+z", "cm")
+    assert (proposal.entries["front"], proposal.entries["up"], proposal.entries["units"]) == ("+x", "+z", "cm")
     assert any("no legs reach the ground" in reason for reason in proposal.reasons["up"])
     assert any("would be" in reason for reason in proposal.reasons["units"])
 
 
 def test_a_body_without_walking_clips_gets_a_usual_walk(tmp_path: Path) -> None:
     body = read_bare("hunter", tmp_path)
-    lines = propose_definition(replace(body, clips={"idle": body.clips["idle"]}), "x.gltf").lines
+    lines = propose_definition(replace(body, clips={"idle": body.clips["idle"]}), "x.gltf").entries
     (gait,) = lines["gaits"]
     assert sorted(gait["phases"]) == [0.0, 0.25, 0.5, 0.75] and gait["speed"] > 0
     without = propose_definition(replace(body, clips={}), "x.gltf")
-    assert "idle" not in without.lines and "clips" not in without.lines and len(without.lines["legs"]) == 4
+    assert "idle" not in without.entries and "clips" not in without.entries and len(without.entries["legs"]) == 4
 
 
 def test_a_body_without_legs_says_why(tmp_path: Path) -> None:
     proposal = propose_definition(read_bare("ball", tmp_path), "x.gltf")
-    assert "legs" not in proposal.lines and "gaits" not in proposal.lines
+    assert "legs" not in proposal.entries and "gaits" not in proposal.entries
     assert "no legs" in proposal.format_text()
 
 

@@ -41,12 +41,12 @@ def bound_world(folder: Path, members: str, **options: str) -> World:
 
 def spread_arms(body: Definition, degrees: float) -> Definition:
     """The body with both arms raised sideways in its rest pose, and an idle clip of the former rest pose."""
-    rest = body.rig.rest.copy()
+    rest = body.rig.rest_matrices.copy()
     local = {name: rest[body.rig.find_joint(name)].copy() for name in ("arm_l", "arm_r")}
     for name, sign in (("arm_l", -1.0), ("arm_r", 1.0)):
         c, s = np.cos(np.radians(degrees)), sign * np.sin(np.radians(degrees))
         rest[body.rig.find_joint(name)][:3, :3] = np.array([[1, 0, 0], [0, c, s], [0, -s, c]]) @ local[name][:3, :3]
-    return replace(body, rig=replace(body.rig, rest=rest))
+    return replace(body, rig=replace(body.rig, rest_matrices=rest))
 
 
 def test_the_collision_size_comes_from_the_idle_clip_and_not_from_a_rest_pose_with_spread_arms() -> None:

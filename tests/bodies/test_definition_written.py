@@ -13,7 +13,7 @@ import pytest
 from antdsl.bodies.agents.definition import DEFAULT_FRONT, DEFAULT_UP, Definition
 from antdsl.bodies.agents.deformers import deform_binding
 from antdsl.bodies.agents.machine_clips import MachineClips
-from antdsl.bodies.agents.other_axes import convert_axes
+from antdsl.bodies.agents.other_axes import convert_definition_axes
 from antdsl.bodies.agents.poses import build_clip_table
 from antdsl.bodies.files.documents import TypedValue
 from antdsl.bodies.files.reading import read_definition
@@ -188,7 +188,7 @@ def test_what_gltf_lacks_is_reported_and_the_rest_is_the_same(body: Definition, 
 
 @pytest.mark.parametrize("word", ["ant", "ant_queen"])
 def test_bodies_of_the_library_are_written(word: str, tmp_path: Path) -> None:
-    body = convert_axes(load_library_body(word), DEFAULT_FRONT, DEFAULT_UP, 1.0)  # units that files can name
+    body = convert_definition_axes(load_library_body(word), DEFAULT_FRONT, DEFAULT_UP, 1.0)  # units that files can name
     own = read_back(tmp_path, build_definition_files(body, word), f"{word}.json")
     for name in ("layers", "groups", "legs", "gaits", "idle", "front", "up", "length", "unit"):
         same(getattr(body, name), getattr(own, name))

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from rigs import definition, matrix, still, turn, wild
 
 from antdsl.bodies.agents import deformers
-from antdsl.bodies.agents.blending import ClipPlayback, ClipTree, blend_poses
-from antdsl.bodies.agents.definition import Binding, BlendTargets, Capture, Channel, Definition, InBetweens, Shape
+from antdsl.bodies.agents.blending import ClipBlendTree, ClipPlayback, blend_poses
+from antdsl.bodies.agents.definition import Binding, BlendTargets, Channel, Definition, InBetweens, SkinShape, SkinWeights
 from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME, deform_binding, find_deformers, register_deformer
-from antdsl.bodies.agents.poses import Poses, build_clip_table
+from antdsl.bodies.agents.poses import WorldPoses, build_clip_table
 from antdsl.bodies.agents.skinning import DeformedShape
 
 FACES = np.zeros((0, 3), np.int32)
 
 
-def skinned(scales: bool, sheared: bool = False) -> tuple[Definition, Poses]:
+def skinned(scales: bool, sheared: bool = False) -> tuple[Definition, WorldPoses]:
     """A shape of 120 points that follow four of nine joints each, and the poses of seven agents."""
     built, random = wild(9, 11, scales=scales, sheared=sheared), np.random.default_rng(12)
     points, normals = random.normal(size=(2, 120, 3)).astype(np.float32)
@@ -31,12 +31,12 @@ def skinned(scales: bool, sheared: bool = False) -> tuple[Definition, Poses]:
     weights[::5, 1:] = 0
     weights = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
     inverse = np.stack([matrix(random.normal(size=3), random.normal(size=4)) for _ in names])
-    capture = Capture(names, random.integers(0, 9, (120, 4)).astype(np.int32), weights, inverse)
-    body = Shape("body", points, FACES, normals, attributes={"twist": random.uniform(size=120).astype(np.float32)},
+    capture = SkinWeights(names, random.integers(0, 9, (120, 4)).astype(np.int32), weights, inverse)
+    body = SkinShape("body", points, FACES, normals, attributes={"twist": random.uniform(size=120).astype(np.float32)},
                  capture=capture, dual_quaternion_blend="twist")  # fmt: skip
     built = replace(built, shapes={"body": body})
-    playing = ClipPlayback.with_shared_tree(
-        ClipTree.build_flat(2),
+    playing = ClipPlayback.make_with_shared_tree(
+        ClipBlendTree.build_flat(2),
         np.tile(np.array([[0, 1]], np.int32), (7, 1)),
         random.uniform(0, 1, (7, 2)),
         random.uniform(size=(7, 2)).astype(np.float32),
@@ -44,7 +44,7 @@ def skinned(scales: bool, sheared: bool = False) -> tuple[Definition, Poses]:
     return built, blend_poses(build_clip_table(built), {}, playing)
 
 
-def theirs(built: Definition, poses: Poses, method: str) -> tuple[NDArray[Any], NDArray[Any]]:
+def theirs(built: Definition, poses: WorldPoses, method: str) -> tuple[NDArray[Any], NDArray[Any]]:
     """Points and normals by UsdSkel, agent by agent."""
     skel, gf, vt = (pytest.importorskip(f"pxr.{name}") for name in ("UsdSkel", "Gf", "Vt"))
     shape = built.shapes["body"]
@@ -89,20 +89,20 @@ def test_dual_quaternions_take_scale_and_shear_as_an_independent_implementation_
     assert np.abs(result.points - points).max() < 1e-5 * np.abs(points).max()
 
 
-def twisted() -> tuple[Definition, Poses]:
+def twisted() -> tuple[Definition, WorldPoses]:
     """A ring of points half way along a bone that is twisted by 180 degrees at its end, scaled there or not."""
     rest = {"end": matrix((2, 0, 0))}
     built = definition(
         {"root": "", "end": "root"}, still("twist", {"root": {}, "end": {"t": (2, 0, 0), "r": turn("x", 170)}}), rest=rest
     )
     points = np.array([[1, 1, 0], [1, 0, 1], [1, -1, 0]], np.float32)
-    capture = Capture(("root", "end"), np.tile(np.array([[0, 1]], np.int32), (3, 1)), np.full((3, 2), 0.5, np.float32),
+    capture = SkinWeights(("root", "end"), np.tile(np.array([[0, 1]], np.int32), (3, 1)), np.full((3, 2), 0.5, np.float32),
                       np.stack([np.eye(4), np.linalg.inv(rest["end"])]))  # fmt: skip
-    shape = Shape("bone", points, FACES, points - [[1, 0, 0]], attributes={"dq": np.array([0, 0.5, 1], np.float32)},
+    shape = SkinShape("bone", points, FACES, points - [[1, 0, 0]], attributes={"dq": np.array([0, 0.5, 1], np.float32)},
                   capture=capture, dual_quaternion_blend="dq")  # fmt: skip
     built = replace(built, shapes={"bone": shape})
-    playing = ClipPlayback.with_shared_tree(
-        ClipTree.build_flat(1), np.zeros((1, 1), np.int32), np.zeros((1, 1)), np.ones((1, 1), np.float32)
+    playing = ClipPlayback.make_with_shared_tree(
+        ClipBlendTree.build_flat(1), np.zeros((1, 1), np.int32), np.zeros((1, 1)), np.ones((1, 1), np.float32)
     )
     return built, blend_poses(build_clip_table(built), {}, playing)
 
@@ -133,15 +133,15 @@ def test_a_point_of_one_joint_goes_the_same_way_by_both_methods_whatever_the_joi
     assert np.allclose(straight.normals[:, ::5], turned.normals[:, ::5], atol=1e-4)
 
 
-FACE = Shape(
+FACE = SkinShape(
     "face", np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], np.float32), FACES, np.array([[0, 1, 0]] * 3, np.float32),
     attributes={"id": np.array([10, 20, 30]), "red": np.array([0, 0, 1], np.float32)},
     blend=BlendTargets(("smile", "open"), ("smile", "jaw")),
 )  # fmt: skip
 
 
-def moved(name: str, *points: tuple[float, float, float], ids: tuple[int, ...] = (), **fields: Any) -> Shape:
-    return Shape(name, np.array(points, np.float32), FACES, attributes={"id": np.array(ids)} if ids else {}, **fields)
+def moved(name: str, *points: tuple[float, float, float], ids: tuple[int, ...] = (), **fields: Any) -> SkinShape:
+    return SkinShape(name, np.array(points, np.float32), FACES, attributes={"id": np.array(ids)} if ids else {}, **fields)
 
 
 SMILE = moved("smile", (0, 1, 0), (1, 2, 0), (2, 3, 0))
@@ -149,12 +149,12 @@ OPEN = moved("open", (2, 0, 4), (0, 0, -4), ids=(30, 10), in_betweens=InBetweens
 AJAR = moved("ajar", (2, 0, 4), (0, 0, -2), ids=(30, 10))
 
 
-def face(shape: Shape, smile: list[float], jaw: list[float], *others: Shape) -> DeformedShape:
+def face(shape: SkinShape, smile: list[float], jaw: list[float], *others: SkinShape) -> DeformedShape:
     built = definition({"head": ""}, channels=(Channel("smile"), Channel("jaw")))
     built = replace(built, shapes={each.name: each for each in (shape, SMILE, OPEN, AJAR, *others)})
     world = np.tile(np.eye(4, dtype=np.float32)[:3], (len(smile), 1, 1, 1))
     return deform_binding(
-        built, Binding("", "face", deformer="blendshape"), Poses(world, None, np.array([smile, jaw], np.float32).T)
+        built, Binding("", "face", deformer="blendshape"), WorldPoses(world, None, np.array([smile, jaw], np.float32).T)
     )
 
 
@@ -199,15 +199,15 @@ def test_in_betweens_are_those_of_an_independent_implementation() -> None:
     binding.CreateBlendShapeTargetsRel().AddTarget("/mesh/shape")
     query = skel.BlendShapeQuery(binding)
     library = {
-        "face": Shape("face", base, FACES, blend=BlendTargets(("one",), ("jaw",))),
-        "one": Shape("one", primary, FACES, in_betweens=InBetweens(("high", "low"), (0.8, 0.3))),
-        "low": Shape("low", low, FACES), "high": Shape("high", high, FACES),
+        "face": SkinShape("face", base, FACES, blend=BlendTargets(("one",), ("jaw",))),
+        "one": SkinShape("one", primary, FACES, in_betweens=InBetweens(("high", "low"), (0.8, 0.3))),
+        "low": SkinShape("low", low, FACES), "high": SkinShape("high", high, FACES),
     }  # fmt: skip
     built = replace(definition({"head": ""}, channels=(Channel("jaw"),)), shapes=library)
     weights = [0.0, 0.1, 0.3, 0.55, 0.8, 0.93, 1.0]
     world = np.tile(np.eye(4, dtype=np.float32)[:3], (len(weights), 1, 1, 1))
     result = deform_binding(
-        built, Binding("", "face", deformer="blendshape"), Poses(world, None, np.array(weights, np.float32)[:, None])
+        built, Binding("", "face", deformer="blendshape"), WorldPoses(world, None, np.array(weights, np.float32)[:, None])
     )
     for weight, mine in zip(weights, result.points, strict=True):
         points = vt.Vec3fArray.FromNumpy(base.copy())
@@ -254,19 +254,19 @@ def test_what_a_blend_shape_cannot_be_is_refused() -> None:
 
 def test_blend_shapes_come_before_skinning() -> None:
     """A point is opened by 1 along y, and then its joint turns by 90 degrees about x; in the other order y would stay."""
-    capture = Capture(("head",), np.zeros((1, 1), np.int32), np.ones((1, 1), np.float32), np.eye(4)[None])
+    capture = SkinWeights(("head",), np.zeros((1, 1), np.int32), np.ones((1, 1), np.float32), np.eye(4)[None])
     shapes = {
-        "skin": Shape("skin", np.array([[3, 0, 0]], np.float32), FACES, np.array([[0, 1, 0]], np.float32), capture=capture,
+        "skin": SkinShape("skin", np.array([[3, 0, 0]], np.float32), FACES, np.array([[0, 1, 0]], np.float32), capture=capture,
                       attributes={"dq": np.ones(1, np.float32)}, blend=BlendTargets(("up",), ("open",)),
                       dual_quaternion_blend="dq"),
-        "up": Shape("up", np.array([[3, 1, 0]], np.float32), FACES),
+        "up": SkinShape("up", np.array([[3, 1, 0]], np.float32), FACES),
     }  # fmt: skip
     built = replace(
         definition({"head": ""}, still("turn", {"head": {"r": turn("x", 90)}}, {"open": 1.0}), channels=(Channel("open"),)),
         shapes=shapes,
     )
-    playing = ClipPlayback.with_shared_tree(
-        ClipTree.build_flat(1), np.zeros((1, 1), np.int32), np.zeros((1, 1)), np.ones((1, 1), np.float32)
+    playing = ClipPlayback.make_with_shared_tree(
+        ClipBlendTree.build_flat(1), np.zeros((1, 1), np.int32), np.zeros((1, 1)), np.ones((1, 1), np.float32)
     )
     poses = blend_poses(build_clip_table(built), {}, playing)
     for name in ("linearskinning", "dualquatskinning", "dualquatblendskinning"):
@@ -278,10 +278,12 @@ def test_blend_shapes_come_before_skinning() -> None:
 def test_a_static_shape_goes_as_its_joint_goes() -> None:
     """A stick along x at a hand that is moved, turned by 90 degrees about z, and stretched to twice along its own x."""
     built = definition({"hand": ""}, still("hold", {"hand": {"t": (0, 0, 5), "r": turn("z", 90), "s": (2, 1, 1)}}))
-    stick = Shape("stick", np.array([[1, 0, 0], [1, 1, 0]], np.float32), FACES, np.array([[1, 0, 0], [0.6, 0.8, 0]], np.float32))
+    stick = SkinShape(
+        "stick", np.array([[1, 0, 0], [1, 1, 0]], np.float32), FACES, np.array([[1, 0, 0], [0.6, 0.8, 0]], np.float32)
+    )
     built = replace(built, shapes={"stick": stick})
-    playing = ClipPlayback.with_shared_tree(
-        ClipTree.build_flat(1), np.array([[0], [-1]], np.int32), np.zeros((2, 1)), np.ones((2, 1), np.float32)
+    playing = ClipPlayback.make_with_shared_tree(
+        ClipBlendTree.build_flat(1), np.array([[0], [-1]], np.int32), np.zeros((2, 1)), np.ones((2, 1), np.float32)
     )
     result = deform_binding(built, Binding("hand", "stick"), blend_poses(build_clip_table(built), {}, playing))
     assert np.allclose(result.points, [[[0, 2, 5], [-1, 2, 5]], [[1, 0, 0], [1, 1, 0]]], atol=1e-6)
@@ -294,7 +296,7 @@ def test_a_static_shape_goes_as_its_joint_goes() -> None:
 def test_a_deformer_of_ones_own_is_used_by_its_name_alone_and_after_others(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(deformers, "DEFORMER_BY_NAME", dict(DEFORMER_BY_NAME))
 
-    def swell(deformed: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
+    def swell(deformed: DeformedShape, shape: SkinShape, definition: Definition, poses: WorldPoses) -> DeformedShape:
         return DeformedShape(deformed.points * (1 + poses.channels[:, :1, None]), deformed.normals, deformed.attributes)
 
     register_deformer("swell", swell)
@@ -302,7 +304,7 @@ def test_a_deformer_of_ones_own_is_used_by_its_name_alone_and_after_others(monke
         definition({"head": ""}, channels=(Channel("smile"), Channel("jaw"))),
         shapes={"face": FACE, "smile": SMILE, "open": OPEN, "ajar": AJAR},
     )
-    poses = Poses(np.tile(np.eye(4, dtype=np.float32)[:3], (2, 1, 1, 1)), None, np.array([[1, 0], [0, 0]], np.float32))
+    poses = WorldPoses(np.tile(np.eye(4, dtype=np.float32)[:3], (2, 1, 1, 1)), None, np.array([[1, 0], [0, 0]], np.float32))
     assert deform_binding(built, Binding("", "face", deformer="swell"), poses).points[0].tolist() == (2 * FACE.points).tolist()
     assert (
         deform_binding(built, Binding("", "face", deformer="blendshape+swell"), poses).points[0].tolist()
@@ -343,7 +345,7 @@ def test_an_agent_is_deformed_alike_whatever_other_agents_there_are(name: str, m
     monkeypatch.setattr(deformers, "_POINTS_PER_CHUNK", 1)
     for rows in (order, order[:1]):
         subset = deform_binding(
-            built, binding, Poses(np.ascontiguousarray(poses.world_transforms[rows]), None, poses.channels[rows])
+            built, binding, WorldPoses(np.ascontiguousarray(poses.world_transforms[rows]), None, poses.channels[rows])
         )
         assert subset.points.tobytes() == total.points[rows].tobytes()
         assert (
@@ -358,7 +360,7 @@ def test_a_blend_shape_at_a_joint_is_carried_by_it_and_skinned_points_are_not_ca
     )
     world = np.tile(np.eye(4, dtype=np.float32)[:3], (1, 1, 1, 1))
     world[0, 0, :, 3] = (0, 10, 0)
-    poses = Poses(world, None, np.array([[1, 0]], np.float32))
+    poses = WorldPoses(world, None, np.array([[1, 0]], np.float32))
     current, target = (
         deform_binding(built, Binding(joint, "face", deformer="blendshape"), poses).points[0] for joint in ("", "head")
     )

@@ -8,7 +8,7 @@ from rigs import definition, matrix
 
 from antdsl.bodies.agents.blending import blend_poses
 from antdsl.bodies.agents.definition import TransformGroup
-from antdsl.bodies.agents.driving import rotate_towards_looks
+from antdsl.bodies.agents.driving import rotate_joints_to_look_directions
 from antdsl.bodies.agents.machine_clips import build_machine_playback
 from antdsl.bodies.agents.poses import build_clip_table
 
@@ -22,7 +22,7 @@ def turned(*members: tuple[str, float], look: np.ndarray = DIRECTION) -> dict[st
     body = definition(JOINTS, rest=REST)
     table = build_clip_table(body)
     poses = blend_poses(table, {}, build_machine_playback(table, (), [], 1))
-    matrices = rotate_towards_looks(
+    matrices = rotate_joints_to_look_directions(
         table, poses, {"part": look}, {"part": TransformGroup("part", members)}, np.eye(3)
     ).world_transforms[0]
     return {

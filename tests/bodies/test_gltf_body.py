@@ -41,7 +41,7 @@ def arm() -> Definition:
 
 def test_nodes_are_joints_and_the_node_of_a_skin_is_none(arm: Definition) -> None:
     assert arm.rig.names == ("root", "elbow") and arm.rig.parents.tolist() == [-1, 0]
-    assert arm.rig.rest[:, :3, 3].tolist() == [[0, 1, 0], [0, 2, 0]]
+    assert arm.rig.rest_matrices[:, :3, 3].tolist() == [[0, 1, 0], [0, 2, 0]]
     assert [(each.name, each.default) for each in arm.rig.channels] == [("arm.smile", 0.25)]
     assert (arm.front, arm.up, arm.unit) == ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 1000.0)
 
@@ -235,7 +235,7 @@ def test_strips_fans_shared_meshes_and_mirrored_nodes() -> None:
     definition = body_of(writer.tree({"nodes": nodes, "meshes": [{"primitives": primitives}]}), bytes(writer.data))
     shape = definition.shapes["a"]
     assert shape.faces.tolist() == [[0, 1, 2], [2, 1, 3], [2, 3, 4], [1, 2, 0], [2, 3, 0], [3, 4, 0]]
-    assert definition.rig.names == ("a", "a_2") and definition.rig.rest[1, 0, 0] == -1
+    assert definition.rig.names == ("a", "a_2") and definition.rig.rest_matrices[1, 0, 0] == -1
     assert definition.layers["body"].static == (Binding("a", "a"), Binding("a_2", "a"))
 
 

@@ -10,15 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from antdsl import limits
-from antdsl.bodies.files.json_text import Node, read_json
+from antdsl.bodies.files.json_text import JsonNode, read_json
 from antdsl.source import Source
 
 
-def plain(node: Node) -> Any:
+def plain(node: JsonNode) -> Any:
     if isinstance(node.value, dict):
         return {key: plain(each) for key, each in node.value.items()}
     if isinstance(node.value, list):
-        return [plain(each) if isinstance(each, Node) else each for each in node.value]
+        return [plain(each) if isinstance(each, JsonNode) else each for each in node.value]
     return node.value
 
 
@@ -53,7 +53,7 @@ def test_values_have_their_places() -> None:
     node, _ = read_json(Source("x.json", text), "a rig")
     assert node is not None and isinstance(node.value, dict)
     inner = node.value["a"]
-    assert isinstance(inner.value, list) and isinstance(inner.value[1], Node)
+    assert isinstance(inner.value, list) and isinstance(inner.value[1], JsonNode)
     assert [text[slice(*node.keys["a"])], text[inner.start : inner.end]] == ['"a"', '[1, "two"]']
     assert text[inner.value[1].start : inner.value[1].end] == '"two"'
 

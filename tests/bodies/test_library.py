@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from antdsl import resources
-from antdsl.bodies.agents.definition import Definition, Shape
+from antdsl.bodies.agents.definition import Definition, SkinShape
 from antdsl.bodies.agents.deformers import DEFORMER_BY_NAME
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.files.definition_checks import LocatedDefinition, check_definition
@@ -21,11 +21,11 @@ ANTS = ("ant", "ant_queen", "ant_soldier")
 ANT_CLIPS = ("antennate", "carry", "die", "dig", "drop", "groom", "idle", "look", "run", "take", "walk")
 
 
-def shapes(word: str) -> list[Shape]:
+def shapes(word: str) -> list[SkinShape]:
     return list(load_library_body(word).shapes.values())
 
 
-def open_edges(shape: Shape) -> int:
+def open_edges(shape: SkinShape) -> int:
     """Edges of a shape that are not run along once in either direction, points at one place being one."""
     _, of = np.unique(shape.points, axis=0, return_inverse=True)
     corners = of.reshape(-1)[shape.faces]
@@ -113,7 +113,7 @@ def test_every_body_has_its_files_and_nothing_else_is_there() -> None:
 
 def feet_in(body: Definition, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Where the feet are over a clip [samples, legs, 3], and how far the body has gone."""
-    from antdsl.bodies.agents.blending import ClipPlayback, ClipTree, blend_poses
+    from antdsl.bodies.agents.blending import ClipBlendTree, ClipPlayback, blend_poses
     from antdsl.bodies.agents.poses import build_clip_table
 
     table = build_clip_table(replace(body, shapes={}, layers={}))
@@ -121,7 +121,7 @@ def feet_in(body: Definition, name: str) -> tuple[np.ndarray, np.ndarray]:
     times = np.linspace(0, clip.duration, clip.sample_count)[:, None]
     clips, ones = np.full((clip.sample_count, 1), table.find_clip(name), np.int32), np.ones((clip.sample_count, 1), np.float32)
     world = blend_poses(
-        table, body.groups, ClipPlayback.with_shared_tree(ClipTree.build_flat(1), clips, times, ones)
+        table, body.groups, ClipPlayback.make_with_shared_tree(ClipBlendTree.build_flat(1), clips, times, ones)
     ).world_transforms
     feet = [body.rig.find_joint(leg.foot) for leg in body.legs]
     return world[:, feet][..., 3], clip.stride * np.linspace(0, 1, clip.sample_count)
@@ -165,7 +165,7 @@ def lowest(body: Definition, clip: str) -> float:
 @pytest.mark.parametrize("word", [word for word in sorted(BODY_WORDS) if load_library_body(word).legs])
 def test_gaits_can_be_walked(word: str) -> None:
     body = load_library_body(word)
-    rest = {name: body.rig.rest[body.rig.find_joint(name), :3, 3] for name in body.rig.names}
+    rest = {name: body.rig.rest_matrices[body.rig.find_joint(name), :3, 3] for name in body.rig.names}
     for leg in body.legs:
         chain, at = [], leg.foot
         while at != leg.upper:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rigs import definition, matrix, still, turn
 
-from antdsl.bodies.agents.blending import OVER_MODE, blend_poses
+from antdsl.bodies.agents.blending import OVERRIDE_BLEND_MODE, blend_poses
 from antdsl.bodies.agents.definition import TransformGroup
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, build_machine_playback
 from antdsl.bodies.agents.poses import build_clip_table
@@ -84,7 +84,7 @@ def test_turns_are_times_and_who_else_is_there_changes_nothing() -> None:
     ones, zeros, none = np.ones(5, np.float32), np.zeros(5, np.float32), np.full(5, -1, np.int16)
     all_rows = MachineClips(clip, turns, ones, none, zeros, ones, zeros)
     playing = build_machine_playback(table, clips, [all_rows], 5)
-    assert all(tree.modes[0] == OVER_MODE for tree in playing.trees) and len(playing.trees) == 2
+    assert all(tree.modes[0] == OVERRIDE_BLEND_MODE for tree in playing.trees) and len(playing.trees) == 2
     together = blend_poses(table, body.groups, playing).world_transforms
     assert together[:, 1, 1, 3] == pytest.approx([0.25, 0.25, 0.5, 1.0, 0.75]) and together[4, 0, 1, 3] == 0
     for k in range(5):

@@ -75,7 +75,7 @@ def test_a_definition_comes_back_as_it_was(bodies: list[Definition]) -> None:
         assert tuple(arrays) == ARRAY_NAMES
         back = unpack_checked_definition(arrays)
         assert same(body, back) and hash_definition(back) == hash_definition(body)
-        assert build_clip_table(back).samples.tobytes() == build_clip_table(body).samples.tobytes()
+        assert build_clip_table(back).sample_rows.tobytes() == build_clip_table(body).sample_rows.tobytes()
     assert len({hash_definition(body) for body in bodies}) == 3
 
 

@@ -7,10 +7,10 @@ import pytest
 from rigs import definition, matrix, still, turn, wild
 
 from antdsl.bodies.agents import affine, blending
-from antdsl.bodies.agents.blending import ClipPlayback, ClipTree, blend_poses
+from antdsl.bodies.agents.blending import ClipBlendTree, ClipPlayback, blend_poses
 from antdsl.bodies.agents.definition import Channel, Clip, Definition, Rig
 from antdsl.bodies.agents.poses import (
-    Poses,
+    WorldPoses,
     build_clip_table,
     sample_poses,
     to_local_transforms,
@@ -19,11 +19,14 @@ from antdsl.bodies.agents.poses import (
 )
 
 
-def alone(definition: Definition, clips: list[int], times: list[float]) -> Poses:
+def alone(definition: Definition, clips: list[int], times: list[float]) -> WorldPoses:
     """Each agent with its own clip."""
     table = build_clip_table(definition)
-    playing = ClipPlayback.with_shared_tree(
-        ClipTree.build_flat(1), np.array(clips, np.int32)[:, None], np.array(times)[:, None], np.ones((len(clips), 1), np.float32)
+    playing = ClipPlayback.make_with_shared_tree(
+        ClipBlendTree.build_flat(1),
+        np.array(clips, np.int32)[:, None],
+        np.array(times)[:, None],
+        np.ones((len(clips), 1), np.float32),
     )
     return blend_poses(table, definition.groups, playing, needs_local=True)
 
@@ -122,7 +125,7 @@ def test_the_nearest_rotation_is_that_of_the_polar_decomposition() -> None:
     matrices = np.stack(
         [*random.normal(size=(200, 3, 3)), np.diag([1000.0, 1, 1]), np.diag([1e-6, 2e-6, 1e-6]), np.eye(3) * 1e9, *flat]
     )
-    rotations = np.moveaxis(affine.extract_rotations(np.moveaxis(matrices, 0, -1)), -1, 0)
+    rotations = np.moveaxis(affine.extract_rotation_matrices(np.moveaxis(matrices, 0, -1)), -1, 0)
     for m, r in zip(matrices, rotations, strict=True):
         u, _, v = np.linalg.svd(m)
         assert np.allclose(r, u @ v * np.sign(np.linalg.det(m)), atol=1e-5)
@@ -168,7 +171,7 @@ def test_transforms_may_be_changed_by_hand_and_the_others_follow() -> None:
 def test_order_of_agents_chunks_and_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     body, random, n = wild(9, 6, sheared=True), np.random.default_rng(7), 700
     table = build_clip_table(body)
-    trees = (ClipTree.build_flat(2), ClipTree((0, 1, 1), ("", "", ""), (1, 0), (-1, 0)))
+    trees = (ClipBlendTree.build_flat(2), ClipBlendTree((0, 1, 1), ("", "", ""), (1, 0), (-1, 0)))
     playing = ClipPlayback(
         trees, random.integers(0, 2, n).astype(np.int32), random.integers(-1, 2, (n, 3)).astype(np.int32),
         random.uniform(-1, 3, (n, 3)), random.uniform(-0.2, 1, (n, 3)).astype(np.float32), np.ones((n, 2), np.float32),
@@ -176,7 +179,7 @@ def test_order_of_agents_chunks_and_threads_change_no_bit(monkeypatch: pytest.Mo
     plain = blend_poses(table, {}, playing, needs_local=True)
     order = random.permutation(n)
     shuffled = ClipPlayback(
-        trees, *(getattr(playing, name)[order] for name in ("tree", "clips", "times", "weights", "layer_weights"))
+        trees, *(getattr(playing, name)[order] for name in ("tree_indices", "clips", "times", "weights", "layer_weights"))
     )
     monkeypatch.setattr(blending, "_JOINTS_PER_CHUNK", 9 * 64)
     monkeypatch.setattr("antdsl.numerics.parallel.MIN_AGENTS_PER_THREAD", 100)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rigs import matrix, wild
 
 from antdsl.bodies.agents.blending import blend_poses
-from antdsl.bodies.agents.definition import Binding, Capture, Definition, Layer, Shape
+from antdsl.bodies.agents.definition import Binding, Definition, Layer, SkinShape, SkinWeights
 from antdsl.bodies.agents.machine_clips import MachineClips, build_machine_playback
 from antdsl.bodies.agents.poses import build_clip_table
 from antdsl.bodies.posed_body import PosedBody
@@ -29,10 +29,10 @@ def dressed(joints_a_point: int, scales: bool = True) -> Definition:
     weights = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
     names = tuple(random.permutation(definition.rig.names))
     inverse = np.stack([matrix(random.normal(size=3), random.normal(size=4)) for _ in names])
-    capture = Capture(names, random.integers(0, 9, (60, joints_a_point)).astype(np.int32), weights, inverse)
+    capture = SkinWeights(names, random.integers(0, 9, (60, joints_a_point)).astype(np.int32), weights, inverse)
     shapes = {
-        "skin": Shape("skin", points, faces, normals, capture=capture),
-        "stone": Shape(
+        "skin": SkinShape("skin", points, faces, normals, capture=capture),
+        "stone": SkinShape(
             "stone", points[:20] + 1, faces[:9] % 20, normals[:20], materials=("red",), material=np.zeros(9, np.int32)
         ),
     }
@@ -102,8 +102,8 @@ def test_of_many_joints_the_four_of_most_weight_stay_and_add_up_to_one() -> None
 
 def test_a_shape_at_a_joint_that_is_flat_at_rest_is_drawn_all_the_same() -> None:
     definition = dressed(1)
-    rest = definition.rig.rest.copy()
+    rest = definition.rig.rest_matrices.copy()
     rest[-1, :3, :3] = 0
-    body, by, points, _ = pose_definition(replace(definition, rig=replace(definition.rig, rest=rest)), 5)
+    body, by, points, _ = pose_definition(replace(definition, rig=replace(definition.rig, rest_matrices=rest)), 5)
     assert np.isfinite(body.mesh.points).all() and np.isfinite(body.mesh.inverse_matrices).all()
     assert np.abs(moved(body.mesh, by) - points).max() < 1e-3

@@ -103,7 +103,7 @@ def test_points_are_where_usd_skins_them(body: Definition, file: Path) -> None:
         target.ComputeSkinnedPoints(query.ComputeSkinningTransforms(code), points, code)
         place = np.array(UsdGeom.XformCache(code).GetLocalToWorldTransform(query.GetSkeleton().GetPrim()))
         expected = (np.c_[np.array(points), np.ones(len(points))] @ place)[skin.attributes["vertex"], :3]
-        local = body.rig.rest.copy()
+        local = body.rig.rest_matrices.copy()
         parts = (clip.translation, clip.rotation, clip.scale)
         for number, joint in enumerate(clip.joints):
             local[body.rig.find_joint(joint)] = compose_matrix(*(part[sample, number].astype(np.float64) for part in parts))

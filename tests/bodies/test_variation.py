@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from antdsl.bodies.agents.definition import Definition, use_language_names
-from antdsl.bodies.agents.driving import DrivenPose
+from antdsl.bodies.agents.driving import PoseAdjustments
 from antdsl.bodies.agents.packed import hash_definition, pack_definition
 from antdsl.bodies.agents.varied_bodies import VariationDraws
 from antdsl.bodies.files.reading import read_definition
@@ -47,7 +47,7 @@ def read(folder: Path, **fields: object) -> tuple[Definition | None, Report]:
 
 def posed(body: PosedBody, draws: VariationDraws | None) -> np.ndarray:
     """Points [n, 4 shapes, 4, 3]."""
-    points = body.pose_vertices([], COUNT, driven_pose=DrivenPose(variation_draws=draws))[0]
+    points = body.pose_vertices([], COUNT, driven_pose=PoseAdjustments(variation_draws=draws))[0]
     return points.reshape(COUNT, 4, 4, 3)
 
 
@@ -74,12 +74,12 @@ def test_materials_lie_on_the_way_through_their_colours(tmp_path: Path) -> None:
     body, _ = read(tmp_path)
     assert body is not None
     drawn = PosedBody(use_language_names(body), ())
-    driven = DrivenPose(variation_draws=VariationDraws(np.arange(COUNT), 3, "bug"))
+    driven = PoseAdjustments(variation_draws=VariationDraws(np.arange(COUNT), 3, "bug"))
     colours = drawn.compute_colours(driven).reshape(COUNT, 4, 4, 3)
     fur, skin = colours[:, 2, 0], colours[:, [0, 1, 3]]
     assert np.allclose(skin, [0.5, 0.4, 0.3]) and fur.sum(axis=1) == pytest.approx(1, abs=1e-5)
     assert not (fur[:, 0] * fur[:, 2]).any() and fur.max(axis=0).min() > 0.9, "from red through green to blue"
-    assert drawn.compute_colours(DrivenPose()).shape == (1, 16, 3)
+    assert drawn.compute_colours(PoseAdjustments()).shape == (1, 16, 3)
 
 
 def test_a_cache_keeps_it_and_a_body_without_is_as_it_was(tmp_path: Path) -> None:

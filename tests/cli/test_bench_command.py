@@ -8,14 +8,14 @@ from pathlib import Path
 import commands
 import pytest
 
-from antdsl.bench import CASES
+from antdsl.bench import BENCH_CASES
 from antdsl.runtime.backends import BACKENDS
 
 
 def test_cases_are_listed(tmp_path: Path) -> None:
     process = commands.run("bench", "--list", cwd=tmp_path)
     assert process.returncode == 0
-    assert [line.split()[0] for line in process.stdout.splitlines()] == list(CASES)
+    assert [line.split()[0] for line in process.stdout.splitlines()] == list(BENCH_CASES)
     assert "125, 1,000, 15,000, 100,000, 1,000,000" in process.stdout
 
 

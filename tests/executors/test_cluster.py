@@ -152,7 +152,7 @@ def test_workers_with_other_sources_or_without_space_are_reported_and_get_no_tas
     stage.worker()
     stage.wait_for(3)
     code, _, err = ended(antdsl(*words, "--out", "b", cwd=project))
-    assert code == 0 and "it gets no tasks: its disk: file too large" in err, err
+    assert code == 0 and "it does not have the files: its disk: file too large" in err, err
     assert len(rows(project / "b")) == 4 and {row["antdsl"] for row in rows(project / "b")} == {
         f"{__version__} {hash_sources()[:8]}"
     }

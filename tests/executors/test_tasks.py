@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from executed import InThisProcess
 
-from antdsl.executors import Task, TaskRejected, WorkerContext, run_tasks
+from antdsl.executors import Task, TaskRejectedError, WorkerContext, run_tasks
 
 
 def doubled(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
     if document["n"] < 0:
-        raise TaskRejected(f"{document['n']} is below 0")
+        raise TaskRejectedError(f"{document['n']} is below 0")
     worker.notes.append(f"had {document['n']}")
     return {"n": 2 * document["n"]}
 
@@ -111,4 +111,4 @@ def test_a_result_larger_than_the_limit_is_reported(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("antdsl.executors.tasks.MAX_TASK_ANSWER_BYTES", 1000)
     ended = {a.task.key: a for a in run_tasks((Task(str(n), large, {"n": n}) for n in (10, 2000)), InThisProcess(1))}
     assert ended["10"].answer == {"text": "x" * 10}
-    assert ended["2000"].answer is None and "more than 1,000 are not sent" in ended["2000"].problem
+    assert ended["2000"].answer is None and "the limit is 1,000" in ended["2000"].problem

@@ -106,11 +106,16 @@ def make_point(*values: float, failed: tuple[int, ...] = (0, 0), pass_share: flo
 
 
 def test_losses_count_tolerances_and_failed_lines() -> None:
-    assert make_point(10, 10).loss == 0 and make_point(10.5, 10.5).loss == pytest.approx(1) == make_point(9, 10).loss
-    assert make_point(10, 10, failed=(1, 2)).loss == 1.5 and not make_point(10, 10, failed=(1, 0)).holds
+    assert (
+        make_point(10, 10).weighted_loss == 0
+        and make_point(10.5, 10.5).weighted_loss == pytest.approx(1) == make_point(9, 10).weighted_loss
+    )
+    assert make_point(10, 10, failed=(1, 2)).weighted_loss == 1.5 and not make_point(10, 10, failed=(1, 0)).holds
     assert make_point(10, 10, failed=(1, 0), pass_share=0.5).holds
-    assert 1e5 < make_point(math.inf, math.inf).loss < math.inf, "an event that never happens is worse than any other value"
-    assert PointResult({}, (), (), 1.0, "no result").loss == math.inf
+    assert 1e5 < make_point(math.inf, math.inf).weighted_loss < math.inf, (
+        "an event that never happens is worse than any other value"
+    )
+    assert PointResult({}, (), (), 1.0, "no result").weighted_loss == math.inf
 
 
 def test_a_fit_reports_the_share_of_the_prior_and_the_best_point(folder: Path) -> None:

@@ -161,7 +161,7 @@ def test_a_crowd_along_open_borders_gets_the_same_bits(monkeypatch: pytest.Monke
 
 
 def looked_at(on, waiting: list[int]):
-    def counted(self: walk_events.CrowdWalk, batch: walk_events.WaitingAgents, *rest):
+    def counted(self: walk_events.CrowdWalk, batch: walk_events.PendingWalkArrays, *rest):
         waiting.append(batch.integer_rows.shape[1])
         return on(self, batch, *rest)
 

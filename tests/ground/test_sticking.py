@@ -93,7 +93,7 @@ def test_agents_near_other_pieces_are_the_same_bits_for_any_threads(monkeypatch:
     pieces = {"hill": hill, **{f"ball {k}": ball(4.0, (6.0 * k - 20.0, 0.0, 3.0 * k - 10.0), 12) for k in range(8)}}
     on = walk_events.CrowdWalk.continue_waiting_agents
 
-    def counted(self: walk_events.CrowdWalk, pending: walk_events.WaitingAgents, *arguments: Any) -> Any:
+    def counted(self: walk_events.CrowdWalk, pending: walk_events.PendingWalkArrays, *arguments: Any) -> Any:
         waiting.append(pending.float_rows.shape[1])
         return on(self, pending, *arguments)
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from plans import bare, block, crowd
 
-from antdsl.bodies.agents.machine_clips import EARLIER_FIELDS
+from antdsl.bodies.agents.machine_clips import EARLIER_CLIP_FIELDS
 from antdsl.outputs.cache.agent_arrays import write_colours, write_column, write_numbers, write_orientations
 from antdsl.outputs.cache.frame_maker import _find_nonzero_cells
 from antdsl.outputs.cache.pose_arrays import _REGISTER_BY_FIELD, make_clip_arrays, make_feet_arrays, mark_layer
@@ -124,7 +124,9 @@ def test_what_agents_play(three: bool) -> None:
     rows = np.argsort(ids)
     population = Subset(name="ant", plan=plan, now=now, id_ranks=lambda: ids.astype(np.int32), rows_by_id=lambda: rows)
     clip_arrays = make_clip_arrays(population)  # type: ignore[arg-type]
-    assert list(clip_arrays) == [f"clips.ant.m.{field}" for field in _REGISTER_BY_FIELD if three or field not in EARLIER_FIELDS]
+    assert list(clip_arrays) == [
+        f"clips.ant.m.{field}" for field in _REGISTER_BY_FIELD if three or field not in EARLIER_CLIP_FIELDS
+    ]
     for name, array in clip_arrays.items():
         register, kind = _REGISTER_BY_FIELD[name.rsplit(".", 1)[1]]
         assert array.dtype == kind and np.array_equal(array, now[f"m.{register}"][rows]) and len(np.unique(array)) > 1

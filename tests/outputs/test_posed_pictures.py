@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from antdsl.bodies.agents.definition import Binding, Layer
 from antdsl.bodies.agents.deformers import deform_binding
-from antdsl.bodies.agents.driving import DrivenPose
+from antdsl.bodies.agents.driving import PoseAdjustments
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.varied_bodies import VariationDraws
 from antdsl.bodies.body import build_rotation_matrices
@@ -159,7 +159,7 @@ def test_small_bodies_have_fewer_triangles_and_the_same_pose(cache: Cache) -> No
 
 def test_a_planted_foot_stays_as_the_body_goes_over_it() -> None:
     """The clips of the example: what is on the ground goes back as far as the body goes ahead."""
-    from antdsl.bodies.agents.blending import ClipPlayback, ClipTree, blend_poses
+    from antdsl.bodies.agents.blending import ClipBlendTree, ClipPlayback, blend_poses
     from antdsl.bodies.agents.poses import build_clip_table
     from antdsl.bodies.files.reading import read_definition
 
@@ -168,8 +168,8 @@ def test_a_planted_foot_stays_as_the_body_goes_over_it() -> None:
     table, turns = build_clip_table(body), np.arange(49) / 48
     for name in ("walk", "run"):
         clip = body.clips[name]
-        playing = ClipPlayback.with_shared_tree(
-            ClipTree.build_flat(1), np.full((49, 1), table.find_clip(name), np.int32), (turns * clip.duration)[:, None],
+        playing = ClipPlayback.make_with_shared_tree(
+            ClipBlendTree.build_flat(1), np.full((49, 1), table.find_clip(name), np.int32), (turns * clip.duration)[:, None],
             np.ones((49, 1), np.float32),
         )  # fmt: skip
         world = blend_poses(table, body.groups, playing).world_transforms
@@ -217,7 +217,7 @@ def test_bodies_that_differ_by_id_are_followed_into_the_frame_after() -> None:
             np.ones(3),
             np.ones((3, 3)),
             agent_ids,
-            driven_pose=DrivenPose(variation_draws=VariationDraws(agent_ids, 5, "ant")),
+            driven_pose=PoseAdjustments(variation_draws=VariationDraws(agent_ids, 5, "ant")),
         )
         for at, agent_ids in ((np.zeros((3, 3)), ids), (np.arange(9.0).reshape(3, 3), ids[::-1]))
     )

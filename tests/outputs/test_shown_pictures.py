@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from antdsl.bodies.agents.driving import DrivenPose
+from antdsl.bodies.agents.driving import PoseAdjustments
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.cache.cache_writer import read_checkpoint
 from antdsl.outputs.gallery import Gallery
@@ -124,7 +124,7 @@ def test_a_state_shows_a_layer_and_a_channel_as_long_as_it_lasts(cache: Cache) -
     assert np.isnan(early_frame["channels.bug.mouth_open"]).all() and (late_frame["channels.bug.mouth_open"] == 0.5).all()
     crowd = Gallery(cache).make_picture(9).crowds[0]
     assert crowd.body is not None and crowd.body.layers == ("crumb",)
-    still = DrivenPose(look_directions=crowd.driven_pose.look_directions)
+    still = PoseAdjustments(look_directions=crowd.driven_pose.look_directions)
     opened, shut = (
         crowd.body.pose_vertices(crowd.machine_clips, len(crowd.position), driven_pose=each)[0]
         for each in (crowd.driven_pose, still)
@@ -142,7 +142,7 @@ def test_a_head_turns_with_all_that_is_on_it_and_nothing_else(cache: Cache) -> N
     own = look[crowd.ids]
     turned, ahead = (
         crowd.body.pose_vertices(crowd.machine_clips, len(crowd.position), driven_pose=each)[0]
-        for each in (crowd.driven_pose, DrivenPose(crowd.driven_pose.channels))
+        for each in (crowd.driven_pose, PoseAdjustments(crowd.driven_pose.channels))
     )
     pivot = np.array([0.5, 0.2, 0.0], np.float32)
     still = np.abs(turned - ahead).max(axis=(0, 2)) < 1e-6

@@ -12,8 +12,18 @@ import pytest
 
 pxr = pytest.importorskip("pxr")
 
-from antdsl.bodies.agents.definition import Binding, BlendTargets, Capture, Channel, Definition, InBetweens, Layer, Rig, Shape  # noqa: E402  # noqa: E402  # noqa: E402
-from antdsl.bodies.agents.poses import Poses  # noqa: E402
+from antdsl.bodies.agents.definition import (  # noqa: E402
+    Binding,
+    BlendTargets,
+    Channel,
+    Definition,
+    InBetweens,
+    Layer,
+    Rig,
+    SkinShape,
+    SkinWeights,
+)
+from antdsl.bodies.agents.poses import WorldPoses  # noqa: E402
 from antdsl.bodies.body import build_rotation_matrices  # noqa: E402
 from antdsl.bodies.posed_body import PosedBody  # noqa: E402
 from antdsl.outputs.cache.cache_reader import Cache, open_cache  # noqa: E402
@@ -400,19 +410,19 @@ def test_blended_and_skinned_shapes_are_those_of_usd(tmp_path: Path) -> None:
     faces = np.arange(12, dtype=np.int32).reshape(4, 3)
     points = rng.normal(size=(12, 3)).astype(np.float32)
 
-    def captured(inverse: list[np.ndarray]) -> Capture:
-        return Capture(("root", "arm", "hand"), rng.integers(0, 3, (12, 2)).astype(np.int32), weights, np.array(inverse))
+    def captured(inverse: list[np.ndarray]) -> SkinWeights:
+        return SkinWeights(("root", "arm", "hand"), rng.integers(0, 3, (12, 2)).astype(np.int32), weights, np.array(inverse))
 
     moved = [matrix @ np.diag([1, 1, 1, 1.0]) for matrix in world]
     moved[2] = moved[2].copy()
     moved[2][:3, 3] += 0.5
-    face = Shape("face", points, faces, capture=captured(world), blend=BlendTargets(("smiles",), ("smile",)))
+    face = SkinShape("face", points, faces, capture=captured(world), blend=BlendTargets(("smiles",), ("smile",)))
     shapes = {
         "face": face,
-        "smiles": Shape(
+        "smiles": SkinShape(
             "smiles", points + rng.normal(size=(12, 3)).astype(np.float32), faces, in_betweens=InBetweens(("half",), (0.4,))
         ),
-        "half": Shape("half", points + rng.normal(size=(12, 3)).astype(np.float32), faces),
+        "half": SkinShape("half", points + rng.normal(size=(12, 3)).astype(np.float32), faces),
         "coat": replace(face, name="coat", blend=None, capture=captured(moved)),
     }
     layer = Layer(
@@ -439,7 +449,7 @@ def test_blended_and_skinned_shapes_are_those_of_usd(tmp_path: Path) -> None:
     UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath("/it")).CreateAnimationSourceRel().SetTargets([Sdf.Path("/moves")])
     for weight in (0.0, 0.2, 0.4, 0.7, 1.0, 1.3):
         moves.CreateBlendShapeWeightsAttr([weight])
-        poses = Poses(placed[None, :, :3].astype(np.float32), None, np.array([[weight]], np.float32))
+        poses = WorldPoses(placed[None, :, :3].astype(np.float32), None, np.array([[weight]], np.float32))
         from antdsl.bodies.agents.deformers import deform_binding
 
         root, cache = UsdSkel.Root(stage.GetPrimAtPath("/it")), UsdSkel.Cache()
@@ -508,14 +518,14 @@ def test_missing_features_of_usdskel_are_reported() -> None:
     from antdsl.outputs.usd.materials import MaterialBinder
 
     rest = np.eye(4)[None]
-    capture = Capture(("root",), np.zeros((3, 1), np.int32), np.ones((3, 1), np.float32), rest)
+    capture = SkinWeights(("root",), np.zeros((3, 1), np.int32), np.ones((3, 1), np.float32), rest)
     points, faces = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32)
     share = {"share": np.ones(3, np.float32)}
-    skin = Shape("skin", points, faces, attributes=dict(share), capture=capture, dual_quaternion_blend="share")
+    skin = SkinShape("skin", points, faces, attributes=dict(share), capture=capture, dual_quaternion_blend="share")
     layer = Layer("body", (), (Binding("", "skin", deformer="dualquatblendskinning"), Binding("root", "fur", deformer="ruffled")))
     register_deformer("ruffled", lambda vertices, shape, definition, poses: vertices)
     try:
-        shapes = {"skin": skin, "fur": Shape("fur", points, faces)}
+        shapes = {"skin": skin, "fur": SkinShape("fur", points, faces)}
         body = PosedBody(Definition("it", Rig(("root",), np.array([-1], np.int32), rest), shapes, {"body": layer}), ())
         stage = Usd.Stage.CreateInMemory()
         notes = write_definition(stage, "/it", body, MaterialBinder(stage, "/World/looks/it", {})).notes

@@ -20,7 +20,6 @@ from antdsl.bodies.agents.definition import (
     STATE_MATERIAL,
     Binding,
     BlendTargets,
-    Capture,
     Channel,
     Clip,
     Definition,
@@ -28,13 +27,14 @@ from antdsl.bodies.agents.definition import (
     Layer,
     Leg,
     Rig,
-    Shape,
+    SkinShape,
+    SkinWeights,
     TransformGroup,
     Variation,
 )
-from antdsl.bodies.agents.driving import DrivenPose, rotate_towards_looks
-from antdsl.bodies.agents.leg_ik import LegSolver, PlacedFeet
-from antdsl.bodies.agents.machine_clips import EARLIER_FIELDS, MachineClips, PlayedClip, build_machine_playback
+from antdsl.bodies.agents.driving import PoseAdjustments, rotate_joints_to_look_directions
+from antdsl.bodies.agents.leg_ik import LegIkSolver, PlacedFeet
+from antdsl.bodies.agents.machine_clips import EARLIER_CLIP_FIELDS, MachineClips, PlayedClip, build_machine_playback
 from antdsl.bodies.agents.poses import ClipTable, build_clip_table
 from antdsl.bodies.agents.transforms import compute_world_matrices
 from antdsl.bodies.agents.varied_bodies import VariationDraws, draw_colour_path_positions, draw_group_scale
@@ -95,7 +95,7 @@ def crane(size: float = 1.0) -> Definition:
     parents = np.array([-1, 0, 1, 0, 3, 4, 2, 5], np.int32)
     rest = np.tile(np.eye(4), (8, 1, 1))
     rest[:, :3, 3] = random.normal(size=(8, 3))
-    box = Shape("box", CUBE * np.float32(0.2 * size), SIDES)
+    box = SkinShape("box", CUBE * np.float32(0.2 * size), SIDES)
     clips = (clip("sway", 9, 1, names, True), clip("nod", 6, 2, names[2:], False), clip("reach", 5, 3, names, True))
     return Definition(
         "crane", Rig(names, parents, rest), {"box": box}, {"body": Layer("body", tuple(Binding(name, "box") for name in names))},
@@ -115,7 +115,7 @@ def machines(count: int, seed: int = 7) -> tuple[MachineClips, MachineClips]:
         fade = random.choice([0.0, 0.3, 0.8], count).astype(np.float32)
         machine_clips.append(MachineClips(clips[0], turns[0], weights[0], clips[1], turns[1], weights[1], fade))
     earlier = random.integers(-1, len(PLAYS), count).astype(np.int16), *random.uniform(size=(3, count)).astype(np.float32)
-    return replace(machine_clips[0], **dict(zip(EARLIER_FIELDS, earlier, strict=True))), machine_clips[1]
+    return replace(machine_clips[0], **dict(zip(EARLIER_CLIP_FIELDS, earlier, strict=True))), machine_clips[1]
 
 
 def leans(count: int) -> NDArray[np.int8]:
@@ -229,7 +229,7 @@ def test_bones_are_where_antdsl_puts_them(page: Stage, near: bool) -> None:
 def test_legs_are_bent_as_antdsl_bends_them(page: Stage, make_body: Callable[[], Definition]) -> None:
     body, plays, count = make_body(), machines(40), 40
     feet, light = standing(count)
-    legs, level, table = LegSolver(body), PosedBody(body, PLAYS), build_clip_table(body)
+    legs, level, table = LegIkSolver(body), PosedBody(body, PLAYS), build_clip_table(body)
     stands = legs.compute_stance_weights(PLAYS, plays, count)
     assert 0 < stands.min() < 0.9 and stands.max() == 1
     normals = np.random.default_rng(3).normal((0, 2, 0), 1, (count, 2, 3)).astype(np.float32)
@@ -243,7 +243,7 @@ def test_legs_are_bent_as_antdsl_bends_them(page: Stage, make_body: Callable[[],
         normals if legs.has_flat_soles else None,
     )
     turned = build_orientations(light["heading"].astype(np.float64), light["up"].astype(np.float64))
-    beside = placed.convert_to_body_space(light["position"], turned, light["size"]).scale_trunk(stands)
+    beside = placed.convert_to_body_space(light["position"], turned, light["size"]).scale_trunk_motion(stands)
     poses = blend_poses(table, body.groups, playing(table, plays))
     expected = in_bones(body, level, legs.bend_legs(poses, beside, stands).world_transforms)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3, "legs and trunks are moved"
@@ -266,7 +266,7 @@ def test_parts_look_where_antdsl_has_them_look(page: Stage) -> None:
     level, table = PosedBody(body, PLAYS), build_clip_table(body)
     poses = blend_poses(table, body.groups, playing(table, plays))
     directions = looks.astype(np.float32) / np.linalg.norm(looks, axis=1, keepdims=True).astype(np.float32)
-    turned = rotate_towards_looks(table, poses, {"arms": directions}, body.groups, body.compute_base_matrix()[:3, :3])
+    turned = rotate_joints_to_look_directions(table, poses, {"arms": directions}, body.groups, body.compute_base_matrix()[:3, :3])
     expected = in_bones(body, level, turned.world_transforms)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3
     message = make_rig_packet("ant", BodyOutfit(body, PLAYS, (), ("arms",), True), ("main", "arms"))
@@ -288,7 +288,7 @@ def test_joints_have_the_offsets_of_edits_as_antdsl_has_them(page: Stage) -> Non
         turns /= np.linalg.norm(turns, axis=1, keepdims=True)
         offsets[joint] = np.concatenate([random.normal(0, 0.2, (count, 3)), turns], axis=1).astype(np.float32)
     lean = leans(count)[:, :2].astype(np.float32) / 127
-    driven = DrivenPose({}, {"arms": directions}, VariationDraws(np.arange(10, 10 + count), 3, "ant"), lean, offsets)
+    driven = PoseAdjustments({}, {"arms": directions}, VariationDraws(np.arange(10, 10 + count), 3, "ant"), lean, offsets)
     level = PosedBody(body, PLAYS)
     expected, plain = (
         in_bones(body, level, level.compute_poses(plays, count, driven_pose=each).world_transforms)
@@ -327,7 +327,7 @@ def test_agents_show_the_layers_that_they_wear(page: Stage) -> None:
     assert coloured(0) == none
 
 
-def trait_arrays(worn: BodyOutfit, plays: tuple[MachineClips, ...], driven: DrivenPose) -> dict[str, NDArray[np.float32]]:
+def trait_arrays(worn: BodyOutfit, plays: tuple[MachineClips, ...], driven: PoseAdjustments) -> dict[str, NDArray[np.float32]]:
     """What a frame tells of what bodies differ by."""
     assert driven.variation_draws is not None
     body_traits, differ = find_traits(worn), worn.definition.variation
@@ -347,7 +347,7 @@ def trait_arrays(worn: BodyOutfit, plays: tuple[MachineClips, ...], driven: Driv
 def test_parts_are_as_large_as_antdsl_has_them_by_id(page: Stage) -> None:
     body, plays = crane(), machines(12)
     body = replace(body, variation=Variation({"arms": (0.6, 1.8)}))
-    driven = DrivenPose(
+    driven = PoseAdjustments(
         variation_draws=VariationDraws(np.arange(10, 22), 3, "ant"), lean=leans(12)[:, :2].astype(np.float32) / 127
     )
     level = PosedBody(body, PLAYS)
@@ -364,14 +364,16 @@ def test_parts_are_as_large_as_antdsl_has_them_by_id(page: Stage) -> None:
 def blended() -> Definition:
     """The crane as one shape that follows its joints, with two blend shapes, one by way of another; clips turn one of them on."""
     body, random = crane(), np.random.default_rng(2)
-    rest = compute_world_matrices(body.rig.parents, body.rig.rest)
+    rest = compute_world_matrices(body.rig.parents, body.rig.rest_matrices)
     points = np.concatenate([CUBE * 0.3 + at[:3, 3].astype(np.float32) for at in rest]).astype(np.float32)
     faces = np.concatenate([SIDES + 8 * k for k in range(8)]).astype(np.int32)
     joints = np.repeat(np.arange(8), 8)[:, None].astype(np.int32)
-    capture = Capture(body.rig.names, joints, np.ones((64, 1), np.float32), np.linalg.inv(rest))
+    capture = SkinWeights(body.rig.names, joints, np.ones((64, 1), np.float32), np.linalg.inv(rest))
 
-    def shape(name: str, spread: float, **fields: Any) -> Shape:
-        return Shape(name, points + random.normal(0, spread, points.shape).astype(np.float32), faces, capture=capture, **fields)
+    def shape(name: str, spread: float, **fields: Any) -> SkinShape:
+        return SkinShape(
+            name, points + random.normal(0, spread, points.shape).astype(np.float32), faces, capture=capture, **fields
+        )
 
     shapes = [
         shape("base", 0, blend=BlendTargets(("puffed", "torn"), ("puff", "tear"))),
@@ -390,7 +392,7 @@ def blended() -> Definition:
 def test_blend_shapes_go_by_clips_and_by_what_is_said_of_channels() -> None:
     body, plays = blended(), machines(12)
     said = np.where(np.arange(12) % 3 == 0, np.nan, np.linspace(-0.5, 1.5, 12)).astype(np.float32)
-    driven = DrivenPose(
+    driven = PoseAdjustments(
         {"puff": said}, variation_draws=VariationDraws(np.arange(10, 22)), lean=leans(12)[:, :2].astype(np.float32) / 127
     )
     worn, level = BodyOutfit(body, PLAYS, blends_lean=True), PosedBody(body, PLAYS)
@@ -414,7 +416,7 @@ def test_blend_shapes_are_drawn_as_a_body_of_that_shape(page: Stage) -> None:
     def picture(body: Definition, weight: float) -> NDArray[np.int64]:
         worn = BodyOutfit(body, PLAYS, blends_lean=True)
         page.tell(scene(camera=CAMERA), texts(), status(), make_rig_packet("ant", worn, ("main", "arms")))
-        driven = DrivenPose(
+        driven = PoseAdjustments(
             {"puff": np.full(12, weight, np.float32), "tear": np.zeros(12, np.float32)},
             variation_draws=VariationDraws(np.arange(10, 22)),
         )
@@ -446,13 +448,13 @@ def test_materials_have_the_colours_that_antdsl_draws_by_id(page: Stage) -> None
     def picture(body: Definition) -> NDArray[np.int64]:
         worn = BodyOutfit(body, PLAYS, blends_lean=True)
         page.tell(scene(camera=CAMERA), texts(), status(), make_rig_packet("ant", worn, ("main", "arms")))
-        page.tell(frame(plays, extra_arrays=trait_arrays(worn, plays, DrivenPose(variation_draws=draws))))
+        page.tell(frame(plays, extra_arrays=trait_arrays(worn, plays, PoseAdjustments(variation_draws=draws))))
         return take_screenshot(page)
 
     page.tell(scene(camera=CAMERA), texts(), status())
     several = picture(varied)
     level = PosedBody(varied, PLAYS)
-    colours = level.compute_colours(DrivenPose(variation_draws=draws))[:, 0]
+    colours = level.compute_colours(PoseAdjustments(variation_draws=draws))[:, 0]
     alike, masks = np.zeros(several.shape[:2], bool), 0
     for row in range(12):
         uniform_picture = picture(replace(varied, materials={"slate": tuple(map(float, colours[row]))}, variation=Variation()))
@@ -499,7 +501,7 @@ def test_bodies_have_their_natural_colours_as_in_pictures_until_states_are_chose
     ends = ((0.3, 0.0, 0.0), (0.0, 0.0, 0.3))
     natural = replace(crane(), materials={STATE_MATERIAL: ends[0]}, shapes={"box": box})
     natural = replace(natural, variation=Variation({}, {STATE_MATERIAL: ends}))
-    plays, driven = machines(12), DrivenPose(variation_draws=VariationDraws(np.arange(10, 22), 4, "ant"))
+    plays, driven = machines(12), PoseAdjustments(variation_draws=VariationDraws(np.arange(10, 22), 4, "ant"))
     expected = encode_srgb_values(PosedBody(natural, PLAYS).compute_natural_colours(driven, 12))
     worn = BodyOutfit(natural, PLAYS, blends_lean=True)
 

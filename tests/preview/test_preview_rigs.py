@@ -13,7 +13,7 @@ from live_client import Page
 from preview_page import copied
 
 from antdsl.bodies.agents.definition import STATE_MATERIAL, Variation
-from antdsl.bodies.agents.driving import DrivenPose
+from antdsl.bodies.agents.driving import PoseAdjustments
 from antdsl.bodies.agents.varied_bodies import VariationDraws, draw_colour_path_positions
 from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import PosedBody
@@ -100,7 +100,7 @@ def test_the_packet_of_a_body_has_the_natural_colours_of_pictures() -> None:
     ant = load_library_body("ant")
     varied = replace(ant, variation=Variation({}, {"shell": ends[:2], STATE_MATERIAL: ends}))
     for body in (ant, varied):
-        driven = DrivenPose(variation_draws=VariationDraws(np.arange(50), 3, "ant"))
+        driven = PoseAdjustments(variation_draws=VariationDraws(np.arange(50), 3, "ant"))
         expected = encode_srgb_values(PosedBody(body, ()).compute_natural_colours(driven, 50))
         header, arrays = unpack_arrays(make_rig_packet("ant", BodyOutfit(body)))
         table, steps = arrays["natural"].reshape(-1, 3), np.zeros(50)

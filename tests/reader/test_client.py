@@ -16,7 +16,7 @@ from PIL import Image
 
 from antdsl import limits
 from antdsl.reader import client, private_folder
-from antdsl.reader.client import FileReader, ReaderFailure
+from antdsl.reader.client import FileReader, ReaderFailureError
 from antdsl.reader.image_request import ImageError, read_image_file
 from antdsl.reader.private_folder import PrivateFolder, remove_stale_folders
 
@@ -43,7 +43,7 @@ def reader(monkeypatch: pytest.MonkeyPatch) -> Iterator[FileReader]:
     new_reader = FileReader()
     monkeypatch.setattr(client, "_file_reader", new_reader)
     yield new_reader
-    new_reader.end()
+    new_reader.end_reader_process()
 
 
 def samples() -> np.ndarray | None:
@@ -61,7 +61,7 @@ def test_the_reader_restarts_after_it_died(reader: FileReader) -> None:
     assert np.array_equal(samples(), GREY)  # type: ignore[arg-type]
     second, folder = reader._reader_process.process, reader._folder
     assert second is not first and folder is not None
-    reader.end()
+    reader.end_reader_process()
     assert second.poll() is not None and not folder.path.exists()
 
 
@@ -102,17 +102,17 @@ def test_any_misbehaviour_of_the_reader_is_an_error(
     monkeypatch.undo()
     monkeypatch.setattr(client, "_file_reader", FileReader())
     assert np.array_equal(samples(), GREY), "the next one answers"  # type: ignore[arg-type]
-    client._file_reader.end()
+    client._file_reader.end_reader_process()
 
 
 def test_failed_requests_are_not_repeated(reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     program = tmp_path / "child.py"
     program.write_text(f"{HELLO}os.abort()\n")
     monkeypatch.setattr(client, "_CHILD_PROGRAM", program)
-    with pytest.raises(ReaderFailure):
+    with pytest.raises(ReaderFailureError):
         client.send_request("image", {}, request_digest="a")
     monkeypatch.setattr(reader, "_start_process", lambda: pytest.fail("started again"))
-    with pytest.raises(ReaderFailure, match="crashes"):
+    with pytest.raises(ReaderFailureError, match="crashes"):
         client.send_request("image", {}, request_digest="a")
 
 
@@ -137,7 +137,7 @@ def test_forked_processes_have_separate_readers(reader: FileReader) -> None:
         try:
             is_new = client._file_reader is not reader
             code = 0 if is_new and np.array_equal(samples(), GREY) and client._file_reader._folder.path != folder else 2  # type: ignore[union-attr,arg-type]
-            client._file_reader.end()
+            client._file_reader.end_reader_process()
         finally:
             os._exit(code)
     assert os.waitstatus_to_exitcode(os.waitpid(forked, 0)[1]) == 0
@@ -185,5 +185,5 @@ def test_a_check_by_many_processes_leaves_no_folder(monkeypatch: pytest.MonkeyPa
         scenes.append(folder / "scene.yaml")
     result = check_files(scenes, RunChoices(), cores=2)
     assert len(result.reports) == 12 and not any(report.errors for report in result.reports.values())
-    client._file_reader.end()
+    client._file_reader.end_reader_process()
     assert not list((tmp_path / "temporary").glob(f"{private_folder._FOLDER_PREFIX}*"))

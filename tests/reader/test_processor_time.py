@@ -14,9 +14,9 @@ import pytest
 from cases.hostile.usd import GOOD, HEAD
 
 from antdsl import cpu_budget, limits
-from antdsl.cpu_budget import CpuBudgetSpent
+from antdsl.cpu_budget import CpuBudgetSpentError
 from antdsl.reader import client
-from antdsl.reader.client import FileReader, ReaderFailure
+from antdsl.reader.client import FileReader, ReaderFailureError
 from antdsl.scene import Roots
 from antdsl.scene.geometry import usd
 from antdsl.scene.geometry.usd.errors import import_pxr_module
@@ -40,7 +40,7 @@ def reader(monkeypatch: pytest.MonkeyPatch) -> Iterator[FileReader]:
     new_reader = FileReader()
     monkeypatch.setattr(client, "_file_reader", new_reader)
     yield new_reader
-    new_reader.end()
+    new_reader.end_reader_process()
 
 
 def program(does: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -51,13 +51,13 @@ def program(does: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 def test_charged_time_ends_the_budget() -> None:
     cpu_budget.charge_cpu_seconds(1e9)  # without a budget nothing happens
-    with pytest.raises(CpuBudgetSpent), cpu_budget.limit_cpu_seconds(1000):
+    with pytest.raises(CpuBudgetSpentError), cpu_budget.limit_cpu_seconds(1000):
         for _ in range(1000):
             cpu_budget.charge_cpu_seconds(0.5)
-        assert 0 < cpu_budget.remaining_cpu_seconds() < 500.01, "setting the timer adds nothing"
+        assert 0 < cpu_budget.compute_remaining_cpu_seconds() < 500.01, "setting the timer adds nothing"
         cpu_budget.charge_cpu_seconds(501)
         raise AssertionError("the budget is spent")
-    assert cpu_budget.remaining_cpu_seconds() == float("inf")
+    assert cpu_budget.compute_remaining_cpu_seconds() == float("inf")
 
 
 # The child spins for 0.1 s, whatever it says of it; where it dies, the system tells the time.
@@ -68,15 +68,15 @@ def test_reader_time_is_charged_to_the_check(
     does: str, reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     program(does, monkeypatch, tmp_path)
-    with pytest.raises(CpuBudgetSpent), cpu_budget.limit_cpu_seconds(1000):
-        cpu_budget.charge_cpu_seconds(cpu_budget.remaining_cpu_seconds() - 100)
+    with pytest.raises(CpuBudgetSpentError), cpu_budget.limit_cpu_seconds(1000):
+        cpu_budget.charge_cpu_seconds(cpu_budget.compute_remaining_cpu_seconds() - 100)
         start_seconds = reader._used_cpu_seconds
-        with suppress(ReaderFailure):
+        with suppress(ReaderFailureError):
             client.send_request("image", {})
         assert reader._used_cpu_seconds - start_seconds >= 0.1
-        used = 100 - cpu_budget.remaining_cpu_seconds()
+        used = 100 - cpu_budget.compute_remaining_cpu_seconds()
         assert used >= 0.1
-        cpu_budget.charge_cpu_seconds(cpu_budget.remaining_cpu_seconds() - 0.01)
+        cpu_budget.charge_cpu_seconds(cpu_budget.compute_remaining_cpu_seconds() - 0.01)
         client.send_request("image", {})
 
 
@@ -99,7 +99,7 @@ def test_a_request_gets_no_more_time_than_the_budget_has(
 
 def test_an_exhausted_budget_does_not_blame_the_file(reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     program("os.kill(os.getpid(), 24)", monkeypatch, tmp_path)  # SIGXCPU
-    with pytest.raises(CpuBudgetSpent), cpu_budget.limit_cpu_seconds(4):
+    with pytest.raises(CpuBudgetSpentError), cpu_budget.limit_cpu_seconds(4):
         client.send_request("image", {}, request_digest="a", files_digest="b")
     assert not reader._failures and not reader._heavy_failures
 
@@ -113,26 +113,26 @@ def test_files_over_the_limit_are_not_read_again(
 ) -> None:
     program(does, monkeypatch, tmp_path)
     monkeypatch.setattr(limits, "READER_BASE_CPU_SECONDS", 1)
-    with pytest.raises(ReaderFailure) as first:
+    with pytest.raises(ReaderFailureError) as first:
         client.send_request("image", {}, request_digest="a", files_digest="x")
     with monkeypatch.context() as patch:
         patch.setattr(reader, "_start_process", lambda *_: pytest.fail("started again"))
-        with pytest.raises(ReaderFailure) as second:
+        with pytest.raises(ReaderFailureError) as second:
             client.send_request("image", {}, request_digest="b", files_digest="x")
         assert str(second.value) == str(first.value) and second.value.help == first.value.help
     for digest, files in (("b", "y"), ("c", "")):  # other files are
-        with pytest.raises(ReaderFailure):
+        with pytest.raises(ReaderFailureError):
             client.send_request("image", {}, request_digest=digest, files_digest=files)
     client.begin_scene()
     program("send({'answer': {}})", monkeypatch, tmp_path)
     client.send_request("image", {}, request_digest="d", files_digest="x")  # another scene may ask for less of them
-    with pytest.raises(ReaderFailure):
+    with pytest.raises(ReaderFailureError):
         client.send_request("image", {}, request_digest="a", files_digest="x")
 
 
 def test_a_crash_affects_one_request(reader: FileReader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     program("os.abort()", monkeypatch, tmp_path)
-    with pytest.raises(ReaderFailure):
+    with pytest.raises(ReaderFailureError):
         client.send_request("image", {}, request_digest="a", files_digest="x")
     program("send({'answer': {}})", monkeypatch, tmp_path)
     client.send_request("image", {}, request_digest="b", files_digest="x")
@@ -143,7 +143,7 @@ def test_each_scene_has_the_full_time_limit(reader: FileReader, monkeypatch: pyt
     monkeypatch.setattr(limits, "READER_CPU_SECONDS_PER_SCENE", 0.05)
     client.begin_scene()
     client.send_request("image", {}, request_digest="a", files_digest="x")
-    with pytest.raises(ReaderFailure, match="the files of this scene took more than"):
+    with pytest.raises(ReaderFailureError, match="the files of this scene took more than"):
         client.send_request("image", {}, request_digest="b", files_digest="y")
     client.begin_scene()
     client.send_request("image", {}, request_digest="b", files_digest="y", file_bytes=limits.READER_BYTES_PER_CPU_SECOND * 1000)
@@ -157,7 +157,7 @@ def test_time_of_a_dead_child_is_counted(reader: FileReader, monkeypatch: pytest
     running.requests.flush()
     while os.waitid(os.P_PID, running.process.pid, os.WEXITED | os.WNOWAIT) is None:
         time.sleep(0.01)
-    assert running.end()[1] >= 0.1
+    assert running.wait_for_end()[1] >= 0.1
 
 
 def heavy(folder: Path, levels: int = 20) -> None:
@@ -218,7 +218,7 @@ def test_a_small_user_limit_is_out_of_memory(
         client.send_request("image", {}, request_digest="a", files_digest="x")
     assert not reader._failures and not reader._heavy_failures
     monkeypatch.setattr(client, "get_address_space_limit", lambda: float("inf"))
-    with pytest.raises(ReaderFailure):
+    with pytest.raises(ReaderFailureError):
         client.send_request("image", {}, request_digest="a", files_digest="x")
 
 
@@ -227,7 +227,7 @@ def test_a_reader_that_cannot_start_for_want_of_memory(
 ) -> None:
     (tmp_path / "child.py").write_text("")
     monkeypatch.setattr(client, "_CHILD_PROGRAM", tmp_path / "child.py")
-    with pytest.raises(ReaderFailure):
+    with pytest.raises(ReaderFailureError):
         client.find_active_layers()
     monkeypatch.setattr(client, "get_address_space_limit", lambda: 1 << 28)
     with pytest.raises(MemoryError):

@@ -16,7 +16,7 @@ from antdsl.reader.protocol import (
     MESSAGE_MAGIC,
     ProtocolError,
     ReaderMessage,
-    ReadRefusal,
+    ReadRefusedError,
     pack_texts,
     read_message,
     write_message,
@@ -44,7 +44,7 @@ def test_messages_survive_writing_and_reading() -> None:
     packed = read_message(io.BytesIO(written({}, pack_texts("t", texts))), 1000)
     assert packed.unpack_texts("t", 3) == texts
     for array in (np.array([1j]), np.array(["x"]), np.array([object()])):
-        with pytest.raises(ValueError, match="are not sent"):
+        with pytest.raises(ValueError, match="cannot be sent"):
             written({}, {"a": array})
 
 
@@ -113,9 +113,9 @@ def test_values_are_checked_when_they_are_used(use: Any) -> None:
 
 
 def test_a_refusal_has_a_known_code_and_printable_texts() -> None:
-    sent = ReadRefusal("bad-usd", "a\x1b[31m" + "b" * 5000, None, "prim").as_document()
-    parsed_refusal = ReadRefusal.from_document(sent, {"bad-usd"})
+    sent = ReadRefusedError("bad-usd", "a\x1b[31m" + "b" * 5000, None, "prim").make_document()
+    parsed_refusal = ReadRefusedError.from_document(sent, {"bad-usd"})
     assert parsed_refusal is not None and str(parsed_refusal).isprintable() and len(str(parsed_refusal)) <= 2000
-    assert ReadRefusal.from_document(sent, {"bad-mesh"}) is None
+    assert ReadRefusedError.from_document(sent, {"bad-mesh"}) is None
     for document in (None, [], {}, {**sent, "message": 3}, {**sent, "help": []}, {**sent, "key": None}):
-        assert ReadRefusal.from_document(document, {"bad-usd"}) is None
+        assert ReadRefusedError.from_document(document, {"bad-usd"}) is None

@@ -126,7 +126,7 @@ def test_what_is_missing_is_said_with_what_to_do(cache: Cache) -> None:
     edit(cache, line, flags=("--to", written))
     (cache.folder.parent / "more.yaml").write_text("edits: [{expand: guards, by: 20 %}]")
     said = fail("edit", written, "--edits", cache.folder.parent / "more.yaml", "--settle")
-    assert "has no checkpoints" in said and "run the scene again" in said
+    assert "has no checkpoints" in said and "settle the cache of a run" in said
     program = cache.folder.parent / "a.ant"
     program.write_text(program.read_text().replace("24 mm/s", "25 mm/s"))
     said = fail("edit", cache.folder, "--edits", cache.folder.parent / "edits.yaml", "--settle")

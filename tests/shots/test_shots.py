@@ -11,7 +11,7 @@ import commands
 import pytest
 from executed import InThisProcess
 
-from antdsl.executors import Task, TaskRejected, WorkerContext, WorkersLost, run_tasks
+from antdsl.executors import Task, TaskRejectedError, WorkerContext, WorkersLostError, run_tasks
 from antdsl.executors.input_bundle import FileBundle, VisibleFile, find_unpacked_path, hash_files, pack_files
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.drawing import DrawRequest, FrameDrawer, StillStore
@@ -46,7 +46,7 @@ class Afar(InThisProcess):
     def fetch_file(self, worker: str, file: str, size: int) -> Iterator[bytes]:
         if self.lost:
             self.lost -= 1
-            raise WorkersLost("it is gone")
+            raise WorkersLostError("it is gone")
         yield (self.made / file).read_bytes()
 
     def remove_task_files(self, worker: str, folder: str) -> None:
@@ -102,7 +102,7 @@ def test_files_that_have_changed_are_reported_and_nothing_is_mixed(walkers: Path
 def test_a_worker_cannot_put_a_file_anywhere_else(tmp_path: Path, name: str) -> None:
     answer = {"files": [[name, 3, "0"]], "worker": "w", "made": "m"}
     (outcome,) = run_tasks([Task("k", lambda document, worker: answer, {})], InThisProcess(), choose_folder=lambda task: tmp_path)
-    assert outcome.answer is None and "does not fit" in outcome.problem and not list(tmp_path.iterdir())
+    assert outcome.answer is None and "too large or leads out" in outcome.problem and not list(tmp_path.iterdir())
 
 
 def test_a_task_with_files_that_cannot_be_fetched_is_given_up(tmp_path: Path) -> None:
@@ -157,10 +157,10 @@ def test_a_bundle_is_known_by_its_hash_and_stays_in_its_folder(tmp_path: Path) -
     bundle = pack_files([tmp_path / "a" / "x.txt", tmp_path / "a" / ".." / "a" / "x.txt"])
     bundle.unpack(tmp_path / "to")
     assert find_unpacked_path(tmp_path / "to", str(tmp_path / "a" / "x.txt")).read_bytes() == b"one"
-    with pytest.raises(TaskRejected, match="were changed during the transfer"):
+    with pytest.raises(TaskRejectedError, match="were changed during the transfer"):
         FileBundle(dict.fromkeys(bundle.files, b"two"), bundle.digest).unpack(tmp_path / "other")
     outside = {"../x": b"1"}
-    with pytest.raises(TaskRejected, match="outside"):
+    with pytest.raises(TaskRejectedError, match="outside"):
         FileBundle(outside, hash_files(outside)).unpack(tmp_path / "third")
     visible_file = VisibleFile.from_path(tmp_path / "a" / "x.txt")
     assert visible_file.is_visible() and os.path.isabs(visible_file.path)

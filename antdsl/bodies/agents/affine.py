@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float32]
-Numbers = NDArray[Any]  # float32 or float64, as the input
+NumberArray = NDArray[Any]  # float32 or float64, as the input
 
 _POLAR_ITERATIONS = 8  # six suffice for a matrix with scales of 1 to 1e15
 
 
-def normalise_quaternions(rotation: Numbers) -> Numbers:
+def normalise_quaternions(rotation: NumberArray) -> NumberArray:
     """Normalise quaternions [4, …] in place and return them. A quaternion of length 0 becomes the identity."""
     x, y, z, w = rotation
     square = x * x
@@ -36,7 +36,7 @@ def normalise_quaternions(rotation: Numbers) -> Numbers:
     return rotation
 
 
-def multiply_quaternions(a: Numbers, b: Numbers) -> Numbers:
+def multiply_quaternions(a: NumberArray, b: NumberArray) -> NumberArray:
     """Return quaternions [4, …] of the rotation by b and then by a."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
@@ -49,8 +49,8 @@ def multiply_quaternions(a: Numbers, b: Numbers) -> Numbers:
 
 
 def compose_matrices(
-    translation: Numbers, rotation: Numbers, scale: Numbers | None, shear: Numbers | None, out: Numbers
-) -> Numbers:
+    translation: NumberArray, rotation: NumberArray, scale: NumberArray | None, shear: NumberArray | None, out: NumberArray
+) -> NumberArray:
     """Write matrices [3, 4, …] into `out` and return it.
 
     `translation`: [3, …].
@@ -83,7 +83,7 @@ def compose_matrices(
     return out
 
 
-def multiply_matrices(a: Numbers, b: Numbers, out: Numbers) -> Numbers:
+def multiply_matrices(a: NumberArray, b: NumberArray, out: NumberArray) -> NumberArray:
     """Write the products a · b of matrices [3, 4, …] into `out` and return it. `out` must be neither `a` nor `b`."""
     part = np.empty(out.shape[2:], out.dtype)
     for r in range(3):
@@ -97,7 +97,7 @@ def multiply_matrices(a: Numbers, b: Numbers, out: Numbers) -> Numbers:
     return out
 
 
-def compute_cofactors(m: Numbers) -> Numbers:
+def compute_cofactors(m: NumberArray) -> NumberArray:
     """Return the cofactors [3, 3, …] of matrices [3, 3 or 4, …]: the transposed inverse times the determinant."""
     turns = ((1, 2), (2, 0), (0, 1))
     return np.stack([
@@ -105,13 +105,13 @@ def compute_cofactors(m: Numbers) -> Numbers:
     ])  # fmt: skip
 
 
-def compute_determinants(m: Numbers, cofactor: Numbers) -> Numbers:
+def compute_determinants(m: NumberArray, cofactor: NumberArray) -> NumberArray:
     """Return the determinants […] of matrices. `cofactor`: their cofactors."""
-    determinant: Numbers = (m[0, 0] * cofactor[0, 0] + m[0, 1] * cofactor[0, 1]) + m[0, 2] * cofactor[0, 2]
+    determinant: NumberArray = (m[0, 0] * cofactor[0, 0] + m[0, 1] * cofactor[0, 1]) + m[0, 2] * cofactor[0, 2]
     return determinant
 
 
-def invert_and_transpose(m: Numbers) -> Numbers:
+def invert_and_transpose(m: NumberArray) -> NumberArray:
     """Return the transposed inverse [3, 3, …], which transforms normals. Where a matrix has no inverse, return its cofactors."""
     inverse = compute_cofactors(m)
     determinant = compute_determinants(m, inverse)
@@ -119,7 +119,7 @@ def invert_and_transpose(m: Numbers) -> Numbers:
     return inverse
 
 
-def extract_rotations(m: Numbers) -> Numbers:
+def extract_rotation_matrices(m: NumberArray) -> NumberArray:
     """Return the rotation [3, 3, …] nearest to each matrix, from its polar decomposition M = R S.
 
     If M mirrors, S contains the mirroring, so R never mirrors. For a matrix without an inverse, R is the identity. Uses Newton's
@@ -140,16 +140,16 @@ def extract_rotations(m: Numbers) -> Numbers:
     return rotation
 
 
-def _sum_squares(m: Numbers) -> Numbers:
+def _sum_squares(m: NumberArray) -> NumberArray:
     """Return the sums of the squared elements of matrices [3, 3, …]."""
-    total: Numbers = m[0, 0] * m[0, 0]
+    total: NumberArray = m[0, 0] * m[0, 0]
     for k in range(1, 9):
         each = m[divmod(k, 3)]
         total += each * each
     return total
 
 
-def matrices_to_quaternions(m: Numbers) -> Numbers:
+def matrices_to_quaternions(m: NumberArray) -> NumberArray:
     """Return unit quaternions [4, …] of rotation matrices [3, 3 or 4, …], with w not negative.
 
     Of four formulas, the one with the largest divisor is used (S. W. Shepperd, Quaternion from Rotation Matrix, J. Guidance and
@@ -169,7 +169,7 @@ def matrices_to_quaternions(m: Numbers) -> Numbers:
     return normalise_quaternions(quaternion)
 
 
-def decompose_matrices(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+def decompose_matrices(matrices: NDArray[np.float64]) -> tuple[NumberArray, NumberArray, NumberArray, NumberArray]:
     """Return translation [3, J], rotation [4, J], scale and shear [3, J], float64, of matrices [J, 4, 4].
 
     `compose_matrices` is the inverse. Uses Gram-Schmidt orthogonalisation, column by column. A mirroring matrix has a negative
@@ -178,7 +178,7 @@ def decompose_matrices(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers,
     """
     m = np.moveaxis(np.asarray(matrices, np.float64)[:, :3], 0, -1)
     columns = [m[:, c].copy() for c in range(3)]
-    axes: list[Numbers] = []
+    axes: list[NumberArray] = []
     upper = np.zeros((3, 3, m.shape[-1]))
     for c, column in enumerate(columns):
         for k, axis in enumerate(axes):
@@ -198,7 +198,7 @@ def decompose_matrices(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers,
     return m[:, 3].copy(), matrices_to_quaternions(np.stack(axes, 1)), scale, shear
 
 
-def _find_perpendicular(axes: list[Numbers], count: int) -> Numbers:
+def _find_perpendicular(axes: list[NumberArray], count: int) -> NumberArray:
     """Return a unit vector [3, count] perpendicular to the axes that exist."""
     if len(axes) == 2:
         a, b = axes
@@ -212,5 +212,5 @@ def _find_perpendicular(axes: list[Numbers], count: int) -> Numbers:
     size = np.sqrt(
         (perpendicular[0] * perpendicular[0] + perpendicular[1] * perpendicular[1]) + perpendicular[2] * perpendicular[2]
     )
-    unit: Numbers = perpendicular / size
+    unit: NumberArray = perpendicular / size
     return unit

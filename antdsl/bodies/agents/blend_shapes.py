@@ -13,15 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
-from antdsl.bodies.agents.definition import Definition, Shape
-from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.definition import Definition, SkinShape
+from antdsl.bodies.agents.poses import WorldPoses
 from antdsl.bodies.agents.skinning import DeformedShape, normalise_in_place
 
 _SHAPE_FIELD_BY_ATTRIBUTE = {"P": "points", "N": "normals"}  # attributes that are separate fields of a shape
 _MIN_KNOT_SPACING = 1e-6  # in-betweens with weights nearer to each other than this count as one
 
 
-def blend_shapes(deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
+def apply_blend_shapes(
+    deformed_shape: DeformedShape, shape: SkinShape, definition: Definition, poses: WorldPoses
+) -> DeformedShape:
     """Return the shape with the inputs of its blend shape added, weighted by the channels of each agent.
 
     Only the attributes that the shape blends change (default: P and N). Primitives have no attributes in antdsl, so
@@ -42,7 +44,7 @@ def blend_shapes(deformed_shape: DeformedShape, shape: Shape, definition: Defini
     values = {name: _split_components(_read_attribute(deformed_shape, name), n) for name in names}
     for name, channel in zip(blend.shapes, blend.channels, strict=True):
         weights = poses.channels[:, definition.rig.find_channel(channel)]
-        targets, knots = find_blend_knots(definition, name)
+        targets, knots = list_blend_knots(definition, name)
         for each in names:
             if get_point_attribute(definition.shapes[name], each) is None:
                 continue
@@ -75,7 +77,7 @@ def _split_components(values: Floats | None, n: int) -> Floats:
     return np.ascontiguousarray(np.broadcast_to(wide, (*wide.shape[:2], n)).astype(np.float32))
 
 
-def find_blend_knots(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np.float64]]:
+def list_blend_knots(definition: Definition, name: str) -> tuple[list[SkinShape], NDArray[np.float64]]:
     """Return the shapes of an input, its primary shape and in-betweens, and the weight at which each applies in full,
     ascending."""
     primary = definition.shapes[name]
@@ -111,7 +113,7 @@ def compute_knot_shares(weights: Floats, knots: NDArray[np.float64]) -> Floats:
     return shares
 
 
-def match_points(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def match_points(base: SkinShape, target: SkinShape, point_id: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the indices of the matched points in the base shape, and the indices of the same points in the target shape."""
     own, other = base.attributes.get(point_id), target.attributes.get(point_id)
     if own is None or other is None:
@@ -123,7 +125,7 @@ def match_points(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.
     return base_points, order[place[base_points]] if len(other) else base_points
 
 
-def get_point_attribute(shape: Shape, name: str) -> NDArray[np.generic] | None:
+def get_point_attribute(shape: SkinShape, name: str) -> NDArray[np.generic] | None:
     """Return an attribute [P, …] of the points of a shape."""
     values: NDArray[np.generic] | None = (
         getattr(shape, _SHAPE_FIELD_BY_ATTRIBUTE[name]) if name in _SHAPE_FIELD_BY_ATTRIBUTE else shape.attributes.get(name)
@@ -132,7 +134,7 @@ def get_point_attribute(shape: Shape, name: str) -> NDArray[np.generic] | None:
 
 
 def compute_attribute_offsets(
-    base: Shape, target: Shape, name: str, base_points: NDArray[np.intp], target_points: NDArray[np.intp]
+    base: SkinShape, target: SkinShape, name: str, base_points: NDArray[np.intp], target_points: NDArray[np.intp]
 ) -> Floats:
     """Return the target shape's attribute minus that of the base at matched points, float32[components, matched]."""
     mine, others = get_point_attribute(base, name), get_point_attribute(target, name)

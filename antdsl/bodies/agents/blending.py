@@ -4,17 +4,17 @@ An agent has a list of clips. Each clip has a time, a weight, a transform group 
 a mode, a weight and a parent layer. Inputs of a layer are its clips in list order, then its layers in list order. The root layer,
 with parent -1, gives the pose; its weight is unused.
 
-- `INTERPOLATE_MODE`: at each joint the weighted mean of the inputs. A weight is that of the input times its transform group's
-  weight for the joint. Where all weights are 0, the layer leaves the joint out: the joint finally gets the rest pose, and the
-  layer is no input to its parent at this joint. The weight of a nested layer is multiplied by the mean of the group weights below
-  it, so a layer with one input equals that input. Translations, scales, shears and channels are linear means. Rotations are a
-  normalised sum of quaternions, each with its sign aligned to the sum of the previous ones.
-- `ADDITIVE_MODE`: the first input in full, whatever its weight. Each other input adds its difference times its weight and its
-  group's weight, not normalised. Differences are translation minus that of the rest pose, rotation relative to the rest pose, and
-  channels minus their defaults. Scales and shears are those of the first input.
-- `OVER_MODE`: each input replaces the previous ones at each joint, by its weight times its group's weight, at most 1. The rest
-  pose lies below the first. This mode is not in the documented form. It combines the state machines of an agent, such as a wave
-  of the arms over a walk. A layer that fades out reveals the layers below.
+- `INTERPOLATE_BLEND_MODE`: at each joint the weighted mean of the inputs. A weight is that of the input times its transform
+  group's weight for the joint. Where all weights are 0, the layer leaves the joint out: the joint finally gets the rest pose,
+  and the layer is no input to its parent at this joint. The weight of a nested layer is multiplied by the mean of the group
+  weights below it, so a layer with one input equals that input. Translations, scales, shears and channels are linear means.
+  Rotations are a normalised sum of quaternions, each with its sign aligned to the sum of the previous ones.
+- `ADDITIVE_BLEND_MODE`: the first input in full, whatever its weight. Each other input adds its difference times its weight and
+  its group's weight, not normalised. Differences are translation minus that of the rest pose, rotation relative to the rest
+  pose, and channels minus their defaults. Scales and shears are those of the first input.
+- `OVERRIDE_BLEND_MODE`: each input replaces the previous ones at each joint, by its weight times its group's weight, at most 1.
+  The rest pose lies below the first. This mode is not in the documented form. It combines the state machines of an agent, such
+  as a wave of the arms over a walk. A layer that fades out reveals the layers below.
 
 Additive inputs are measured from the rest pose: a joint that a clip lacks has the rest pose, and so adds nothing. So any clip can
 be added without a prepared difference clip. The added rotation is on the parent's side: the joint is posed by the first input and
@@ -31,12 +31,20 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats, multiply_quaternions, normalise_quaternions
 from antdsl.bodies.agents.definition import TransformGroup
-from antdsl.bodies.agents.poses import REST_CLIP, ClipTable, Pose, Poses, build_rest_pose, compute_transforms, sample_poses
+from antdsl.bodies.agents.poses import (
+    REST_CLIP,
+    ClipTable,
+    LocalPose,
+    WorldPoses,
+    build_rest_pose,
+    compute_transforms,
+    sample_poses,
+)
 from antdsl.numerics import parallel
 from antdsl.numerics.processor.float_environment import standard_floats
 
-INTERPOLATE_MODE, ADDITIVE_MODE, OVER_MODE = 0, 1, 2
-NO_PARENT = -1
+INTERPOLATE_BLEND_MODE, ADDITIVE_BLEND_MODE, OVERRIDE_BLEND_MODE = 0, 1, 2
+NO_PARENT_LAYER = -1
 _JOINTS_PER_CHUNK = 1 << 15  # the components of a chunk fit into the cache of a core
 _FLOAT32_ONE = np.float32(1)
 # limits of weights: float32 cannot resolve shares of larger weights, or of a smaller sum
@@ -44,7 +52,7 @@ _MAX_WEIGHT, _MIN_TOTAL_WEIGHT = np.float32(1e18), np.float32(1e-30)
 
 
 @dataclass(frozen=True, slots=True)
-class ClipTree:
+class ClipBlendTree:
     """The clip tree that several agents share, with S clips and L layers. Raises ValueError if this is not a tree with one root.
 
     `layers`: the layer of each clip (agentcliplayerids).
@@ -55,26 +63,31 @@ class ClipTree:
 
     layers: tuple[int, ...]
     groups: tuple[str, ...]
-    modes: tuple[int, ...] = (INTERPOLATE_MODE,)
-    parents: tuple[int, ...] = (NO_PARENT,)
+    modes: tuple[int, ...] = (INTERPOLATE_BLEND_MODE,)
+    parents: tuple[int, ...] = (NO_PARENT_LAYER,)
 
     def __post_init__(self) -> None:
         count = len(self.modes)
         if len(self.groups) != len(self.layers) or len(self.parents) != count:
             raise ValueError("each clip needs a layer and a transform group, and each layer a mode and a parent")
-        if any(mode not in (INTERPOLATE_MODE, ADDITIVE_MODE, OVER_MODE) for mode in self.modes):
+        if any(mode not in (INTERPOLATE_BLEND_MODE, ADDITIVE_BLEND_MODE, OVERRIDE_BLEND_MODE) for mode in self.modes):
             raise ValueError(
-                f"the mode of a layer is {INTERPOLATE_MODE} (interpolate), {ADDITIVE_MODE} (additive) or {OVER_MODE} (over)"
+                f"the mode of a layer is {INTERPOLATE_BLEND_MODE} (interpolate), {ADDITIVE_BLEND_MODE} (additive) "
+                f"or {OVERRIDE_BLEND_MODE} (over)"
             )
         if any(not 0 <= layer < count for layer in self.layers):
             raise ValueError(f"a clip is an input of a layer that does not exist: layers are numbered from 0 to {count - 1}")
-        if any(not NO_PARENT <= parent < count for parent in self.parents):
-            raise ValueError(f"the parent of a layer is a number from 0 to {count - 1}, or {NO_PARENT} for the topmost layer")
-        if self.parents.count(NO_PARENT) != 1:
-            raise ValueError(f"{self.parents.count(NO_PARENT)} layers have the parent {NO_PARENT}; it is the topmost one alone")
+        if any(not NO_PARENT_LAYER <= parent < count for parent in self.parents):
+            raise ValueError(
+                f"the parent of a layer is a number from 0 to {count - 1}, or {NO_PARENT_LAYER} for the topmost layer"
+            )
+        if self.parents.count(NO_PARENT_LAYER) != 1:
+            raise ValueError(
+                f"{self.parents.count(NO_PARENT_LAYER)} layers have the parent {NO_PARENT_LAYER}; it is the topmost one alone"
+            )
         for layer in range(count):
             above, depth = layer, 0
-            while above != NO_PARENT:
+            while above != NO_PARENT_LAYER:
                 above, depth = self.parents[above], depth + 1
                 if depth > count:
                     raise ValueError(f"layer {layer} is its own ancestor, with the parents {self.parents}")
@@ -82,13 +95,13 @@ class ClipTree:
     @property
     def root(self) -> int:
         """Return the layer that outputs the pose."""
-        return self.parents.index(NO_PARENT)
+        return self.parents.index(NO_PARENT_LAYER)
 
     @staticmethod
-    def build_flat(count: int, *groups: str) -> ClipTree:
+    def build_flat(count: int, *groups: str) -> ClipBlendTree:
         """Return a tree in which one layer blends `count` clips by their weights. `groups`: the transform groups of the first
         clips."""
-        return ClipTree((0,) * count, (*groups, *("",) * (count - len(groups))))
+        return ClipBlendTree((0,) * count, (*groups, *("",) * (count - len(groups))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +109,7 @@ class ClipPlayback:
     """The clips that each of n agents plays. S is the largest number of clips in a tree. Entries beyond an agent's tree are not
     read.
 
-    `tree`: int32[n], indices into `trees`.
+    `tree_indices`: int32[n], indices into `trees`.
     `clips`: int32[n, S], numbers of a `ClipTable`, -1 for none (agentclipnames).
     `times`: [n, S], seconds (agentcliptimes).
     `weights`: float32[n, S] of the clips (agentclipweights).
@@ -105,15 +118,15 @@ class ClipPlayback:
     Weights below 0, and NaN, count as 0.
     """
 
-    trees: tuple[ClipTree, ...]
-    tree: NDArray[np.int32]
+    trees: tuple[ClipBlendTree, ...]
+    tree_indices: NDArray[np.int32]
     clips: NDArray[np.int32]
     times: NDArray[np.float32] | NDArray[np.float64]
     weights: Floats
     layer_weights: Floats
 
     @staticmethod
-    def with_shared_tree(tree: ClipTree, clips: NDArray[np.int32], times: NDArray[np.float32] | NDArray[np.float64],
+    def make_with_shared_tree(tree: ClipBlendTree, clips: NDArray[np.int32], times: NDArray[np.float32] | NDArray[np.float64],
               weights: Floats, layer_weights: Floats | None = None) -> ClipPlayback:  # fmt: skip
         """Return the `ClipPlayback` of agents that all share one tree. Layer weights are 1 by default."""
         n = len(clips)
@@ -123,15 +136,15 @@ class ClipPlayback:
 
 def blend_poses(
     table: ClipTable, groups: Mapping[str, TransformGroup], playback: ClipPlayback, *, needs_local: bool = False, threads: int = 1
-) -> Poses:
+) -> WorldPoses:
     """Return the poses of all agents, with transforms and channel values, for the clips that they play.
 
     `needs_local`: also return local transforms. `threads` and the order of agents change no bit. Raises KeyError for a transform
     group that does not exist, or that names a joint or channel that the rig lacks. Raises IndexError for a clip or tree number
     out of range. Raises ValueError for arrays that do not match each other or the trees."""
     _check_shapes(playback)
-    n, joints = len(playback.tree), len(table.joint_order)
-    if n and not 0 <= int(playback.tree.min()) <= int(playback.tree.max()) < len(playback.trees):
+    n, joints = len(playback.tree_indices), len(table.joint_order)
+    if n and not 0 <= int(playback.tree_indices.min()) <= int(playback.tree_indices.max()) < len(playback.trees):
         raise IndexError(f"trees are numbered from 0 to {len(playback.trees) - 1}")
     named = {name for tree in playback.trees for name in tree.groups if name}
     members = {name: table.compute_group_weights(groups[name]) for name in sorted(named)}
@@ -141,10 +154,10 @@ def blend_poses(
     part = max(64, _JOINTS_PER_CHUNK // max(1, joints))
 
     for number, tree in enumerate(playback.trees):
-        rows = None if len(playback.trees) == 1 else np.flatnonzero(playback.tree == number)
+        rows = None if len(playback.trees) == 1 else np.flatnonzero(playback.tree_indices == number)
         count = n if rows is None else len(rows)
 
-        def blend_range(begin: int, end: int, tree: ClipTree = tree, rows: NDArray[np.intp] | None = rows) -> None:
+        def blend_range(begin: int, end: int, tree: ClipBlendTree = tree, rows: NDArray[np.intp] | None = rows) -> None:
             for a in range(begin, end, part):
                 b = min(a + part, end)
                 agents = slice(a, b) if rows is None else rows[a:b]
@@ -158,12 +171,12 @@ def blend_poses(
         if count:
             with standard_floats():
                 parallel.run_in_parts(blend_range, count, threads)
-    return Poses(world.transpose(3, 2, 0, 1), None if own is None else own.transpose(3, 2, 0, 1), channels.T)
+    return WorldPoses(world.transpose(3, 2, 0, 1), None if own is None else own.transpose(3, 2, 0, 1), channels.T)
 
 
 def _check_shapes(playback: ClipPlayback) -> None:
     """Raise ValueError for arrays with shapes that do not match the trees."""
-    n = len(playback.tree)
+    n = len(playback.tree_indices)
     slots = max((len(tree.layers) for tree in playback.trees), default=0)
     layers = max((len(tree.modes) for tree in playback.trees), default=0)
     for name, least in (("clips", slots), ("times", slots), ("weights", slots), ("layer_weights", layers)):
@@ -191,20 +204,23 @@ class _BlendInput:
     `joint_coverage`, `channel_coverage`: how strongly the input sets each joint and channel, from 0 to 1: [n], or [J, n] and [C,
         n]."""
 
-    pose: Pose
+    pose: LocalPose
     weight: Floats
     joint_coverage: Floats
     channel_coverage: Floats
 
 
 def blend_agents(
-    table: ClipTable, group_weights: Mapping[str, tuple[Floats, Floats]], tree: ClipTree, playback: ClipPlayback,
+    table: ClipTable, group_weights: Mapping[str, tuple[Floats, Floats]], tree: ClipBlendTree, playback: ClipPlayback,
     agents: slice | NDArray[np.intp],
-) -> Pose:  # fmt: skip
+) -> LocalPose:  # fmt: skip
     """Return the local poses of `agents`, which all share `tree`. `group_weights`: weights of transform groups by name."""
-    clips = _take_columns(playback.clips, agents)
-    times, weights = _take_columns(playback.times, agents), _clean_weights(_take_columns(playback.weights, agents))
-    layer_weights = _clean_weights(_take_columns(playback.layer_weights, agents))
+    clips = _select_agent_columns(playback.clips, agents)
+    times, weights = (
+        _select_agent_columns(playback.times, agents),
+        _limit_weights(_select_agent_columns(playback.weights, agents)),
+    )
+    layer_weights = _limit_weights(_select_agent_columns(playback.layer_weights, agents))
     n = clips.shape[1]
     rest = build_rest_pose(table, n)
 
@@ -228,24 +244,24 @@ def blend_agents(
     return of_layer(tree.root).pose
 
 
-def _take_columns(values: NDArray, agents: slice | NDArray[np.intp]) -> NDArray:  # type: ignore[type-arg]  # of any numbers
+def _select_agent_columns(values: NDArray, agents: slice | NDArray[np.intp]) -> NDArray:  # type: ignore[type-arg]  # of any numbers
     """Return the rows of the given agents, transposed so that each column is contiguous."""
     return np.ascontiguousarray(values[agents].T)
 
 
-def _clean_weights(weights: Floats) -> Floats:
+def _limit_weights(weights: Floats) -> Floats:
     """Return weights limited to the range from 0 to the largest value that can be summed; NaN becomes 0."""
     return np.minimum(np.where(weights > 0, weights, np.float32(0)).astype(np.float32, copy=False), _MAX_WEIGHT)
 
 
-def _blend_mean(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
+def _blend_mean(inputs: list[_BlendInput], rest: LocalPose) -> _BlendInput:
     """Return the weighted mean of the inputs; joints and channels that no input covers have the rest pose."""
     if len(inputs) == 1:
-        return _pass_single_input(inputs[0], rest)
+        return _use_single_input(inputs[0], rest)
     joint_shares, joints, no_joint = _compute_shares([(each.weight, each.joint_coverage) for each in inputs])
     channel_shares, channels, no_channel = _compute_shares([(each.weight, each.channel_coverage) for each in inputs])
     first = inputs[0].pose
-    pose = Pose(
+    pose = LocalPose(
         first.translation * joint_shares[0], first.rotation * joint_shares[0],
         None if first.scale is None else first.scale * joint_shares[0],
         None if first.shear is None else first.shear * joint_shares[0],
@@ -264,15 +280,15 @@ def _blend_mean(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
         pose.channels += each.pose.channels * channel_share
         _add_rotations(pose.rotation, each.pose.rotation, share, part)
     normalise_quaternions(pose.rotation)
-    _reset_to_rest(pose, rest, no_joint, no_channel)
+    _set_unweighted_to_rest(pose, rest, no_joint, no_channel)
     return _BlendInput(pose, inputs[0].weight, joints, channels)
 
 
-def _pass_single_input(input_layer: _BlendInput, rest: Pose) -> _BlendInput:
+def _use_single_input(input_layer: _BlendInput, rest: LocalPose) -> _BlendInput:
     """Return the weighted mean of a single input: the input where its weight is not 0, elsewhere the rest pose."""
     joints = input_layer.joint_coverage * (input_layer.weight > 0)
     channels = input_layer.channel_coverage * (input_layer.weight > 0)
-    _reset_to_rest(input_layer.pose, rest, joints == 0, channels == 0)
+    _set_unweighted_to_rest(input_layer.pose, rest, joints == 0, channels == 0)
     return _BlendInput(input_layer.pose, input_layer.weight, joints, channels)
 
 
@@ -305,7 +321,7 @@ def _add_rotations(target: Floats, addend: Floats, share: Floats, scratch: Float
     target += scratch
 
 
-def _reset_to_rest(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_channel: NDArray[np.bool_]) -> None:
+def _set_unweighted_to_rest(pose: LocalPose, rest: LocalPose, no_joint: NDArray[np.bool_], no_channel: NDArray[np.bool_]) -> None:
     """Set joints that no input covers to the rest pose, in place, and such channels to their defaults."""
     if no_joint.any():
         parts = (pose.translation, pose.rotation, pose.scale, pose.shear)
@@ -316,11 +332,11 @@ def _reset_to_rest(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_chann
         np.copyto(pose.channels, rest.channels, where=no_channel)
 
 
-def _blend_additive(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
+def _blend_additive(inputs: list[_BlendInput], rest: LocalPose) -> _BlendInput:
     """Return the first input, plus the weighted differences of the other inputs from the rest pose."""
     first = inputs[0]
     pose, joints, channels = first.pose, first.joint_coverage, first.channel_coverage
-    _reset_to_rest(pose, rest, joints == 0, channels == 0)
+    _set_unweighted_to_rest(pose, rest, joints == 0, channels == 0)
     back = rest.rotation * np.array([-1, -1, -1, 1], np.float32)[:, None, None]
     for each in inputs[1:]:
         share, channel_share = each.weight * each.joint_coverage, each.weight * each.channel_coverage
@@ -335,10 +351,10 @@ def _blend_additive(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
     return _BlendInput(pose, first.weight, joints, channels)
 
 
-def _blend_over(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
+def _blend_override(inputs: list[_BlendInput], rest: LocalPose) -> _BlendInput:
     """Return the inputs laid over each other: each replaces the previous ones by its weight, the first replaces the rest pose."""
     parts = (rest.translation, rest.rotation, rest.scale, rest.shear, rest.channels)
-    pose = Pose(*(None if each is None else each.copy() for each in parts))  # type: ignore[arg-type]
+    pose = LocalPose(*(None if each is None else each.copy() for each in parts))  # type: ignore[arg-type]
     joints, channels = np.float32(0), np.float32(0)
     for each in inputs:
         share = np.minimum(each.weight * each.joint_coverage, _FLOAT32_ONE)
@@ -359,4 +375,4 @@ def _blend_over(inputs: list[_BlendInput], rest: Pose) -> _BlendInput:
     return _BlendInput(pose, inputs[0].weight, joints, channels)  # type: ignore[arg-type]
 
 
-_BLEND_BY_MODE = {INTERPOLATE_MODE: _blend_mean, ADDITIVE_MODE: _blend_additive, OVER_MODE: _blend_over}
+_BLEND_BY_MODE = {INTERPOLATE_BLEND_MODE: _blend_mean, ADDITIVE_BLEND_MODE: _blend_additive, OVERRIDE_BLEND_MODE: _blend_override}

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.definition import Binding, Definition, Shape
+from antdsl.bodies.agents.definition import Binding, Definition, SkinShape
 from antdsl.bodies.agents.transforms import compose_transforms, compute_world_matrices
 from antdsl.scene.geometry.matrices import apply_transforms
 
@@ -60,7 +60,7 @@ def _compute_binding_box(definition: Definition, binding: Binding, worlds: Float
     shape = definition.shapes[binding.shape]
     scale = np.array(binding.bounds_scale, worlds.dtype)
     if shape.capture is not None and binding.deformer not in ("", "blendshape"):
-        followed = _find_followed_joints(shape)
+        followed = _list_capture_joints(shape)
         chosen = [definition.rig.find_joint(shape.capture.names[number]) for number in followed]
         if len(chosen) == 1:  # a shape with one joint moves like a static shape
             return _transform_box(
@@ -111,13 +111,13 @@ def _compute_joint_box(worlds: Floats, joints: list[int]) -> tuple[Floats, Float
     return low, high
 
 
-def _find_followed_joints(shape: Shape) -> list[int]:
+def _list_capture_joints(shape: SkinShape) -> list[int]:
     """Return the indices of the captured joints that move at least one point of a shape."""
     assert shape.capture is not None
     return [int(number) for number in np.unique(shape.capture.joints[shape.capture.weights > 0])]
 
 
-def _compute_shape_extent(definition: Definition, shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _compute_shape_extent(definition: Definition, shape: SkinShape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the lowest and the highest corner of the box around a shape and all shapes that it may be blended with."""
     inputs = [definition.shapes[name] for name in (shape.blend.shapes if shape.blend else ())]
     shapes = [shape, *inputs]
@@ -136,7 +136,7 @@ def compute_rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArr
     length.
 
     Without shapes, return the box of the joints."""
-    return compute_posed_box(definition, compute_world_matrices(definition.rig.parents, definition.rig.rest))
+    return compute_posed_box(definition, compute_world_matrices(definition.rig.parents, definition.rig.rest_matrices))
 
 
 def compute_posed_box(definition: Definition, world: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -155,7 +155,7 @@ def compute_posed_box(definition: Definition, world: NDArray[np.float64]) -> tup
 
 
 def _compute_rest_points(
-    definition: Definition, binding: Binding, shape: Shape, world: NDArray[np.float64]
+    definition: Definition, binding: Binding, shape: SkinShape, world: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the points [P, 3] of a binding's shape in the rest pose."""
     points = shape.points.astype(np.float64)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.blending import NO_PARENT, ClipPlayback, ClipTree
+from antdsl.bodies.agents.blending import NO_PARENT_LAYER, ClipBlendTree, ClipPlayback
 from antdsl.bodies.agents.poses import REST_CLIP, ClipTable
 
 Numbers = NDArray[Any]
@@ -48,7 +48,7 @@ def build_playback(
     n, counts = len(counts), np.asarray(counts, np.int64)
     if layer_counts is None:
         layer_counts = np.ones(n, np.int64)
-        modes, layer_weights, parents = np.zeros(n, np.int32), np.ones(n, np.float32), np.full(n, NO_PARENT, np.int32)
+        modes, layer_weights, parents = np.zeros(n, np.int32), np.ones(n, np.float32), np.full(n, NO_PARENT_LAYER, np.int32)
     layer_counts = np.asarray(layer_counts, np.int64)
     if modes is None or layer_weights is None or parents is None:
         raise ValueError("layers need modes, weights and parents: give all three or none")
@@ -100,11 +100,11 @@ def _pad_lists(values: Numbers | None, counts: NDArray[np.int64], fill_value: fl
 def _build_agent_tree(
     agent: int, group_names: tuple[str, ...], group: Numbers, layer: Numbers, mode: Numbers, parent: Numbers, counts: Numbers,
     layer_counts: Numbers,
-) -> ClipTree:  # fmt: skip
+) -> ClipBlendTree:  # fmt: skip
     """Return the clip tree of an agent."""
     clips, layers = slice(int(counts[agent])), slice(int(layer_counts[agent]))
     layer_ids, modes, parents = (row.tolist() for row in (layer[agent, clips], mode[agent, layers], parent[agent, layers]))
     try:
-        return ClipTree(tuple(layer_ids), tuple(group_names[k] for k in group[agent, clips]), tuple(modes), tuple(parents))
+        return ClipBlendTree(tuple(layer_ids), tuple(group_names[k] for k in group[agent, clips]), tuple(modes), tuple(parents))
     except ValueError as wrong:
         raise ValueError(f"agent {agent}: {wrong}") from None

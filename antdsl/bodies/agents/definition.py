@@ -41,11 +41,11 @@ class Rig:
 
     `names`: the names of the joints, parents before children.
     `parents`: int32[J], the number of each joint's parent, -1 for a root.
-    `rest`: float64[J, 4, 4], local matrices."""
+    `rest_matrices`: float64[J, 4, 4], local matrices."""
 
     names: tuple[str, ...]
     parents: NDArray[np.int32]
-    rest: NDArray[np.float64]
+    rest_matrices: NDArray[np.float64]
     channels: tuple[Channel, ...] = ()
 
     def find_joint(self, name: str) -> int:
@@ -81,7 +81,7 @@ STATE_MATERIAL = "state"  # the material with the colour of the agent's state
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Capture:
+class SkinWeights:
     """The joints that each of P points follows.
 
     `names`: of the J captured joints.
@@ -121,7 +121,7 @@ class InBetweens:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shape:
+class SkinShape:
     """A mesh of P points and M triangles.
 
     `normals`: float32[P, 3] or None; `uvs`: float32[P, 2] or None.
@@ -137,7 +137,7 @@ class Shape:
     materials: tuple[str, ...] = ()
     material: NDArray[np.int32] | None = None
     attributes: dict[str, NDArray[np.float32] | NDArray[np.int64]] = field(default_factory=dict)
-    capture: Capture | None = None
+    capture: SkinWeights | None = None
     blend: BlendTargets | None = None
     in_betweens: InBetweens | None = None
     dual_quaternion_blend: str = ""
@@ -302,7 +302,7 @@ class Definition:
 
     name: str
     rig: Rig
-    shapes: Mapping[str, Shape] = field(default_factory=dict)
+    shapes: Mapping[str, SkinShape] = field(default_factory=dict)
     layers: Mapping[str, Layer] = field(default_factory=dict)
     clips: Mapping[str, Clip] = field(default_factory=dict)
     groups: Mapping[str, TransformGroup] = field(default_factory=dict)

@@ -12,9 +12,9 @@ from typing import Protocol
 import numpy as np
 
 from antdsl.bodies.agents.affine import invert_and_transpose
-from antdsl.bodies.agents.blend_shapes import blend_shapes
-from antdsl.bodies.agents.definition import Binding, Definition, Shape
-from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.blend_shapes import apply_blend_shapes
+from antdsl.bodies.agents.definition import Binding, Definition, SkinShape
+from antdsl.bodies.agents.poses import WorldPoses
 from antdsl.bodies.agents.skinning import (
     DeformedShape,
     apply_dual_quaternion_skinning,
@@ -36,14 +36,16 @@ class Deformer(Protocol):
     agents (n is 1). Deformers are called for subsets of agents, so the result for one agent must not depend on the others.
     """
 
-    def __call__(self, deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape: ...
+    def __call__(
+        self, deformed_shape: DeformedShape, shape: SkinShape, definition: Definition, poses: WorldPoses
+    ) -> DeformedShape: ...
 
 
 DEFORMER_BY_NAME: dict[str, Deformer] = {
     "linearskinning": apply_linear_skinning,
     "dualquatskinning": apply_dual_quaternion_skinning,
     "dualquatblendskinning": blend_skinning_methods,
-    "blendshape": blend_shapes,
+    "blendshape": apply_blend_shapes,
 }
 
 
@@ -68,7 +70,7 @@ def find_deformers(name: str) -> tuple[Deformer, ...]:
     return tuple(DEFORMER_BY_NAME[part] for part in name.split("+"))
 
 
-def deform_binding(definition: Definition, binding: Binding, poses: Poses) -> DeformedShape:
+def deform_binding(definition: Definition, binding: Binding, poses: WorldPoses) -> DeformedShape:
     """Return the shape of a binding after its deformers, for each of n agents, in agent space.
 
     A shape with points that follow no joints moves with the binding's joint. Raises KeyError for a missing shape, joint or
@@ -88,7 +90,7 @@ def deform_binding(definition: Definition, binding: Binding, poses: Poses) -> De
     for a in range(0, n, part):
         rows = slice(a, min(a + part, n))
         local = None if poses.local_transforms is None else poses.local_transforms[rows]
-        part_poses, deformed = Poses(poses.world_transforms[rows], local, poses.channels[rows]), rest
+        part_poses, deformed = WorldPoses(poses.world_transforms[rows], local, poses.channels[rows]), rest
         with standard_floats():
             for step in chain:
                 deformed = step(deformed, shape, definition, part_poses)
@@ -103,7 +105,7 @@ def deform_binding(definition: Definition, binding: Binding, poses: Poses) -> De
 def _build_rigid_deformer(binding: Binding) -> Deformer:
     """Return the deformer that moves a shape by its joint alone."""
 
-    def carry_shape(deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
+    def carry_shape(deformed_shape: DeformedShape, shape: SkinShape, definition: Definition, poses: WorldPoses) -> DeformedShape:
         joint = definition.rig.find_joint(binding.transform)
         matrices = poses.world_transforms[:, joint].transpose(1, 2, 0)[:, :, None]
         points = transform_points(matrices, deformed_shape.points).transpose(2, 1, 0)

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats, normalise_quaternions
 from antdsl.bodies.agents.definition import Rig, TransformGroup, map_language_names
-from antdsl.bodies.agents.poses import ClipTable, Poses
+from antdsl.bodies.agents.poses import ClipTable, WorldPoses
 from antdsl.bodies.agents.varied_bodies import VariationDraws
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DrivenPose:
+class PoseAdjustments:
     """Values that drive the poses of n agents in addition to clips.
 
     `channels`: float32[n] by display name. A value overrides the clips for a channel of the rig; NaN leaves the value of the
@@ -34,7 +34,7 @@ class DrivenPose:
     joint_offsets: Mapping[str, Floats] = field(default_factory=dict)
 
 
-def set_pose_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Floats]) -> Poses:
+def set_pose_channels(table: ClipTable, poses: WorldPoses, channels: Mapping[str, Floats]) -> WorldPoses:
     """Return poses with the given channel values set where they are finite. Channels that the rig lacks are ignored."""
     names = {
         language_name: k for k, language_name in enumerate(map_language_names(each.name for each in table.rig.channels).values())
@@ -49,9 +49,13 @@ def set_pose_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Flo
     return replace(poses, channels=values)
 
 
-def rotate_towards_looks(
-    table: ClipTable, poses: Poses, looks: Mapping[str, Floats], groups: Mapping[str, TransformGroup], base: NDArray[np.float64]
-) -> Poses:
+def rotate_joints_to_look_directions(
+    table: ClipTable,
+    poses: WorldPoses,
+    looks: Mapping[str, Floats],
+    groups: Mapping[str, TransformGroup],
+    base: NDArray[np.float64],
+) -> WorldPoses:
     """Rotate transform groups towards their look directions. Return the new poses.
 
     Each joint of a group rotates about its own position, together with all joints below it. Its rotation is a share, by its
@@ -68,11 +72,11 @@ def rotate_towards_looks(
         direction = [(look[:, 0] * axes[0, k] + look[:, 1] * axes[1, k]) + look[:, 2] * axes[2, k] for k in range(3)]
         turn = _compute_shortest_rotation(direction, axes[0])
         for joint, share in iterate_look_shares(table.rig, groups[name]):
-            _rotate_joints(world, joint, table.rig.find_descendants(joint), _scale_rotation(turn, share))
-    return Poses(world, None, poses.channels)
+            _rotate_joints(world, joint, table.rig.find_descendants(joint), _scale_rotation_angle(turn, share))
+    return WorldPoses(world, None, poses.channels)
 
 
-def offset_joints(table: ClipTable, poses: Poses, offsets: Mapping[str, Floats], base: NDArray[np.float64]) -> Poses:
+def offset_joints(table: ClipTable, poses: WorldPoses, offsets: Mapping[str, Floats], base: NDArray[np.float64]) -> WorldPoses:
     """Return poses in which joints are shifted and rotated about their own positions, together with all joints below them.
 
     `base` [3, 3] transforms from the body's space to that of agents. Joints that the rig does not have are ignored. If a joint
@@ -92,7 +96,7 @@ def offset_joints(table: ClipTable, poses: Poses, offsets: Mapping[str, Floats],
         below = table.rig.find_descendants(joint)
         _rotate_joints(world, joint, below, np.concatenate([turn, wide[:, 6:]], axis=1).astype(np.float32))
         world[:, below, :, 3] += (shift / scale).astype(np.float32)  # indexed so, joints come before agents
-    return Poses(world, None, poses.channels)
+    return WorldPoses(world, None, poses.channels)
 
 
 def iterate_look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
@@ -121,7 +125,7 @@ def _compute_shortest_rotation(direction: Sequence[Floats], ahead: Floats) -> Fl
     return np.ascontiguousarray(normalise_quaternions(quaternions).T)
 
 
-def _scale_rotation(turn: Floats, weight: float) -> Floats:
+def _scale_rotation_angle(turn: Floats, weight: float) -> Floats:
     """Return the share `weight` of rotations [n, 4], by nlerp (normalised linear interpolation) from the identity."""
     part = turn * np.float32(weight)
     part[:, 3] += np.float32(1 - weight)

@@ -7,17 +7,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.affine import Floats, Numbers, compose_matrices, normalise_quaternions
+from antdsl.bodies.agents.affine import Floats, NumberArray, compose_matrices, normalise_quaternions
 from antdsl.bodies.agents.leg_chains import Joints
 
 
-def build_rotation_matrices(quaternions: NDArray[np.floating]) -> Numbers:
+def build_rotation_matrices(quaternions: NDArray[np.floating]) -> NumberArray:
     """Return matrices float64[3, 3, n] of quaternions [n, 4]. A zero quaternion becomes the identity."""
     q = normalise_quaternions(np.array(np.asarray(quaternions, np.float64).T, order="C"))
     return compose_matrices(np.zeros((3, q.shape[1])), q, None, None, np.empty((3, 4, q.shape[1])))[:, :3]
 
 
-def raise_heel(arch: Floats, to_hip: Floats, reach: Floats) -> Floats:
+def compute_heel_rotation(arch: Floats, to_hip: Floats, reach: Floats) -> Floats:
     """Return the vectors [3, n] from foot joints to ankles, rotated towards the hip until it is at most `reach` [n] away.
 
     `arch` [3, n]: the vectors with flat soles. `to_hip` [3, n]: from the foot joints to the hips."""
@@ -38,7 +38,7 @@ def rotate_vectors(matrices: Floats, vectors: Floats) -> Floats:
     return np.stack([(m[0] * vectors[0] + m[1] * vectors[1]) + m[2] * vectors[2] for m in matrices])
 
 
-def rotate_vectors_back(matrices: Floats, vectors: Floats) -> Floats:
+def rotate_vectors_by_inverse(matrices: Floats, vectors: Floats) -> Floats:
     """Return vectors [3, n] multiplied by the transposed matrices [3, 3, n] or [3, 3]."""
     m, (x, y, z) = matrices, vectors
     return np.stack([(m[0, r] * x + m[1, r] * y) + m[2, r] * z for r in range(3)])

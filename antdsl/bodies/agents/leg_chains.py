@@ -20,10 +20,10 @@ class LegChain:
     """A leg by joint numbers.
 
     `upper`, `lower`, `ankle`, `foot`: the joints of hip, knee, ankle and foot. Without an ankle, it is the foot.
-    `thigh`: `upper` and its descendants that are not at or below `lower`.
-    `shank`: `lower` and its descendants that are not at or below `ankle`.
-    `arch`: `ankle` and its descendants that are not at or below `foot`.
-    `sole`: `foot` and all joints below it.
+    `thigh_joints`: `upper` and its descendants that are not at or below `lower`.
+    `shank_joints`: `lower` and its descendants that are not at or below `ankle`.
+    `arch_joints`: `ankle` and its descendants that are not at or below `foot`.
+    `sole_joints`: `foot` and all joints below it.
     `has_flat_sole`: whether the definition names the ankle, so that the sole lies flat on the ground.
     """
 
@@ -31,10 +31,10 @@ class LegChain:
     lower: int
     ankle: int
     foot: int
-    thigh: Joints
-    shank: Joints
-    arch: Joints
-    sole: Joints
+    thigh_joints: Joints
+    shank_joints: Joints
+    arch_joints: Joints
+    sole_joints: Joints
     has_flat_sole: bool
 
 

@@ -23,30 +23,30 @@ from antdsl.bodies.agents.joint_rotations import (
     build_axis_rotation,
     build_rotation_between,
     build_rotation_matrices,
+    compute_heel_rotation,
     cross,
     dot,
     measure_lengths,
     normalise,
-    raise_heel,
     rotate_joints,
     rotate_vectors,
-    rotate_vectors_back,
+    rotate_vectors_by_inverse,
 )
 from antdsl.bodies.agents.leg_chains import LegChain, build_leg_chain, compute_standing_joints
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip
-from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.poses import WorldPoses
 
 MAX_LEG_EXTENSION = 0.9995  # share of the length of both bones; in a completely straight leg the knee would have no direction
-_FOLDED_LEG_FACTOR = 1.02  # factor of the length difference of both bones
-_MAX_TRUNK_SINK = 0.25  # leg lengths; maximum lowering of a trunk, so that standing feet are in reach
-_HEEL_SINK = 0.05  # bone lengths; maximum lowering of a body on level ground, so that heels stay down
+_MIN_FOLDED_LEG_FACTOR = 1.02  # factor of the length difference of both bones
+_MAX_TRUNK_SINK_SHARE = 0.25  # leg lengths; maximum lowering of a trunk, so that standing feet are in reach
+_HEEL_SINK_SHARE = 0.05  # bone lengths; maximum lowering of a body on level ground, so that heels stay down
 _MIN_KNEE_SINE = 1e-3  # sine of the knee angle; below it, the knee does not define a plane
 LEG_BENDING_LIMITS = {
     "straight": MAX_LEG_EXTENSION,
-    "folded": _FOLDED_LEG_FACTOR,
-    "sunk": _MAX_TRUNK_SINK,
+    "folded": _MIN_FOLDED_LEG_FACTOR,
+    "sunk": _MAX_TRUNK_SINK_SHARE,
     "plane": _MIN_KNEE_SINE,
-    "heel": _HEEL_SINK,
+    "heel": _HEEL_SINK_SHARE,
 }  # for renderers that bend legs themselves
 
 
@@ -56,21 +56,21 @@ class BodySpaceFeet:
 
     `positions`: float32[n, L, 3], the ground below each foot, or the position of a swinging foot.
     `is_on_ground`: bool[n, L], whether the foot is on the ground.
-    `rise`: float32[n], height of the trunk above its rest position.
-    `tilt`: float32[n, 4], rotation of the trunk from its rest orientation, x y z w.
+    `trunk_rise`: float32[n], height of the trunk above its rest position.
+    `trunk_tilt`: float32[n, 4], rotation of the trunk from its rest orientation, x y z w.
     `normals`: float32[n, L, 3], unit normals of the ground below each foot; 0, or None for all: flat soles are level."""
 
     positions: Floats
     is_on_ground: NDArray[np.bool_]
-    rise: Floats
-    tilt: Floats
+    trunk_rise: Floats
+    trunk_tilt: Floats
     normals: Floats | None = None
 
-    def scale_trunk(self, weights: Floats) -> BodySpaceFeet:
+    def scale_trunk_motion(self, weights: Floats) -> BodySpaceFeet:
         """Return the same feet, with the rise and tilt of trunks scaled by `weights` [n], from 0 to 1."""
-        tilt = self.tilt * weights[:, None]
+        tilt = self.trunk_tilt * weights[:, None]
         tilt[:, 3] += 1 - weights
-        return replace(self, rise=self.rise * weights, tilt=tilt)
+        return replace(self, trunk_rise=self.trunk_rise * weights, trunk_tilt=tilt)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +112,7 @@ class PlacedFeet:
             )  # fmt: skip
 
 
-class LegSolver:
+class LegIkSolver:
     """The legs of a definition, prepared for inverse kinematics."""
 
     def __init__(self, body: Definition) -> None:
@@ -128,7 +128,7 @@ class LegSolver:
         self._local_up_axes = normalise(local_up).astype(np.float32)  # [3, J]: the body's up in the space of each joint
         legs = np.zeros(len(body.rig.names), np.bool_)
         for each in self._chains:
-            legs[each.thigh] = legs[each.shank] = legs[each.arch] = legs[each.sole] = True
+            legs[each.thigh_joints] = legs[each.shank_joints] = legs[each.arch_joints] = legs[each.sole_joints] = True
         self._group_moves_legs = {
             name: any(
                 legs[body.rig.find_joint(joint)] and weight > 0 for joint, weight in group.members if joint in body.rig.names
@@ -138,7 +138,7 @@ class LegSolver:
         self._clips_without_feet = {name for name, clip in body.clips.items() if not clip.feet}
 
     @property
-    def count(self) -> int:
+    def leg_count(self) -> int:
         """Return the number of legs."""
         return len(self._chains)
 
@@ -187,7 +187,7 @@ class LegSolver:
             stands = stands * (1 - over) + over * (1 - loose / np.where(weight > 0, weight, np.float32(1)))
         return stands.astype(np.float32)
 
-    def bend_legs(self, poses: Poses, feet: BodySpaceFeet, stance_weights: Floats) -> Poses:
+    def bend_legs(self, poses: WorldPoses, feet: BodySpaceFeet, stance_weights: Floats) -> WorldPoses:
         """Return poses with the feet at the positions of `feet`, weighted by `stance_weights` [n], and with trunks moved by
         `rise` and `tilt`. `local` of the poses is None."""
         world = np.array(poses.world_transforms.transpose(2, 3, 1, 0), np.float32, order="C")
@@ -200,24 +200,24 @@ class LegSolver:
 
     def _compute_foot_goals(self, feet: BodySpaceFeet) -> list[Floats]:
         """Return the goal position of each foot joint, float32[3, n], in the definition's space before the trunk moves."""
-        turn = build_rotation_matrices(feet.tilt).astype(np.float32)
+        turn = build_rotation_matrices(feet.trunk_tilt).astype(np.float32)
         goals = []
         for k in range(len(self._chains)):
-            height = feet.positions[:, k, 1] + self.sole_heights[k] - feet.rise
+            height = feet.positions[:, k, 1] + self.sole_heights[k] - feet.trunk_rise
             place = np.stack([feet.positions[:, k, 0], height, feet.positions[:, k, 2]])
-            goals.append(rotate_vectors_back(self._base_rotation * self._length, rotate_vectors_back(turn, place)))
+            goals.append(rotate_vectors_by_inverse(self._base_rotation * self._length, rotate_vectors_by_inverse(turn, place)))
         return goals
 
     def _compute_sole_normals(self, feet: BodySpaceFeet) -> list[Floats | None]:
         """Return the normal of the ground below each flat sole, float32[3, n], in the definition's space before the trunk moves.
 
         None for other legs."""
-        turn = build_rotation_matrices(feet.tilt).astype(np.float32)
-        level = np.broadcast_to(np.array([[0], [1], [0]], np.float32), (3, len(feet.rise)))
+        turn = build_rotation_matrices(feet.trunk_tilt).astype(np.float32)
+        level = np.broadcast_to(np.array([[0], [1], [0]], np.float32), (3, len(feet.trunk_rise)))
         normals = [level if feet.normals is None else feet.normals[:, k].T for k in range(len(self._chains))]
         return [
-            rotate_vectors_back(
-                self._base_rotation, rotate_vectors_back(turn, np.where(measure_lengths(normal) > 0, normal, level))
+            rotate_vectors_by_inverse(
+                self._base_rotation, rotate_vectors_by_inverse(turn, np.where(measure_lengths(normal) > 0, normal, level))
             )
             if leg.has_flat_sole
             else None
@@ -241,18 +241,18 @@ class LegSolver:
             hip, knee, ankle, foot = (world[:, 3, joint] for joint in (each.upper, each.lower, each.ankle, each.foot))
             bones = measure_lengths(knee - hip) + measure_lengths(ankle - knee)
             length = (bones + measure_lengths(foot - ankle)) * np.float32(MAX_LEG_EXTENSION)
-            short = np.clip(self._measure_gap(goal - hip, length), 0, np.float32(_MAX_TRUNK_SINK) * length)
+            short = np.clip(self._measure_unreachable_distance(goal - hip, length), 0, np.float32(_MAX_TRUNK_SINK_SHARE) * length)
             if normal is not None:
                 level = self.get_arch(each)[:, None]
                 arch = rotate_vectors(build_rotation_between(self._up_axis[:, None], normal), level)
-                gap = self._measure_gap(goal + arch - hip, bones * np.float32(MAX_LEG_EXTENSION))
+                gap = self._measure_unreachable_distance(goal + arch - hip, bones * np.float32(MAX_LEG_EXTENSION))
                 drop = dot(level - arch, self._up_axis[:, None])
-                most_for_heel = np.maximum(drop, 0) + np.float32(_HEEL_SINK) * bones
+                most_for_heel = np.maximum(drop, 0) + np.float32(_HEEL_SINK_SHARE) * bones
                 short = np.maximum(short, np.minimum(gap, most_for_heel))
             most = np.maximum(most, np.where(is_on_ground[:, k], short, 0))
         world[:, 3] -= self._up_axis[:, None, None] * (most * stance_weights)
 
-    def _measure_gap(self, displacement: Floats, length: Floats) -> Floats:
+    def _measure_unreachable_distance(self, displacement: Floats, length: Floats) -> Floats:
         """Return how far hips are too high for legs of `length` [n] that lead from them by `displacement` [3, n]."""
         high = dot(displacement, self._up_axis[:, None])
         level = np.maximum(length * length - np.maximum(dot(displacement, displacement) - high * high, 0), 0)
@@ -265,8 +265,8 @@ class LegSolver:
         hip, knee, foot = (world[:, 3, joint].copy() for joint in (leg.upper, leg.lower, leg.foot))
         goal = foot + (goal - foot) * stance_weights
         if normal is not None:
-            goal = self._lay_sole(world, leg, goal, normal, stance_weights)
-        foot, below = world[:, 3, leg.ankle].copy(), np.concatenate([leg.arch, leg.sole])
+            goal = self._rotate_sole_to_ground(world, leg, goal, normal, stance_weights)
+        foot, below = world[:, 3, leg.ankle].copy(), np.concatenate([leg.arch_joints, leg.sole_joints])
         sole = world[:, :, below].copy()
         thigh, shank = hip - knee, foot - knee
         a, b = measure_lengths(thigh), measure_lengths(shank)
@@ -274,22 +274,26 @@ class LegSolver:
         a, b = np.maximum(a, tiny), np.maximum(b, tiny)
         hip_to_goal = goal - hip
         far = np.clip(
-            measure_lengths(hip_to_goal), np.abs(a - b) * np.float32(_FOLDED_LEG_FACTOR), (a + b) * np.float32(MAX_LEG_EXTENSION)
+            measure_lengths(hip_to_goal),
+            np.abs(a - b) * np.float32(_MIN_FOLDED_LEG_FACTOR),
+            (a + b) * np.float32(MAX_LEG_EXTENSION),
         )
         old = np.clip(dot(thigh, shank) / (a * b), -1, 1)
         new = np.clip((a * a + b * b - far * far) / (2 * a * b), -1, 1)
         old_sine, new_sine = np.sqrt(1 - old * old), np.sqrt(1 - new * new)
         axis = self._compute_knee_axis(world, leg, thigh, shank, a * b)
         turn = build_axis_rotation(axis, new * old + new_sine * old_sine, new_sine * old - new * old_sine)
-        rotate_joints(world, np.concatenate([leg.shank, below]), turn, knee)
+        rotate_joints(world, np.concatenate([leg.shank_joints, below]), turn, knee)
         reached = world[:, 3, leg.ankle] - hip
         turn = build_rotation_between(normalise(reached), normalise(hip_to_goal))
-        rotate_joints(world, np.concatenate([leg.thigh, leg.shank, below]), turn, hip)
+        rotate_joints(world, np.concatenate([leg.thigh_joints, leg.shank_joints, below]), turn, hip)
         moved = world[:, 3, leg.ankle] - foot
         world[:, :, below] = sole
         world[:, 3, below] += moved[:, None, :]
 
-    def _lay_sole(self, world: Floats, leg: LegChain, goal: Floats, normal: Floats, stance_weights: Floats) -> Floats:
+    def _rotate_sole_to_ground(
+        self, world: Floats, leg: LegChain, goal: Floats, normal: Floats, stance_weights: Floats
+    ) -> Floats:
         """Turn the parts at and below an ankle in `world` so that the sole lies flat, in place. Return the goal of the ankle
         [3, n].
 
@@ -297,15 +301,15 @@ class LegSolver:
         far as they need."""
         hip, knee, ankle, foot = (world[:, 3, joint].copy() for joint in (leg.upper, leg.lower, leg.ankle, leg.foot))
         turns = []
-        for joint, part, pivot in ((leg.ankle, leg.arch, ankle), (leg.foot, leg.sole, foot)):
+        for joint, part, pivot in ((leg.ankle, leg.arch_joints, ankle), (leg.foot, leg.sole_joints, foot)):
             up = normalise(rotate_vectors(world[:, :3, joint], self._local_up_axes[:, joint, None]))
             turns.append(build_rotation_between(up, normalise(up + (normal - up) * stance_weights)))
             rotate_joints(world, part, turns[-1], pivot)
         arch = rotate_vectors(turns[0], ankle - foot)
         reach = (measure_lengths(knee - hip) + measure_lengths(ankle - knee)) * np.float32(MAX_LEG_EXTENSION)
-        raised = raise_heel(arch, hip - goal, reach)
-        rotate_joints(world, leg.arch, build_rotation_between(normalise(arch), normalise(raised)), ankle)
-        world[:, 3, leg.sole] += ((ankle - raised) - foot)[:, None, :]
+        raised = compute_heel_rotation(arch, hip - goal, reach)
+        rotate_joints(world, leg.arch_joints, build_rotation_between(normalise(arch), normalise(raised)), ankle)
+        world[:, 3, leg.sole_joints] += ((ankle - raised) - foot)[:, None, :]
         return goal + raised
 
     def _compute_knee_axis(self, world: Floats, leg: LegChain, thigh: Floats, shank: Floats, size: Floats) -> Floats:
@@ -326,12 +330,12 @@ class LegSolver:
 
     def _move_trunk(self, world: Floats, feet: BodySpaceFeet) -> None:
         """Move all joints of `world` by `rise` and `tilt` of the feet, in place."""
-        base, turn = self._base_rotation, build_rotation_matrices(feet.tilt)
+        base, turn = self._base_rotation, build_rotation_matrices(feet.trunk_tilt)
         half = [
             [(turn[a, 0] * base[0, s] + turn[a, 1] * base[1, s]) + turn[a, 2] * base[2, s] for s in range(3)] for a in range(3)
         ]
         own = np.array([
             [(base[0, r] * half[0][s] + base[1, r] * half[1][s]) + base[2, r] * half[2][s] for s in range(3)] for r in range(3)
         ], np.float32)  # fmt: skip
-        rotate_joints(world, np.arange(world.shape[2]), own, np.zeros((3, len(feet.rise)), np.float32))
-        world[:, 3] += base[1][:, None, None] * (feet.rise * self._length)
+        rotate_joints(world, np.arange(world.shape[2]), own, np.zeros((3, len(feet.trunk_rise)), np.float32))
+        world[:, 3] += base[1][:, None, None] * (feet.trunk_rise * self._length)

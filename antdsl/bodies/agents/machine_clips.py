@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
-from antdsl.bodies.agents.blending import ADDITIVE_MODE, INTERPOLATE_MODE, NO_PARENT, OVER_MODE, ClipPlayback, ClipTree
+from antdsl.bodies.agents.blending import (
+    ADDITIVE_BLEND_MODE,
+    INTERPOLATE_BLEND_MODE,
+    NO_PARENT_LAYER,
+    OVERRIDE_BLEND_MODE,
+    ClipBlendTree,
+    ClipPlayback,
+)
 from antdsl.bodies.agents.poses import REST_CLIP, ClipTable
 
 
@@ -57,7 +64,7 @@ class MachineClips:
         yield self.clip, self.turns, self.weight * (1 - fade)
 
 
-EARLIER_FIELDS = ("earlier", "earlier_turns", "earlier_weight", "earlier_fade")
+EARLIER_CLIP_FIELDS = ("earlier", "earlier_turns", "earlier_weight", "earlier_fade")
 
 
 class PlayedClip(NamedTuple):
@@ -124,19 +131,19 @@ def build_machine_playback(
     added = sorted({slot.machine for slot in slots if slot.is_additive})
     # Layer 0 contains the layers of the machines over each other. Added clips have separate layers behind the topmost one.
     layer_of = tuple(2 + len(machines) + added.index(slot.machine) if slot.is_additive else 1 + slot.machine for slot in slots)
-    modes: tuple[int, ...] = (OVER_MODE, *(INTERPOLATE_MODE,) * len(machines))
-    parents: tuple[int, ...] = (NO_PARENT, *(0,) * len(machines))
+    modes: tuple[int, ...] = (OVERRIDE_BLEND_MODE, *(INTERPOLATE_BLEND_MODE,) * len(machines))
+    parents: tuple[int, ...] = (NO_PARENT_LAYER, *(0,) * len(machines))
     if added:
         top = len(modes)
-        modes = (*modes, ADDITIVE_MODE, *(INTERPOLATE_MODE,) * len(added))
-        parents = (top, *(0,) * len(machines), NO_PARENT, *(top,) * len(added))
+        modes = (*modes, ADDITIVE_BLEND_MODE, *(INTERPOLATE_BLEND_MODE,) * len(added))
+        parents = (top, *(0,) * len(machines), NO_PARENT_LAYER, *(top,) * len(added))
     layers = np.ones((count, len(modes)), np.float32)
     for layer in {*range(1, 1 + len(machines)), *layer_of}:
         layers[:, layer] = weights[:, [place for place, each in enumerate(layer_of) if each == layer]].sum(axis=1)
     # Agents with equal groups in equal slots share a tree. A slot without weight may have any group.
     used[weights == 0] = 0
     kinds, tree = np.unique(used, axis=0, return_inverse=True)
-    trees = tuple(ClipTree(layer_of, tuple(groups[g] for g in kind), modes, parents) for kind in kinds)
+    trees = tuple(ClipBlendTree(layer_of, tuple(groups[g] for g in kind), modes, parents) for kind in kinds)
     return ClipPlayback(trees, tree.reshape(-1).astype(np.int32), chosen, times, weights, layers)
 
 

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.definition import Clip, Definition, Layer, Shape
+from antdsl.bodies.agents.definition import Clip, Definition, Layer, SkinShape
 from antdsl.bodies.agents.transforms import compose_matrix, compose_transforms, decompose_matrix
 
 AxisVector = tuple[float, float, float]
 Floats = NDArray[np.float64]
 
 
-def convert_axes(body: Definition, front: AxisVector, up: AxisVector, unit: float) -> Definition:
+def convert_definition_axes(body: Definition, front: AxisVector, up: AxisVector, unit: float) -> Definition:
     """Return the definition with other forward and upward axes, and with `unit` millimetres per unit of length. Both axes are
     coordinate axes.
 
@@ -28,9 +28,11 @@ def convert_axes(body: Definition, front: AxisVector, up: AxisVector, unit: floa
     change[:3, :3] = turn * size
     back: Floats = np.linalg.inv(change).astype(np.float64)
     clips = {name: _convert_clip(each, change, back) for name, each in body.clips.items()}
-    rest = compose_transforms(compose_transforms(np.broadcast_to(change, body.rig.rest.shape), body.rig.rest), back)
+    rest = compose_transforms(
+        compose_transforms(np.broadcast_to(change, body.rig.rest_matrices.shape), body.rig.rest_matrices), back
+    )
     return replace(
-        body, rig=replace(body.rig, rest=rest),
+        body, rig=replace(body.rig, rest_matrices=rest),
         clips={name: replace(each, stride=each.stride * size) for name, each in clips.items()},
         shapes={name: _convert_shape(each, change, back) for name, each in body.shapes.items()},
         layers={name: _convert_layer(each, np.abs(turn)) for name, each in body.layers.items()},
@@ -72,7 +74,7 @@ def _convert_clip(clip: Clip, rotation: Floats, inverse_rotation: Floats) -> Cli
     )  # fmt: skip
 
 
-def _convert_shape(shape: Shape, rotation: Floats, inverse_rotation: Floats) -> Shape:
+def _convert_shape(shape: SkinShape, rotation: Floats, inverse_rotation: Floats) -> SkinShape:
     """Return a shape in other axes. `rotation` converts vectors, `inverse_rotation` is its inverse."""
     axis = rotation[:3, :3] / np.abs(np.linalg.det(rotation[:3, :3])) ** (1 / 3)
     capture = shape.capture

@@ -21,7 +21,6 @@ from antdsl.bodies.agents.definition import (
     Binding,
     BlendTargets,
     BodyError,
-    Capture,
     Channel,
     Clip,
     Definition,
@@ -30,7 +29,8 @@ from antdsl.bodies.agents.definition import (
     Layer,
     Leg,
     Rig,
-    Shape,
+    SkinShape,
+    SkinWeights,
     TransformGroup,
     Variation,
 )
@@ -53,7 +53,7 @@ def pack_definition(body: Definition) -> Arrays:
         first, used[kind] = used[kind], used[kind] + array.size
         return [kind, first, list(array.shape)]
 
-    def shape(shape: Shape) -> dict[str, Any]:
+    def shape(shape: SkinShape) -> dict[str, Any]:
         capture, blend, between = shape.capture, shape.blend, shape.in_betweens
         return {
             "name": shape.name, "points": pack(shape.points), "faces": pack(shape.faces), "normals": pack(shape.normals),
@@ -80,7 +80,7 @@ def pack_definition(body: Definition) -> Arrays:
     document = {
         "body": 1, "name": body.name, "front": body.front, "up": body.up, "length": body.length, "unit": body.unit,
         "materials": dict(body.materials),
-        "rig": [rig.names, pack(rig.parents), pack(rig.rest), [[c.name, c.default, c.transform] for c in rig.channels]],
+        "rig": [rig.names, pack(rig.parents), pack(rig.rest_matrices), [[c.name, c.default, c.transform] for c in rig.channels]],
         "shapes": [shape(each) for each in body.shapes.values()],
         "layers": [[each.name, [[binding(b) for b in part] for part in (each.static, each.deforming)]]
                    for each in body.layers.values()],
@@ -145,14 +145,14 @@ def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
             raise ValueError
         return array[from_ : from_ + prod(sides)].reshape(sides)
 
-    def shape(entry: Any) -> Shape:
+    def shape(entry: Any) -> SkinShape:
         points = read_array(entry["points"], None, 3)
         faces = read_array(entry["faces"], None, 3, kind="i4")
         attributes = {}
         for name, place in entry["attributes"].items():
             sides: tuple[int | None, ...] = (len(points), *(None for _ in place[2][1:]))
             attributes[_read_text(name)] = read_array(place, *sides, kind="i8" if place[0] == "i8" else "f4")
-        return Shape(
+        return SkinShape(
             _read_text(entry["name"]), points, faces,
             None if entry["normals"] is None else read_array(entry["normals"], len(points), 3),
             None if entry["uvs"] is None else read_array(entry["uvs"], len(points), 2),
@@ -171,13 +171,13 @@ def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
             _read_texts(shapes), _read_texts(channels), _read_texts(attributes), _read_text(point_id), _read_text(primitive_id)
         )
 
-    def read_capture(entry: Any, points: int) -> Capture | None:
+    def read_capture(entry: Any, points: int) -> SkinWeights | None:
         if entry is None:
             return None
         names = _read_texts(entry[0])
         joints = read_array(entry[1], points, None, kind="i4")
         inverse = read_array(entry[3], len(names), 4, 4, kind="f8")
-        return Capture(names, joints, read_array(entry[2], points, joints.shape[1]), inverse)
+        return SkinWeights(names, joints, read_array(entry[2], points, joints.shape[1]), inverse)
 
     def clip(entry: Any) -> Clip:
         joints, channels = _read_texts(entry["joints"]), _read_texts(entry["channels"])
@@ -196,7 +196,7 @@ def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
 
     def read_layer(entry: Any) -> Layer:
         bindings = [
-            tuple(Binding(_read_text(b[0]), _read_text(b[1]), _read_triple(b[2]), _read_text(b[3])) for b in part)
+            tuple(Binding(_read_text(b[0]), _read_text(b[1]), _read_three_numbers(b[2]), _read_text(b[3])) for b in part)
             for part in entry[1]
         ]
         return Layer(_read_text(entry[0]), *bindings)
@@ -216,8 +216,9 @@ def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         _read_text(said["name"]), rig,
         {each.name: each for each in map(shape, said["shapes"])}, {each.name: each for each in map(read_layer, said["layers"])},
         {each.name: each for each in map(clip, said["clips"])}, {each.name: each for each in groups}, {},
-        {_read_text(name): _read_triple(colour) for name, colour in said["materials"].items()},
-        _read_triple(said["front"]), _read_triple(said["up"]), _read_number(said["length"]), _read_number(said["unit"]),
+        {_read_text(name): _read_three_numbers(colour) for name, colour in said["materials"].items()},
+        _read_three_numbers(said["front"]), _read_three_numbers(said["up"]), _read_number(said["length"]),
+        _read_number(said["unit"]),
         tuple(Leg(*map(_read_text, each)) for each in said["legs"]), tuple(_read_gait(*each) for each in said["gaits"]),
         _read_text(said["idle"]), _read_variation(*said.get("variation", ({}, {}))), _read_capsule(said.get("capsule")),
     )  # fmt: skip
@@ -236,7 +237,7 @@ def _read_capsule(sizes: Any) -> tuple[float, float, float, float] | None:
 def _read_variation(scales: Any, materials: Any) -> Variation:
     """Return the variation from its group scales and material colours. Raises errors of many types for damaged values."""
     ranges = {_read_text(name): _read_numbers(ends) for name, ends in scales.items()}
-    colours = {_read_text(name): tuple(map(_read_triple, choices)) for name, choices in materials.items()}
+    colours = {_read_text(name): tuple(map(_read_three_numbers, choices)) for name, choices in materials.items()}
     if any(len(ends) != 2 or not 0 < ends[0] <= ends[1] for ends in ranges.values()) or any(len(c) < 2 for c in colours.values()):
         raise ValueError
     return Variation({name: (ends[0], ends[1]) for name, ends in ranges.items()}, colours)
@@ -255,7 +256,7 @@ def _check_bounds(body: Definition) -> None:
     fits = [
         0 < count <= limits.MAX_RIG_JOINTS,
         len(rig.channels) <= limits.MAX_RIG_CHANNELS,
-        bool((rig.parents >= -1).all() and (rig.parents < np.arange(count)).all() and np.isfinite(rig.rest).all()),
+        bool((rig.parents >= -1).all() and (rig.parents < np.arange(count)).all() and np.isfinite(rig.rest_matrices).all()),
         body.length > 0,
         len(body.legs) <= limits.MAX_BODY_LEGS and len({leg.name for leg in body.legs}) == len(body.legs),
         len(body.gaits) <= limits.MAX_BODY_GAITS and all(_is_valid_gait(gait) for gait in body.gaits),
@@ -311,7 +312,7 @@ def _read_numbers(values: Any) -> tuple[float, ...]:
     return tuple(_read_number(each) for each in values)
 
 
-def _read_triple(values: Any) -> tuple[float, float, float]:
+def _read_three_numbers(values: Any) -> tuple[float, float, float]:
     """Return a list of three numbers as a tuple. Raises ValueError for any other value."""
     x, y, z = _read_numbers(values)
     return x, y, z

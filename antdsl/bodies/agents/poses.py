@@ -32,7 +32,7 @@ REST_CLIP = -1  # no clip: the rest pose and the default channel values
 
 
 @dataclass(slots=True, eq=False)
-class Pose:
+class LocalPose:
     """Local poses of n agents, one array per component, joints in the order of a `ClipTable`.
 
     `translation`: float32[3, J, n].
@@ -50,7 +50,7 @@ class Pose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Poses:
+class WorldPoses:
     """Transforms and channel values of n agents, joints and channels in the order of the rig.
 
     `world_transforms` and `local_transforms`: float32[n, J, 3, 4], the upper three rows of each joint's matrix, in agent space
@@ -65,7 +65,7 @@ class Poses:
     channels: Floats
 
 
-def sample_poses(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floating]) -> Pose:
+def sample_poses(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floating]) -> LocalPose:
     """Return the pose of each of n agents in its own clip, `clips` int[n], at its own time in seconds, `times` [n].
 
     A looping clip is periodic, also before time 0. Any other clip holds its first and its last sample. Clip -1 is the rest pose.
@@ -74,8 +74,8 @@ def sample_poses(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np
     row, next_row, share = _find_sample_rows(table, clips, times)
     if not len(table.joint_order) + len(table.rig.channels):
         return _split_rows(table, np.empty((0, len(row)), np.float32))
-    samples = table.samples.take(row, axis=0)
-    step = table.samples.take(next_row, axis=0)
+    samples = table.sample_rows.take(row, axis=0)
+    step = table.sample_rows.take(next_row, axis=0)
     step -= samples
     step *= share[:, None]
     samples += step
@@ -86,19 +86,19 @@ def sample_poses(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np
     return pose
 
 
-def build_rest_pose(table: ClipTable, count: int) -> Pose:
+def build_rest_pose(table: ClipTable, count: int) -> LocalPose:
     """Return the rest pose for `count` agents, as read-only arrays."""
-    pose = _split_rows(table, np.broadcast_to(table.samples[0][:, None], (table.samples.shape[1], 1)).copy())
+    pose = _split_rows(table, np.broadcast_to(table.sample_rows[0][:, None], (table.sample_rows.shape[1], 1)).copy())
     normalise_quaternions(pose.rotation)
     wide = [None if a is None else np.broadcast_to(a, (*a.shape[:-1], count)) for a in (pose.scale, pose.shear)]
-    return Pose(
+    return LocalPose(
         np.broadcast_to(pose.translation, (*pose.translation.shape[:-1], count)),
         np.broadcast_to(pose.rotation, (*pose.rotation.shape[:-1], count)),
         wide[0], wide[1], np.broadcast_to(pose.channels, (len(pose.channels), count)),
     )  # fmt: skip
 
 
-def compute_transforms(table: ClipTable, pose: Pose) -> tuple[Floats, Floats]:
+def compute_transforms(table: ClipTable, pose: LocalPose) -> tuple[Floats, Floats]:
     """Return local and world matrices of poses, float32[3, 4, J, n] each, joints in the order of the table."""
     shape = (3, 4, *pose.rotation.shape[1:])
     local = compose_matrices(pose.translation, pose.rotation, pose.scale, pose.shear, np.empty(shape, np.float32))
@@ -169,11 +169,11 @@ def _find_sample_rows(
     at = np.where(table.is_looping[clip], at - np.floor(at / turn) * turn, at)
     at = np.minimum(np.maximum(at, 0.0), last)
     lower_sample = np.minimum(np.floor(at), np.maximum(last - 1, 0))
-    row = table.first[clip] + lower_sample.astype(np.int64)
-    return row, np.minimum(row + 1, table.first[clip] + last), (at - lower_sample).astype(np.float32)
+    row = table.first_sample_rows[clip] + lower_sample.astype(np.int64)
+    return row, np.minimum(row + 1, table.first_sample_rows[clip] + last), (at - lower_sample).astype(np.float32)
 
 
-def _split_rows(table: ClipTable, rows: Floats) -> Pose:
+def _split_rows(table: ClipTable, rows: Floats) -> LocalPose:
     """Return the local poses that rows [W, n] of a table contain."""
     joints, n = len(table.joint_order), rows.shape[1]
     at, parts = 0, []
@@ -182,7 +182,7 @@ def _split_rows(table: ClipTable, rows: Floats) -> Pose:
         at += width * joints
     scale = parts[2] if table.has_scale else None
     shear = parts[-1] if table.has_shear else None
-    return Pose(parts[0], parts[1], scale, shear, rows[at:])
+    return LocalPose(parts[0], parts[1], scale, shear, rows[at:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,10 +190,10 @@ class ClipTable:
     """Samples of all clips, for J joints and C channels of one rig.
 
     `names`: the clips; the index of a clip is its number.
-    `samples`: float32[R, W]. Row 0 is the rest pose with the default values of channels. A row contains translations (3 J,
+    `sample_rows`: float32[R, W]. Row 0 is the rest pose with the default values of channels. A row contains translations (3 J,
         component by component), rotations (4 J), scales (3 J, if `has_scale`), shears (3 J, if `has_shear`) and channels (C).
         Values that a clip does not set are those of the rest pose.
-    `first`: `first[clip + 1]` is the first row of a clip.
+    `first_sample_rows`: `first_sample_rows[clip + 1]` is the first row of a clip.
     `joint_order`: int[J], the rig's number of each joint of the table; joints are ordered by depth in the rig's tree.
     `depth_levels`: the joints of each depth as (begin, end, indices of their parents).
 
@@ -202,8 +202,8 @@ class ClipTable:
 
     rig: Rig
     names: tuple[str, ...]
-    samples: Floats
-    first: NDArray[np.int64]
+    sample_rows: Floats
+    first_sample_rows: NDArray[np.int64]
     sample_counts: NDArray[np.int64]
     rates: NDArray[np.float64]
     is_looping: NDArray[np.bool_]
@@ -242,7 +242,7 @@ def build_clip_table(definition: Definition) -> ClipTable:
     rig = definition.rig
     order, levels = _order_by_depth(rig)
     clips = tuple(definition.clips.values())
-    rest = decompose_matrices(rig.rest)
+    rest = decompose_matrices(rig.rest_matrices)
     rest[3][np.abs(rest[3]) < 1e-7] = 0  # rounding errors do not count as shear
     scaled = bool((np.abs(rest[2] - 1) > 1e-6).any()) or any((clip.scale != 1).any() for clip in clips)
     sheared = bool(rest[3].any()) or any(clip.shear is not None and clip.shear.any() for clip in clips)

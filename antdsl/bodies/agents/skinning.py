@@ -22,15 +22,15 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import (
     Floats,
-    Numbers,
-    extract_rotations,
+    NumberArray,
+    extract_rotation_matrices,
     invert_and_transpose,
     matrices_to_quaternions,
     multiply_matrices,
     multiply_quaternions,
 )
-from antdsl.bodies.agents.definition import Definition, Shape
-from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.definition import Definition, SkinShape
+from antdsl.bodies.agents.poses import WorldPoses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +47,9 @@ class DeformedShape:
     attributes: dict[str, Floats]
 
 
-def apply_linear_skinning(deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
+def apply_linear_skinning(
+    deformed_shape: DeformedShape, shape: SkinShape, definition: Definition, poses: WorldPoses
+) -> DeformedShape:
     """Return a shape after linear blend skinning. Raises ValueError for a shape without a capture, KeyError for joints that the
     rig does not have."""
     joints, weights, matrices = _compute_joint_transforms(shape, definition, poses)
@@ -65,11 +67,11 @@ def apply_linear_skinning(deformed_shape: DeformedShape, shape: Shape, definitio
 
 
 def apply_dual_quaternion_skinning(
-    deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses
+    deformed_shape: DeformedShape, shape: SkinShape, definition: Definition, poses: WorldPoses
 ) -> DeformedShape:
     """Return a shape after dual quaternion skinning in two phases. Raises the errors of `apply_linear_skinning`."""
     joints, weights, matrices = _compute_joint_transforms(shape, definition, poses)
-    rotation = extract_rotations(matrices)
+    rotation = extract_rotation_matrices(matrices)
     rest = _remove_rotation(rotation, matrices)
     real = matrices_to_quaternions(rotation)
     moved = np.concatenate([matrices[:, 3], np.zeros_like(matrices[:1, 3])])
@@ -86,7 +88,9 @@ def apply_dual_quaternion_skinning(
     return DeformedShape(points.transpose(2, 1, 0), normals, deformed_shape.attributes)
 
 
-def blend_skinning_methods(deformed_shape: DeformedShape, shape: Shape, definition: Definition, poses: Poses) -> DeformedShape:
+def blend_skinning_methods(
+    deformed_shape: DeformedShape, shape: SkinShape, definition: Definition, poses: WorldPoses
+) -> DeformedShape:
     """Return the blend of linear (0) and dual quaternion skinning (1) by the point attribute that the shape's
     `dual_quaternion_blend` names.
 
@@ -107,7 +111,7 @@ def blend_skinning_methods(deformed_shape: DeformedShape, shape: Shape, definiti
     return DeformedShape(points, normals, deformed_shape.attributes)
 
 
-def transform_points(matrices: Numbers, points: Floats) -> Floats:
+def transform_points(matrices: NumberArray, points: Floats) -> Floats:
     """Return points [n, P, 3], transformed by matrices [3, 3 or 4, P, n], as [3, P, n]. A matrix of three columns transforms a
     direction."""
     x, y, z = _split_components(points)
@@ -117,7 +121,7 @@ def transform_points(matrices: Numbers, points: Floats) -> Floats:
     return products
 
 
-def transform_normals(normals: Floats, matrices: Numbers) -> Floats:
+def transform_normals(normals: Floats, matrices: NumberArray) -> Floats:
     """Return normals [n, P, 3] transformed by matrices [3, 3, P, n], normalised."""
     return normalise_in_place(transform_points(matrices, normals)).transpose(2, 1, 0)
 
@@ -144,9 +148,11 @@ def rotate_points(points: Floats, rotation: Floats) -> None:
     points[2] = z + two * (qx * uy - qy * ux)
 
 
-def _compute_joint_transforms(shape: Shape, definition: Definition, poses: Poses) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Return the captured joints of each point [P, K], their weights [P, K], and the transform of each captured joint from the
-    pose at capture, float32[3, 4, joints, n]."""
+def _compute_joint_transforms(
+    shape: SkinShape, definition: Definition, poses: WorldPoses
+) -> tuple[NDArray[np.intp], Floats, Floats]:
+    """Return the captured joints of each point [P, K], their weights [P, K], and each joint's transform from the pose at
+    capture, float32[3, 4, joints, n]."""
     capture = shape.capture
     if capture is None:
         raise ValueError(f"shape `{shape.name}` does not state which joints its points follow (capture)")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
 from antdsl.bodies.agents.definition import Rig, TransformGroup, Variation
-from antdsl.bodies.agents.poses import ClipTable, Poses
+from antdsl.bodies.agents.poses import ClipTable, WorldPoses
 from antdsl.numerics.randomness import draw_uniform
 
 
@@ -30,8 +30,8 @@ class VariationDraws:
 
 
 def scale_groups(
-    table: ClipTable, poses: Poses, variation: Variation, groups: Mapping[str, TransformGroup], draws: VariationDraws | None
-) -> Poses:
+    table: ClipTable, poses: WorldPoses, variation: Variation, groups: Mapping[str, TransformGroup], draws: VariationDraws | None
+) -> WorldPoses:
     """Return poses with each transform group scaled by the agent's random scale.
 
     The uppermost joints of the group are scaled about their own positions, together with their descendants, in proportion to
@@ -48,7 +48,7 @@ def scale_groups(
             for each in below:
                 world[:, each, :, :3] *= factor
                 world[:, each, :, 3] = pivot + (world[:, each, :, 3] - pivot) * factor[:, 0]
-    return Poses(world, None, poses.channels)
+    return WorldPoses(world, None, poses.channels)
 
 
 def draw_group_scale(variation: Variation, group: str, draws: VariationDraws) -> Floats:

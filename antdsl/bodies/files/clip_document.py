@@ -15,7 +15,7 @@ from antdsl.bodies.agents.definition import Clip, Rig
 from antdsl.bodies.agents.transforms import align_signs, angles_to_quaternion, decompose_matrix, quaternion_to_angles
 from antdsl.bodies.files.document_model import ClipForm
 from antdsl.bodies.files.documents import format_json
-from antdsl.bodies.files.json_text import Node, find_span, report_unknown_name
+from antdsl.bodies.files.json_text import JsonNode, find_span, report_unknown_name
 from antdsl.diagnostics import Report
 
 Floats = NDArray[np.float64]
@@ -23,7 +23,7 @@ TRANSFORM_PARTS = ("tx", "ty", "tz", "rx", "ry", "rz", "sx", "sy", "sz", "shear1
 _IDENTITY_PARTS = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 
 
-def build_clip(form: ClipForm, root: Node, report: Report, rig: Rig | None = None) -> Clip | None:
+def build_clip(form: ClipForm, root: JsonNode, report: Report, rig: Rig | None = None) -> Clip | None:
     """Return the clip of a document, or None if it has mistakes, which are reported.
 
     Parts of a joint that the text omits are taken from the rig's rest pose, or from the identity transform if there is no rig.
@@ -61,7 +61,7 @@ def build_clip(form: ClipForm, root: Node, report: Report, rig: Rig | None = Non
     )  # fmt: skip
 
 
-def _split_channels(form: ClipForm, root: Node, report: Report, rig: Rig | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _split_channels(form: ClipForm, root: JsonNode, report: Report, rig: Rig | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the joints that the clip's channels move, and the channels of the rig that it animates, in the order of the text."""
     joints: dict[str, None] = {}
     numbers: list[str] = []
@@ -84,7 +84,7 @@ def _split_channels(form: ClipForm, root: Node, report: Report, rig: Rig | None)
     return tuple(joints), tuple(numbers)
 
 
-def check_marks(marks: Mapping[str, float], seconds: float, root: Node, report: Report) -> None:
+def check_marks(marks: Mapping[str, float], seconds: float, root: JsonNode, report: Report) -> None:
     """Report marks after the end of a clip."""
     for name, mark_time in marks.items():
         if mark_time > seconds:
@@ -97,7 +97,7 @@ def _compute_rest_parts(joints: tuple[str, ...], rig: Rig | None) -> Floats:
     radians."""
     if rig is None:
         return np.tile(np.array(_IDENTITY_PARTS), (len(joints), 1))
-    chosen = rig.rest[[rig.names.index(joint) for joint in joints]].reshape(-1, 4, 4)
+    chosen = rig.rest_matrices[[rig.names.index(joint) for joint in joints]].reshape(-1, 4, 4)
     translation, rotation, scale, shear = decompose_matrix(chosen)
     return np.concatenate([translation, quaternion_to_angles(rotation), scale, shear], axis=-1)
 

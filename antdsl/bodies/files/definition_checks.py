@@ -12,8 +12,8 @@ import numpy as np
 
 from antdsl import limits
 from antdsl.bodies.agents.boxes import compute_rest_box
-from antdsl.bodies.agents.definition import Binding, Definition, Leg, Shape
-from antdsl.bodies.files.json_text import Node, find_span, find_text, report_unknown_name
+from antdsl.bodies.agents.definition import Binding, Definition, Leg, SkinShape
+from antdsl.bodies.files.json_text import JsonNode, find_span, find_text, report_unknown_name
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.document import PathKey
@@ -34,7 +34,7 @@ class LocatedDefinition:
 
     definition: Definition
     span: Span | None = None
-    nodes: dict[tuple[str, str], Node] = field(default_factory=dict)
+    nodes: dict[tuple[str, str], JsonNode] = field(default_factory=dict)
     needs_length: bool = True
 
     def find_part_span(self, key: str, name: str = "", path: Sequence[PathKey] = ()) -> Span | None:
@@ -126,7 +126,7 @@ def _check_binding(parts: LocatedDefinition, layer: str, binding: Binding, repor
             report.error("bad-body", words, span, help)
 
 
-def _check_shape(definition: Definition, shape: Shape, place: Span | None, report: Report) -> None:
+def _check_shape(definition: Definition, shape: SkinShape, place: Span | None, report: Report) -> None:
     """Report joints, blend shapes and channels that a shape names and the definition lacks."""
     if shape.capture is not None:
         missing = [name for name in shape.capture.names if name not in definition.rig.names]

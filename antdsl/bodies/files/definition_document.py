@@ -22,7 +22,7 @@ from antdsl.bodies.files.documents import (
     build_rig,
     read_metadata,
 )
-from antdsl.bodies.files.json_text import Node, find_node, find_span, report_unknown_name
+from antdsl.bodies.files.json_text import JsonNode, find_node, find_span, report_unknown_name
 from antdsl.bodies.files.named_files import CLIP_ENDINGS, GLTF_ENDINGS, USD_ENDINGS, BodyFiles, get_file_ending
 from antdsl.bodies.files.shape_references import read_includes, read_shapes
 from antdsl.diagnostics import Label, Report
@@ -32,7 +32,7 @@ from antdsl.source import Span
 _PART_DESCRIPTIONS = {"rig": "a rig", "metadata": "metadata", "layers": "a layer", "groups": "a transform group"}
 
 
-def read_document(root: Node, files: BodyFiles, name: str) -> LocatedDefinition | None:
+def read_document(root: JsonNode, files: BodyFiles, name: str) -> LocatedDefinition | None:
     """Return the definition in a file, before the checks that need the complete definition; None if it cannot be read."""
     report = files.report
     if _report_part_file(root, report):
@@ -83,12 +83,12 @@ def read_document(root: Node, files: BodyFiles, name: str) -> LocatedDefinition 
     return parts
 
 
-def _insert_files(root: Node, files: BodyFiles) -> Node:
+def _insert_files(root: JsonNode, files: BodyFiles) -> JsonNode:
     """Return the tree of a definition in which the content of separate files replaces the references to them.
 
     Files that cannot be read are left out."""
 
-    def insert_part(node: Node, expected_part: str) -> Node | None:
+    def insert_part(node: JsonNode, expected_part: str) -> JsonNode | None:
         file = node.get_inner("file")
         if file is None or len(node.keys) != 1 or not isinstance(file.value, str):
             return node
@@ -96,20 +96,22 @@ def _insert_files(root: Node, files: BodyFiles) -> Node:
 
     if not isinstance(root.value, dict):
         return root
-    entries: dict[str, Node | None] = dict(root.value)
+    entries: dict[str, JsonNode | None] = dict(root.value)
     for key, what in _PART_DESCRIPTIONS.items():
         node = root.value.get(key)
         if node is None:
             continue
         if isinstance(node.value, list) and not node.has_plain_numbers and key in ("layers", "groups"):
-            items = [insert_part(each, what) for each in node.value if isinstance(each, Node)]
+            items = [insert_part(each, what) for each in node.value if isinstance(each, JsonNode)]
             entries[key] = replace(node, value=[each for each in items if each is not None])
         else:
             entries[key] = insert_part(node, what)
     return replace(root, value={key: node for key, node in entries.items() if node is not None})
 
 
-def _record_part_nodes(parts: LocatedDefinition, key: str, names: list[str], root: Node, tree: Node, report: Report) -> None:
+def _record_part_nodes(
+    parts: LocatedDefinition, key: str, names: list[str], root: JsonNode, tree: JsonNode, report: Report
+) -> None:
     """Store the nodes of named parts, and report names that occur twice."""
     parts.nodes[key, ""] = find_node(root, (key,))
     first: dict[str, int] = {}
@@ -133,7 +135,7 @@ _PART_FILE_KEYS = (
 )
 
 
-def _report_part_file(root: Node, report: Report) -> bool:
+def _report_part_file(root: JsonNode, report: Report) -> bool:
     """Return whether a file is only a part of a definition, and report this."""
     if not isinstance(root.value, dict) or "antdsl_body" in root.value:
         return False
@@ -145,7 +147,7 @@ def _report_part_file(root: Node, report: Report) -> bool:
     return False
 
 
-def _read_base(base: BaseForm, node: Node, files: BodyFiles, name: str) -> Definition | None:
+def _read_base(base: BaseForm, node: JsonNode, files: BodyFiles, name: str) -> Definition | None:
     """Return the definition in the glTF or USD file that `from` names. The other parts of the document are added to it."""
     place = find_span(node, ("file",))
     if files.is_closed_format(base.file, place):
@@ -163,7 +165,7 @@ def _read_base(base: BaseForm, node: Node, files: BodyFiles, name: str) -> Defin
     return None if definition is None else replace(definition, name=name)
 
 
-def _read_axes(form: BodyForm, root: Node, base: Definition, report: Report) -> dict[str, Any]:
+def _read_axes(form: BodyForm, root: JsonNode, base: Definition, report: Report) -> dict[str, Any]:
     """Return the fields `front` and `up` of a definition: the forward and upward axes of a body."""
     front, up = form.front or base.front, form.up or base.up
     if any(a and b for a, b in zip(front, up, strict=True)):
@@ -176,7 +178,7 @@ def _read_axes(form: BodyForm, root: Node, base: Definition, report: Report) -> 
 # ---- clips
 
 
-def _read_clips(form: BodyForm, root: Node, files: BodyFiles, rig: Rig, clips: dict[str, Clip]) -> dict[str, Clip]:
+def _read_clips(form: BodyForm, root: JsonNode, files: BodyFiles, rig: Rig, clips: dict[str, Clip]) -> dict[str, Clip]:
     """Return the clips that the document lists, by name.
 
     An entry is an inline clip, a clip file, a glTF or USD file, or a clip of `from` with other settings."""
@@ -199,7 +201,7 @@ def _read_clips(form: BodyForm, root: Node, files: BodyFiles, rig: Rig, clips: d
 
 
 def _resolve_clip_reference(
-    entry: ClipReference, node: Node, files: BodyFiles, rig: Rig, base_clips: dict[str, Clip]
+    entry: ClipReference, node: JsonNode, files: BodyFiles, rig: Rig, base_clips: dict[str, Clip]
 ) -> list[Clip]:
     """Return the clips that an entry refers to, with the settings of the entry."""
     report = files.report

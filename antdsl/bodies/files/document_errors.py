@@ -11,7 +11,7 @@ from pydantic.fields import FieldInfo
 
 from antdsl import limits
 from antdsl.bodies.files.document_model import DocumentedForm, Form, list_keys
-from antdsl.bodies.files.json_text import Node, find_node, find_span
+from antdsl.bodies.files.json_text import JsonNode, find_node, find_span
 from antdsl.diagnostics import Diagnostic, Label, Report
 from antdsl.diagnostics.model import Severity
 from antdsl.diagnostics.suggestion import find_nearest_name
@@ -19,7 +19,7 @@ from antdsl.scene.document import PathKey
 from antdsl.scene.load import drop_cascading_errors
 from antdsl.source import Span
 
-F = TypeVar("F", bound=Form)
+FormType = TypeVar("FormType", bound=Form)
 Path = tuple[PathKey, ...]
 _MAX_ERRORS = 200  # findings per check; further ones are reported after these are corrected
 _NULL_PLACEHOLDER = object()  # replaces null, which is not allowed in documents
@@ -37,7 +37,7 @@ _EXPECTED_BY_ERROR_TYPE: dict[str, tuple[str, str | None]] = {
 _CONTAINER_ERROR_TYPES = ("list_type", "tuple_type", "dict_type", "model_type")
 
 
-def read_form(form: type[F], root: Node, report: Report) -> F | None:
+def read_form(form: type[FormType], root: JsonNode, report: Report) -> FormType | None:
     """Return the model of a document, or None if the report has an error about it.
 
     At most `_MAX_ERRORS` findings are reported, errors before warnings."""
@@ -61,12 +61,12 @@ def _is_ignorable(form: type[Form], error: Any) -> bool:
     return error["type"] == "extra_forbidden" and issubclass(_find_innermost_form(form, error["loc"])[0], DocumentedForm)
 
 
-def _to_plain_values(node: Node) -> Any:
+def _to_plain_values(node: JsonNode) -> Any:
     """Return a tree as values without locations."""
     if isinstance(node.value, dict):
         return {key: _to_plain_values(value) for key, value in node.value.items()}
     if isinstance(node.value, list) and not node.has_plain_numbers:
-        return [_to_plain_values(item) for item in node.value if isinstance(item, Node)]
+        return [_to_plain_values(item) for item in node.value if isinstance(item, JsonNode)]
     return _NULL_PLACEHOLDER if node.value is None else node.value
 
 
@@ -78,7 +78,7 @@ def _delete_entry(tree: Any, path: Path) -> None:
     del tree[path[-1]]
 
 
-def _convert_error(form: type[Form], root: Node, error: Any) -> Diagnostic:
+def _convert_error(form: type[Form], root: JsonNode, error: Any) -> Diagnostic:
     """Return the finding for an error that pydantic raised."""
     kind, path, context = error["type"], tuple(error["loc"]), error.get("ctx", {})
     owner, field = _find_innermost_form(form, path)
@@ -114,7 +114,7 @@ def _convert_error(form: type[Form], root: Node, error: Any) -> Diagnostic:
     return Diagnostic("wrong-value", words, node.span if node.has_plain_numbers else node.marked_span)
 
 
-def _diagnose_model_error(root: Node, path: Path, context: Any) -> Diagnostic:
+def _diagnose_model_error(root: JsonNode, path: Path, context: Any) -> Diagnostic:
     """Return the finding about an error that `document_model` raised. Entries of `context`:
 
     `words`, `help`: the message and the correction.

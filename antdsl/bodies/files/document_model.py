@@ -1,9 +1,8 @@
-"""The JSON documents of a body, as pydantic models: the definition, its rig, layers, transform groups and clips, and the settings
-of a clip in the extras of a glTF animation.
+"""The JSON documents of a body as pydantic models: definition, rig, layers, transform groups, clips, and clip settings of glTF
+animations.
 
 `document_values` has the types of their values. `document_errors` turns mismatches into findings. A value that depends on other
-parts of the definition, such as the name of a joint, is checked when the definition is built.
-"""
+parts of the definition, such as the name of a joint, is checked when the definition is built."""
 
 from typing import Annotated, Any, ClassVar, Self
 
@@ -12,29 +11,29 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Fail
 from antdsl.bodies.agents.transforms import ROTATION_ORDERS
 from antdsl.bodies.files.document_values import (
     CHANNELS_EXAMPLE,
-    Amount,
     AnyText,
     Axis,
     Channels,
     Colours,
     Duty,
-    Entries,
+    EntryList,
     Flag,
     Joints,
     Length,
     Matrix,
     NoDeformer,
+    NonNegativeNumber,
     Number,
     PathPair,
+    PositiveLength,
     ReadRate,
     RgbColour,
     SampleRate,
     Scale,
     Share,
-    Stride,
     Text,
     Texts,
-    Unique,
+    UniqueNames,
     Unit,
     limit_entries,
     require_one_of,
@@ -80,7 +79,7 @@ class BindingForm(DocumentedForm):
     noun = "a binding"
     transform: AnyText = ""
     shape: Text
-    bounds_scale: tuple[Amount, Amount, Amount] = (1.0, 1.0, 1.0)
+    bounds_scale: tuple[NonNegativeNumber, NonNegativeNumber, NonNegativeNumber] = (1.0, 1.0, 1.0)
     deformer: AnyText = ""
 
 
@@ -97,8 +96,8 @@ class LayerForm(DocumentedForm):
     noun = "a layer"
     version: Annotated[int, require_version(2)] = Field(examples=["2"])
     name: Text
-    static: Annotated[tuple[StaticForm, ...], Entries] = ()
-    deforming: Annotated[tuple[DeformingForm, ...], Entries] = ()
+    static: Annotated[tuple[StaticForm, ...], EntryList] = ()
+    deforming: Annotated[tuple[DeformingForm, ...], EntryList] = ()
 
 
 class MemberForm(DocumentedForm):
@@ -116,8 +115,8 @@ class GroupForm(DocumentedForm):
     noun = "a transform group"
     version: Annotated[int, require_version(2)] = Field(examples=["2"])
     name: Text
-    members: Annotated[tuple[MemberForm, ...], Unique, Entries] = ()
-    channels: Annotated[tuple[ChannelName, ...], Unique, Entries] = ()
+    members: Annotated[tuple[MemberForm, ...], UniqueNames, EntryList] = ()
+    channels: Annotated[tuple[ChannelName, ...], UniqueNames, EntryList] = ()
 
 
 # ---- clips
@@ -126,8 +125,8 @@ class GroupForm(DocumentedForm):
 class ClipSettings(Form):
     noun = "a clip"
     loop: Flag = True
-    stride: Amount = 0.0
-    marks: dict[str, Amount] = Field({}, examples=['{"NAME": 0.5}'])
+    stride: NonNegativeNumber = 0.0
+    marks: dict[str, NonNegativeNumber] = Field({}, examples=['{"NAME": 0.5}'])
     feet: Flag = True
 
 
@@ -173,7 +172,7 @@ def _choose_clip_form(value: Any) -> str:
     return "clip-here" if isinstance(value, dict) and "antdsl_clip" in value else "clip-elsewhere"
 
 
-Clip = Annotated[
+ClipEntry = Annotated[
     Annotated[ClipForm, Tag("clip-here")] | Annotated[ClipReference, Tag("clip-elsewhere")], Discriminator(_choose_clip_form)
 ]
 
@@ -213,18 +212,18 @@ class LegForm(Form):
 class GaitForm(Form):
     noun = "a gait"
     name: Text = Field(examples=['"walk"'])
-    speed: Amount = Field(examples=["10"])
-    stride: Stride = Field(examples=["5"])
+    speed: NonNegativeNumber = Field(examples=["10"])
+    stride: PositiveLength = Field(examples=["5"])
     duty: Duty = Field(examples=["0.6"])
-    lift: Amount = Field(examples=["0.5"])
+    lift: NonNegativeNumber = Field(examples=["0.5"])
     phases: Annotated[tuple[Share, ...], FailFast()] = Field(examples=["[0, 0.5]"])
 
 
 class CapsuleForm(Form):
     noun = "a capsule"
-    length: Stride = Field(examples=["1.2"])
-    width: Stride = Field(examples=["0.4"])
-    height: Amount = Field(examples=["0.5"])
+    length: PositiveLength = Field(examples=["1.2"])
+    width: PositiveLength = Field(examples=["0.4"])
+    height: NonNegativeNumber = Field(examples=["0.5"])
     ahead: Number = 0.0
 
 
@@ -233,8 +232,8 @@ class BodySettings(Form):
 
     model_config = ConfigDict(extra="ignore")
     length: Length | None = None
-    legs: Annotated[tuple[LegForm, ...], Unique, Entries, limit_entries("MAX_BODY_LEGS", "legs")] = ()
-    gaits: Annotated[tuple[GaitForm, ...], Unique, Entries, limit_entries("MAX_BODY_GAITS", "gaits")] = ()
+    legs: Annotated[tuple[LegForm, ...], UniqueNames, EntryList, limit_entries("MAX_BODY_LEGS", "legs")] = ()
+    gaits: Annotated[tuple[GaitForm, ...], UniqueNames, EntryList, limit_entries("MAX_BODY_GAITS", "gaits")] = ()
     idle: Text | None = None
     capsule: CapsuleForm | None = None
 
@@ -272,17 +271,17 @@ class BodyForm(Form):
     units: Unit | None = None
     length: Length | None = None
     rig: RigForm | None = Field(None, examples=['{"file": "rig.json"}'])
-    shapes: Annotated[tuple[ShapeReference, ...], Entries, limit_entries("MAX_BODY_PARTS", "shapes")] = Field(
+    shapes: Annotated[tuple[ShapeReference, ...], EntryList, limit_entries("MAX_BODY_PARTS", "shapes")] = Field(
         (), examples=['[{"file": "sword.obj", "name": "sword"}]']
     )
-    shapelib_includes: Annotated[tuple[PathPair, ...], Entries] = Field((), examples=['[["$HIP/lib.glb", "/…/lib.glb"]]'])
-    layers: Annotated[tuple[LayerForm, ...], Entries, limit_entries("MAX_BODY_PARTS", "layers")] = ()
-    clips: Annotated[tuple[Clip, ...], Entries, limit_entries("MAX_BODY_PARTS", "clips")] = ()
-    groups: Annotated[tuple[GroupForm, ...], Entries, limit_entries("MAX_BODY_PARTS", "transform groups")] = ()
+    shapelib_includes: Annotated[tuple[PathPair, ...], EntryList] = Field((), examples=['[["$HIP/lib.glb", "/…/lib.glb"]]'])
+    layers: Annotated[tuple[LayerForm, ...], EntryList, limit_entries("MAX_BODY_PARTS", "layers")] = ()
+    clips: Annotated[tuple[ClipEntry, ...], EntryList, limit_entries("MAX_BODY_PARTS", "clips")] = ()
+    groups: Annotated[tuple[GroupForm, ...], EntryList, limit_entries("MAX_BODY_PARTS", "transform groups")] = ()
     metadata: dict[str, Any] = {}
     materials: dict[str, RgbColour] = Field({}, examples=['{"NAME": [0.5, 0.4, 0.3]}'])
-    legs: Annotated[tuple[LegForm, ...], Unique, Entries, limit_entries("MAX_BODY_LEGS", "legs")] = ()
-    gaits: Annotated[tuple[GaitForm, ...], Unique, Entries, limit_entries("MAX_BODY_GAITS", "gaits")] = ()
+    legs: Annotated[tuple[LegForm, ...], UniqueNames, EntryList, limit_entries("MAX_BODY_LEGS", "legs")] = ()
+    gaits: Annotated[tuple[GaitForm, ...], UniqueNames, EntryList, limit_entries("MAX_BODY_GAITS", "gaits")] = ()
     idle: Text | None = None
     variation: VariationForm = VariationForm()
     capsule: CapsuleForm | None = Field(None, examples=['{"length": 1.2, "width": 0.4, "height": 0.5}'])

@@ -19,7 +19,7 @@ AXIS_BY_WORD = {
 }
 _UNIT_PATTERN = re.compile(rf"(?:(\d{{1,6}}(?:\.\d{{1,9}})?) )?({'|'.join(UNIT_MM)})")
 _MAX_NAME_CHARACTERS = 1000
-_LEAST_SCALE, _MOST_SCALE = 0.1, 10.0  # scale factors relative to the rest pose
+_MIN_SCALE, _MAX_SCALE = 0.1, 10.0  # scale factors relative to the rest pose
 
 
 def _check_text(value: str) -> str:
@@ -127,24 +127,24 @@ Flag = Annotated[bool, Strict()]
 Text = Annotated[str, Strict(), AfterValidator(_check_nonempty)]
 AnyText = Annotated[str, Strict(), AfterValidator(_check_text)]  # may be empty
 Number = Annotated[float, Strict(), Field(ge=-limits.MAX_NUMBER, le=limits.MAX_NUMBER)]
-Amount = Annotated[float, Strict(), Field(ge=0.0, le=limits.MAX_NUMBER)]
+NonNegativeNumber = Annotated[float, Strict(), Field(ge=0.0, le=limits.MAX_NUMBER)]
 Share = Annotated[float, Strict(), Field(ge=0.0, le=1.0)]
 SampleRate = Annotated[float, Strict(), Field(ge=0.001, le=100_000.0)]
 ReadRate = Annotated[float, Strict(), Field(ge=1.0, le=1000.0)]
 Length = Annotated[float, Strict(), Field(ge=1e-9, le=limits.MAX_NUMBER)]
-Stride = Annotated[float, Strict(), Field(ge=limits.MIN_STRIDE, le=limits.MAX_NUMBER)]
+PositiveLength = Annotated[float, Strict(), Field(ge=limits.MIN_STRIDE, le=limits.MAX_NUMBER)]
 Duty = Annotated[float, Strict(), Field(ge=limits.DUTY_FACTOR_RANGE[0], le=limits.DUTY_FACTOR_RANGE[1])]
-Scale = Annotated[float, Strict(), Field(ge=_LEAST_SCALE, le=_MOST_SCALE)]
+Scale = Annotated[float, Strict(), Field(ge=_MIN_SCALE, le=_MAX_SCALE)]
 RgbColour = tuple[Share, Share, Share]
-Entries = BeforeValidator(_reject_number_array)
-Texts = Annotated[tuple[Text, ...], Entries]
+EntryList = BeforeValidator(_reject_number_array)
+Texts = Annotated[tuple[Text, ...], EntryList]
 Unit = Annotated[float, BeforeValidator(_read_unit)]
 Axis = Annotated[tuple[float, float, float], BeforeValidator(_read_axis)]
-Row = tuple[Number, Number, Number, Number]
-Unique = AfterValidator(_check_names)
+MatrixRow = tuple[Number, Number, Number, Number]
+UniqueNames = AfterValidator(_check_names)
 
 
-def _check_matrix(rows: tuple[Row, Row, Row, Row]) -> tuple[Row, Row, Row, Row]:
+def _check_matrix(rows: tuple[MatrixRow, MatrixRow, MatrixRow, MatrixRow]) -> tuple[MatrixRow, MatrixRow, MatrixRow, MatrixRow]:
     """Return a matrix for column vectors. Raises if its last row is not 0 0 0 1."""
     if rows[3] != (0, 0, 0, 1):
         is_transposed = all(row[3] == 0 for row in rows[:3])
@@ -160,7 +160,7 @@ def _check_joints(joints: dict[str, Texts]) -> dict[str, Texts]:
     return joints
 
 
-Matrix = Annotated[tuple[Row, Row, Row, Row], AfterValidator(_check_matrix), Entries]
+Matrix = Annotated[tuple[MatrixRow, MatrixRow, MatrixRow, MatrixRow], AfterValidator(_check_matrix), EntryList]
 Joints = Annotated[dict[Text, Texts], AfterValidator(_check_joints)]
 
 
@@ -217,6 +217,6 @@ def _check_channels(channels: dict[str, NDArray[np.float64]]) -> dict[str, NDArr
 
 
 NoDeformer = Annotated[AnyText, AfterValidator(_reject_deformer)]
-Colours = Annotated[tuple[RgbColour, ...], AfterValidator(_check_colours), Entries]
+Colours = Annotated[tuple[RgbColour, ...], AfterValidator(_check_colours), EntryList]
 Channels = Annotated[dict[str, Samples], AfterValidator(_check_channels)]
 PathPair = Annotated[tuple[AnyText, AnyText], BeforeValidator(_check_path_pair)]

@@ -16,7 +16,7 @@ import numpy as np
 
 from antdsl.bodies.agents.definition import Binding, Channel, Gait, Layer, Leg, Rig, TransformGroup
 from antdsl.bodies.files.document_model import CapsuleForm, GaitForm, GroupForm, LayerForm, LegForm, RigForm
-from antdsl.bodies.files.json_text import Node, find_span, report_unknown_name
+from antdsl.bodies.files.json_text import JsonNode, find_span, report_unknown_name
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.source import Span
@@ -27,7 +27,7 @@ _NUMBER_LIST_PATTERN = re.compile(r"\[\n([-+0-9.eE,\s]+)\]")  # strings contain 
 # ---- rig
 
 
-def build_rig(form: RigForm, root: Node, report: Report) -> Rig | None:
+def build_rig(form: RigForm, root: JsonNode, report: Report) -> Rig | None:
     """Return the rig of a document, or None if its joints do not form a tree."""
     tree = _order_joints(form, root, report)
     if tree is None:
@@ -49,7 +49,7 @@ def build_rig(form: RigForm, root: Node, report: Report) -> Rig | None:
     return Rig(names, np.array(parents, np.int32), rest, channels)
 
 
-def _order_joints(form: RigForm, root: Node, report: Report) -> tuple[tuple[str, ...], list[int]] | None:
+def _order_joints(form: RigForm, root: JsonNode, report: Report) -> tuple[tuple[str, ...], list[int]] | None:
     """Return the names of the joints, and the number of each joint's parent (-1 for a root). Return None after errors.
 
     The order is that of the text if parents precede their children there, else from the roots down."""
@@ -125,10 +125,10 @@ def write_rig(rig: Rig) -> str:
     document: dict[str, Any] = {"rig_version": 1, "transforms": children}
     if rig.channels:
         document["channels"] = {c.name: {"default_value": c.default, "transform": c.transform} for c in rig.channels}
-    moved = [joint for joint in range(len(rig.names)) if (rig.rest[joint] != np.eye(4)).any()]
+    moved = [joint for joint in range(len(rig.names)) if (rig.rest_matrices[joint] != np.eye(4)).any()]
     if moved:
-        document["antdsl_rest"] = {rig.names[joint]: rig.rest[joint].tolist() for joint in moved}
-    return format_json(_use_integers(document))
+        document["antdsl_rest"] = {rig.names[joint]: rig.rest_matrices[joint].tolist() for joint in moved}
+    return format_json(_convert_whole_floats(document))
 
 
 # ---- layers and transform groups
@@ -142,7 +142,7 @@ def build_layer(form: LayerForm) -> Layer:
 
 def write_layer(layer: Layer) -> str:
     """Return a layer as text in the documented form."""
-    return format_json(_use_integers({"version": 2, **asdict(layer)}))
+    return format_json(_convert_whole_floats({"version": 2, **asdict(layer)}))
 
 
 def build_legs(forms: Iterable[LegForm]) -> tuple[Leg, ...]:
@@ -171,15 +171,15 @@ def write_group(group: TransformGroup) -> str:
     """Return a transform group as text in the documented form."""
     members = [{"name": name, "weight": weight} for name, weight in group.members]
     channels = [{"name": name} for name in group.channels]
-    return format_json(_use_integers({"version": 2, "name": group.name, "members": members, "channels": channels}))
+    return format_json(_convert_whole_floats({"version": 2, "name": group.name, "members": members, "channels": channels}))
 
 
-def _use_integers(value: Any) -> Any:
+def _convert_whole_floats(value: Any) -> Any:
     """Return the value with numbers that have no fraction as integers, as in the documented forms."""
     if isinstance(value, dict):
-        return {key: _use_integers(each) for key, each in value.items()}
+        return {key: _convert_whole_floats(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_use_integers(each) for each in value]
+        return [_convert_whole_floats(each) for each in value]
     return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < 2**53 else value
 
 
@@ -201,7 +201,7 @@ _COMPONENTS_BY_TYPE = {
 }  # fmt: skip
 
 
-def read_metadata(root: Node, report: Report) -> dict[str, Any]:
+def read_metadata(root: JsonNode, report: Report) -> dict[str, Any]:
     """Return the entries of a metadata document. Wrong entries are reported."""
     if not isinstance(root.value, dict):
         report.error(
@@ -211,7 +211,7 @@ def read_metadata(root: Node, report: Report) -> dict[str, Any]:
     return {key: _read_value(each, report) for key, each in root.value.items()}
 
 
-def _read_value(node: Node, report: Report) -> Any:
+def _read_value(node: JsonNode, report: Report) -> Any:
     """Return a metadata value; None after an error."""
     if isinstance(node.value, bool) or node.value is None:
         help = f"write `{int(node.value)}`" if node.value is not None else "leave the key out"
@@ -219,7 +219,7 @@ def _read_value(node: Node, report: Report) -> Any:
         report.error("wrong-value", words, node.marked_span, help)
         return 0
     if isinstance(node.value, list):
-        return [_read_value(each, report) if isinstance(each, Node) else each for each in node.value]
+        return [_read_value(each, report) if isinstance(each, JsonNode) else each for each in node.value]
     if isinstance(node.value, dict):
         if set(node.value) == {"type", "value"}:
             return _read_typed_value(node.value["type"], node.value["value"], report)
@@ -227,7 +227,7 @@ def _read_value(node: Node, report: Report) -> Any:
     return node.value
 
 
-def _read_typed_value(kind: Node, inner: Node, report: Report) -> TypedValue | None:
+def _read_typed_value(kind: JsonNode, inner: JsonNode, report: Report) -> TypedValue | None:
     """Return a metadata value with an explicit type; None after an error."""
     name, value = kind.value, _read_value(inner, report)
     if not isinstance(name, str) or not name:

@@ -14,17 +14,17 @@ from typing import NoReturn
 
 from antdsl import limits
 from antdsl.bodies.agents.transforms import ROTATION_ORDERS
-from antdsl.bodies.files.json_text import Node
+from antdsl.bodies.files.json_text import JsonNode
 from antdsl.diagnostics import Report
 from antdsl.scene.document import decode_source
 from antdsl.source import Source, Span
 
 _WORD_PATTERN = re.compile(r'"[^"\n]*"|[{}=]|[^\s{}="]+')
 _MAX_VALUES = limits.MAX_CLIP_BYTES // 104  # samples of all tracks; a sample of a joint takes 104 bytes later
-_ORDER_CHANNELS = ("rOrd", "xOrd", "pOrd")  # orders of rotations and transforms, which are no animation
+_ROTATION_ORDER_KEYS = ("rOrd", "xOrd", "pOrd")  # orders of rotations and transforms, which are no animation
 
 
-def read_clip_text(data: bytes, name: str) -> tuple[Node | None, Report]:
+def read_clip_text(data: bytes, name: str) -> tuple[JsonNode | None, Report]:
     """Return the tree of a clip document for the bytes of a `.clip` file, or None with the first error in the report."""
     source, report = decode_source(data, name, "a clip")
     if not report.ok:
@@ -107,7 +107,7 @@ class _ClipReader:
             self._fail(f"`{word[:40]}` is not a number", place)
         return number
 
-    def read_clip(self) -> Node:
+    def read_clip(self) -> JsonNode:
         """Return the tree of the clip document."""
         entries: dict[str, tuple[list[str], int]] = {}
         tracks: dict[str, tuple[list[float], int]] = {}
@@ -122,7 +122,7 @@ class _ClipReader:
                 place, key = self._place, self._read_key()
                 entries[key] = self._read_values(), place
         rate = self._read_entry(entries, "rate")
-        channels = {name: each for name, each in tracks.items() if name.rpartition(":")[2] not in _ORDER_CHANNELS}
+        channels = {name: each for name, each in tracks.items() if name.rpartition(":")[2] not in _ROTATION_ORDER_KEYS}
         order = self._find_rotation_order(entries, tracks)
         values = {
             "antdsl_clip": self._make_node(1, 0),
@@ -130,12 +130,12 @@ class _ClipReader:
             "rate": self._make_node(rate, entries["rate"][1]),
             "rotation_order": self._make_node(order, 0),
             "angles": self._make_node("degrees", 0),
-            "channels": Node(
+            "channels": JsonNode(
                 self._source, {name: self._make_node(samples, place) for name, (samples, place) in channels.items()}, 0,
                 len(self._source.text), {name: self._words[place][1:] for name, (_, place) in channels.items()},
             ),
         }  # fmt: skip
-        return Node(self._source, values, 0, len(self._source.text))
+        return JsonNode(self._source, values, 0, len(self._source.text))
 
     def _find_rotation_order(self, entries: dict[str, tuple[list[str], int]], tracks: dict[str, tuple[list[float], int]]) -> str:
         """Return the order of rotations that all joints have: that of the tracks `JOINT:rOrd`, or of the clip's quaternions."""
@@ -148,10 +148,10 @@ class _ClipReader:
             self._fail("the joints have no single order of rotations", place, "give all joints one constant `rOrd`, 0 to 5")
         return ROTATION_ORDERS[int(number)]
 
-    def _make_node(self, value: list[float] | str | float, place: int) -> Node:
+    def _make_node(self, value: list[float] | str | float, place: int) -> JsonNode:
         """Return the node of a value at the word with the index `place`."""
         start, end = self._words[place][1:]
-        return Node(self._source, value, start, end, has_plain_numbers=isinstance(value, list))
+        return JsonNode(self._source, value, start, end, has_plain_numbers=isinstance(value, list))
 
     def _read_key(self) -> str:
         """Return a key, and skip the equals sign after it."""

@@ -17,7 +17,7 @@ from antdsl.diagnostics.suggestion import find_nearest_name
 from antdsl.scene.document import PathKey, decode_source
 from antdsl.source import Source, Span
 
-Plain = dict[str, "Node"] | list["Node"] | list[float] | str | int | float | bool | None
+JsonValue = dict[str, "JsonNode"] | list["JsonNode"] | list[float] | str | int | float | bool | None
 
 
 _KIND_NAMES = {
@@ -27,7 +27,7 @@ _KIND_NAMES = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Node:
+class JsonNode:
     """A value at characters `start` (included) to `end` (excluded) of a text.
 
     `value`: a mapping for an object; a list of plain numbers for an array of numbers only; a list of nodes for any other array.
@@ -35,7 +35,7 @@ class Node:
     `has_plain_numbers`: whether the value is an array of numbers only."""
 
     source: Source
-    value: Plain
+    value: JsonValue
     start: int
     end: int
     keys: dict[str, tuple[int, int]] = field(default_factory=dict)
@@ -57,17 +57,17 @@ class Node:
         """Return the kind of the value in words, such as `an object`."""
         return _KIND_NAMES[type(self.value)]
 
-    def get_inner(self, key: PathKey) -> Node | None:
+    def get_inner(self, key: PathKey) -> JsonNode | None:
         """Return the node of an object's entry or of an array's item, or None if there is none."""
         if isinstance(self.value, dict) and isinstance(key, str):
             return self.value.get(key)
         if isinstance(self.value, list) and isinstance(key, int) and not self.has_plain_numbers and 0 <= key < len(self.value):
             item = self.value[key]
-            return item if isinstance(item, Node) else None
+            return item if isinstance(item, JsonNode) else None
         return None
 
 
-def find_node(root: Node, path: Sequence[PathKey]) -> Node:
+def find_node(root: JsonNode, path: Sequence[PathKey]) -> JsonNode:
     """Return the node that a path of keys leads to. A part of the path that the tree does not have is skipped."""
     node = root
     for key in path:
@@ -75,7 +75,7 @@ def find_node(root: Node, path: Sequence[PathKey]) -> Node:
     return node
 
 
-def find_span(root: Node, path: Sequence[PathKey], *, key: bool = False) -> Span:
+def find_span(root: JsonNode, path: Sequence[PathKey], *, key: bool = False) -> Span:
     """Return the span for findings about the node at `path`, or about the innermost existing node on the path.
 
     `key`: return the span of the path's last key instead."""
@@ -89,7 +89,7 @@ def find_span(root: Node, path: Sequence[PathKey], *, key: bool = False) -> Span
     return (node.get_inner(last) or node).marked_span
 
 
-def find_text(root: Node, text: str) -> Span:
+def find_text(root: JsonNode, text: str) -> Span:
     """Return the span of the first value of a tree that equals `text`; if no value does, the span for findings about the tree."""
     waiting = [root]
     while waiting:
@@ -97,11 +97,11 @@ def find_text(root: Node, text: str) -> Span:
         if node.value == text and isinstance(node.value, str):
             return node.span
         children = node.value.values() if isinstance(node.value, dict) else node.value if isinstance(node.value, list) else ()
-        waiting += [each for each in children if isinstance(each, Node)]
+        waiting += [each for each in children if isinstance(each, JsonNode)]
     return root.marked_span
 
 
-def _find_number_span(node: Node, number: int) -> Span:
+def _find_number_span(node: JsonNode, number: int) -> Span:
     """Return the span of one number in a list."""
     for count, match in enumerate(re.finditer(r"[^\s,\[\]]+", node.span.text)):
         if count == number:
@@ -118,7 +118,7 @@ def report_unknown_name(
     add("unknown-name", f"there is no {noun} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
 
 
-class _SyntaxAborted(Exception):
+class _SyntaxErrorReported(Exception):
     """Error that ends the parsing of a text. The finding is already in the report."""
 
 
@@ -137,7 +137,7 @@ _NON_FINITE_WORDS = frozenset(
 _WORD_CORRECTIONS = {"True": "true", "False": "false", "None": "null", "undefined": "null", "TRUE": "true", "FALSE": "false"}
 
 
-def read_tree(data: bytes, name: str, expected_part: str) -> tuple[Node | None, Report]:
+def read_tree(data: bytes, name: str, expected_part: str) -> tuple[JsonNode | None, Report]:
     """Return the tree of a file's bytes, or None with the first error in the report.
 
     `expected_part`: what the file should contain, in words, such as `a rig`."""
@@ -145,18 +145,18 @@ def read_tree(data: bytes, name: str, expected_part: str) -> tuple[Node | None, 
     return read_json(source, expected_part) if report.ok else (None, report)
 
 
-def read_json(source: Source, expected_part: str) -> tuple[Node | None, Report]:
+def read_json(source: Source, expected_part: str) -> tuple[JsonNode | None, Report]:
     """Return the tree of a text, or None with the first error in the report.
 
     `expected_part`: what the text should contain, in words, such as `a rig`."""
-    reader = _Reader(source, expected_part)
+    reader = _JsonReader(source, expected_part)
     try:
         return reader.read_document(), reader.report
-    except _SyntaxAborted:
+    except _SyntaxErrorReported:
         return None, reader.report
 
 
-class _Reader:
+class _JsonReader:
     """A recursive parser of one text. Its methods take the position of a value and return its node."""
 
     def __init__(self, source: Source, expected_part: str) -> None:
@@ -166,12 +166,12 @@ class _Reader:
 
     def report_error(
         self, start: int, end: int, message: str, help: str | None, *labels: Label, code: str = "json-syntax"
-    ) -> _SyntaxAborted:
+    ) -> _SyntaxErrorReported:
         """Report an error at characters `start` to `end`, and return the exception that the caller must raise."""
         if len(self.text) > start:
             end = max(end, start + 1)
         self.report.error(code, message, Span(self.source, start, end), help, labels=labels)
-        return _SyntaxAborted()
+        return _SyntaxErrorReported()
 
     def skip_whitespace(self, offset: int) -> int:
         """Return the position after white space and comments."""
@@ -182,7 +182,7 @@ class _Reader:
             raise self.report_error(offset, offset + 2, "this comment is not closed", "write `*/` where it ends")
         return offset
 
-    def read_document(self) -> Node:
+    def read_document(self) -> JsonNode:
         """Return the only value of the text."""
         at = self.skip_whitespace(0)
         if at == len(self.text):
@@ -193,7 +193,7 @@ class _Reader:
             raise self.report_error(at, at + 1, f"there is text after the end of {self.expected_part}", "delete it")
         return node
 
-    def read_value(self, offset: int, depth: int) -> Node:
+    def read_value(self, offset: int, depth: int) -> JsonNode:
         """Return the node of a value of any kind at a position. `depth`: the number of brackets around it."""
         self.count += 1
         if self.count > limits.MAX_BODY_JSON_VALUES:
@@ -209,7 +209,7 @@ class _Reader:
             return self.read_string(offset)
         match = _NUMBER_PATTERN.match(self.text, offset)
         if match:
-            return Node(self.source, self.parse_number(match), offset, match.end())
+            return JsonNode(self.source, self.parse_number(match), offset, match.end())
         return self.read_word(offset)
 
     def parse_number(self, match: re.Match[str]) -> int | float:
@@ -222,7 +222,7 @@ class _Reader:
             raise self.report_error(match.start(), match.end(), words, "write a smaller one", code="out-of-range")
         return value if match[1] or match[2] else int(match[0])
 
-    def read_number_array(self, offset: int) -> Node | None:
+    def read_number_array(self, offset: int) -> JsonNode | None:
         """Parse an array that contains only numbers, the usual form of a clip's values. Return None for any other array, and for
         errors."""
         match = _NUMBER_ARRAY_PATTERN.match(self.text, offset)
@@ -237,7 +237,7 @@ class _Reader:
         if not all(-_MAX_MAGNITUDE <= each <= _MAX_MAGNITUDE for each in values):
             return None
         self.count += len(values) // 16  # a plain number needs less memory than a node
-        return Node(self.source, values, offset, match.end(), has_plain_numbers=True)
+        return JsonNode(self.source, values, offset, match.end(), has_plain_numbers=True)
 
     def enter_brackets(self, offset: int, depth: int) -> int:
         """Return the depth inside the brackets at a position. Raises an error if brackets are nested too deeply."""
@@ -246,16 +246,16 @@ class _Reader:
             raise self.report_error(offset, offset + 1, words, None, code="too-large")
         return depth + 1
 
-    def read_array(self, offset: int, depth: int) -> Node:
+    def read_array(self, offset: int, depth: int) -> JsonNode:
         depth, items, place = self.enter_brackets(offset, depth), [], self.skip_whitespace(offset + 1)
         while self.text[place : place + 1] != "]":
             items.append(self.read_value(self.require_text(place, offset, "]"), depth))
             place = self.skip_separator(items[-1].end, offset, "]")
-        return Node(self.source, items, offset, place + 1)
+        return JsonNode(self.source, items, offset, place + 1)
 
-    def read_object(self, offset: int, depth: int) -> Node:
+    def read_object(self, offset: int, depth: int) -> JsonNode:
         depth, place = self.enter_brackets(offset, depth), self.skip_whitespace(offset + 1)
-        entries: dict[str, Node] = {}
+        entries: dict[str, JsonNode] = {}
         keys: dict[str, tuple[int, int]] = {}
         while self.text[place : place + 1] != "}":
             key = self.read_key(self.require_text(place, offset, "}"))
@@ -272,9 +272,9 @@ class _Reader:
                 raise self.report_error(key.start, key.end, f"`{name[:60]}` has no value", 'write `"key": value`')
             entries[name], keys[name] = self.read_value(place, depth), (key.start, key.end)
             place = self.skip_separator(entries[name].end, offset, "}")
-        return Node(self.source, entries, offset, place + 1, keys)
+        return JsonNode(self.source, entries, offset, place + 1, keys)
 
-    def read_key(self, offset: int) -> Node:
+    def read_key(self, offset: int) -> JsonNode:
         """Return the node of the key of an object's entry, a text in double quotes."""
         if self.text[offset] == '"':
             return self.read_string(offset)
@@ -304,7 +304,7 @@ class _Reader:
             raise self.report_error(end, end + 1, f"`,` or `{closing_bracket}` is missing here", help, opening)
         return at
 
-    def read_string(self, offset: int) -> Node:
+    def read_string(self, offset: int) -> JsonNode:
         match = _STRING_PATTERN.match(self.text, offset)
         if not match:
             line = re.compile(r"[^\n]*").match(self.text, offset)
@@ -322,14 +322,14 @@ class _Reader:
             raise self.report_error(
                 offset, match.end(), "this text has half of a character (a lone surrogate)", "write the character itself"
             )
-        return Node(self.source, text, offset, match.end())
+        return JsonNode(self.source, text, offset, match.end())
 
-    def read_word(self, offset: int) -> Node:
+    def read_word(self, offset: int) -> JsonNode:
         """Return the node of `true`, `false` or `null`. Raises an error with a correction for any other word."""
         match = _WORD_PATTERN.match(self.text, offset)
         word = match[0] if match else self.text[offset : offset + 1]
         if word in _VALUE_BY_WORD:
-            return Node(self.source, _VALUE_BY_WORD[word], offset, offset + len(word))
+            return JsonNode(self.source, _VALUE_BY_WORD[word], offset, offset + len(word))
         message, help = f"`{word}` is not a value", None
         if word.lower() in _NON_FINITE_WORDS:
             message, help = f"`{word}` is not a valid number here", "write a number, such as `0`"

@@ -15,7 +15,7 @@ from antdsl import limits
 from antdsl.bodies.agents.definition import BodyError, Definition, Rig
 from antdsl.bodies.files.gltf.gltf_body import read_gltf
 from antdsl.bodies.files.houdini_clip import read_clip_text
-from antdsl.bodies.files.json_text import Node, read_tree
+from antdsl.bodies.files.json_text import JsonNode, read_tree
 from antdsl.diagnostics import Report
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.paths import PathRefused, Roots, read_user_file
@@ -79,7 +79,7 @@ class BodyFiles:
         self.report.error("wrong-kind", f"`{path[-80:]}` cannot be read here", place, _HELP_BY_CLOSED_FORMAT[kind])
         return True
 
-    def read_part(self, path: str, expected_part: str, place: Span | None) -> Node | None:
+    def read_part(self, path: str, expected_part: str, place: Span | None) -> JsonNode | None:
         """Return the tree of a separate file, or None after an error. A `.clip` file is one of Houdini, any other is JSON.
 
         `expected_part`: what the file should contain, in words, such as `a rig`."""
@@ -200,4 +200,6 @@ class BodyFiles:
 def _has_different_rest_pose(first: Rig, second: Rig) -> bool:
     """Return whether any joint that both rigs have has a different rest pose in each."""
     known = {name: number for number, name in enumerate(second.names)}
-    return any((first.rest[k] != second.rest[known[name]]).any() for k, name in enumerate(first.names) if name in known)
+    return any(
+        (first.rest_matrices[k] != second.rest_matrices[known[name]]).any() for k, name in enumerate(first.names) if name in known
+    )

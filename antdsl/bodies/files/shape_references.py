@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from antdsl import limits
-from antdsl.bodies.agents.definition import BlendTargets, InBetweens, Shape
+from antdsl.bodies.agents.definition import BlendTargets, InBetweens, SkinShape
 from antdsl.bodies.files.document_model import BodyForm, ShapeReference
-from antdsl.bodies.files.json_text import Node, find_node, find_span, report_unknown_name
+from antdsl.bodies.files.json_text import JsonNode, find_node, find_span, report_unknown_name
 from antdsl.bodies.files.named_files import GLTF_ENDINGS, HOUDINI_ENDINGS, MESH_ENDINGS, USD_ENDINGS, BodyFiles, get_file_ending
 from antdsl.diagnostics import Label
 from antdsl.scene.geometry.mesh_files import RawMesh, read_mesh, read_named_meshes
@@ -23,7 +23,9 @@ from antdsl.source import Span
 Colours = dict[str, tuple[float, float, float]]
 
 
-def read_shapes(form: BodyForm, root: Node, files: BodyFiles, unit: float, shapes: dict[str, Shape], materials: Colours) -> None:
+def read_shapes(
+    form: BodyForm, root: JsonNode, files: BodyFiles, unit: float, shapes: dict[str, SkinShape], materials: Colours
+) -> None:
     """Add the shapes that a definition names to `shapes`, and the colours of their materials to `materials`.
 
     A reference without a file changes an existing shape. `unit`: millimetres per unit of the definition."""
@@ -56,8 +58,8 @@ def read_shapes(form: BodyForm, root: Node, files: BodyFiles, unit: float, shape
 
 
 def _resolve_shape_reference(
-    reference: ShapeReference, node: Node, files: BodyFiles, shapes: Mapping[str, Shape], materials: Colours
-) -> list[Shape]:
+    reference: ShapeReference, node: JsonNode, files: BodyFiles, shapes: Mapping[str, SkinShape], materials: Colours
+) -> list[SkinShape]:
     """Return the shapes that a reference selects, with the changes that it asks for."""
     if reference.file is None:
         if reference.shape is None:
@@ -87,7 +89,7 @@ def _get_file_stem(path: str) -> str:
 
 def load_shapes(
     files: BodyFiles, path: str, place: Span, materials: Colours, name: str, prim: str | None = None
-) -> Mapping[str, Shape]:
+) -> Mapping[str, SkinShape]:
     """Return the shapes of a file by name.
 
     A glTF file gives all its shapes, a USD file those at and below `prim`. A .geo or .bgeo file gives a shape for each `name` of
@@ -127,13 +129,13 @@ def load_shapes(
     return {name: _make_shape(name, mesh) for name, mesh in meshes.items()}
 
 
-def _make_shape(name: str, mesh: RawMesh) -> Shape:
+def _make_shape(name: str, mesh: RawMesh) -> SkinShape:
     """Return a mesh as a shape with the attribute `id`: the number of each point in the file."""
     ids = {"id": mesh.file_vertex_indices.astype(np.int64)}
-    return Shape(name, mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), attributes=dict(ids))
+    return SkinShape(name, mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), attributes=dict(ids))
 
 
-def read_includes(form: BodyForm, root: Node, files: BodyFiles, shapes: dict[str, Shape], materials: Colours) -> None:
+def read_includes(form: BodyForm, root: JsonNode, files: BodyFiles, shapes: dict[str, SkinShape], materials: Colours) -> None:
     """Add the shapes of included libraries to `shapes`, and the colours of their materials to `materials`.
 
     The document gives each library two paths: a condensed path with variables such as `$HIP`, and an absolute path."""
@@ -153,7 +155,7 @@ def read_includes(form: BodyForm, root: Node, files: BodyFiles, shapes: dict[str
                 shapes[name] = shape
 
 
-def scale_shape(shape: Shape, factor: float) -> Shape:
+def scale_shape(shape: SkinShape, factor: float) -> SkinShape:
     """Return a shape in other units: its points, and the joint positions at capture, are multiplied by `factor`."""
     capture = shape.capture
     if capture is not None:
@@ -163,7 +165,7 @@ def scale_shape(shape: Shape, factor: float) -> Shape:
     return replace(shape, points=(shape.points * np.float32(factor)).astype(np.float32), capture=capture)
 
 
-def _add_blend_attributes(reference: ShapeReference, node: Node, files: BodyFiles, shape: Shape) -> Shape:
+def _add_blend_attributes(reference: ShapeReference, node: JsonNode, files: BodyFiles, shape: SkinShape) -> SkinShape:
     """Return a shape with the documented blend attributes of its reference.
 
     A base shape has the names and channels of its inputs. An input has the names and weights of its in-between shapes."""

@@ -10,11 +10,11 @@ from typing import Any
 from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.packed import ARRAY_NAMES, unpack_definition
 from antdsl.bodies.files.gltf.gltf_clips import apply_settings, read_settings
-from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusal, clean_for_display
+from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusedError, clean_for_display
 from antdsl.scene.geometry.usd import UsdError, open_stage
 from antdsl.scene.paths import Roots
 
-_MAX_SENTENCES = 10_000
+_MAX_OMISSION_SENTENCES = 10_000
 
 
 def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
@@ -23,13 +23,13 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
     stage = open_stage(roots, text, prim, up="y", frames=range(1), fps=Fraction(24))
     try:
         answer = stage.send_request("usd-body", {"name": name, "rate": rate})
-        left_out = [clean_for_display(sentence) for sentence in answer.require_texts("left_out", _MAX_SENTENCES)]
+        left_out = [clean_for_display(sentence) for sentence in answer.require_texts("left_out", _MAX_OMISSION_SENTENCES)]
         settings = _read_clip_settings(answer)
         if set(answer.arrays) != set(ARRAY_NAMES):
             raise ProtocolError("a part of the body is missing")
     except UsdError:
         raise
-    except ReadRefusal as error:
+    except ReadRefusedError as error:
         raise BodyError(str(error), error.help, error.code) from None
     except ProtocolError as error:
         raise stage.make_answer_error(error) from None

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.definition import BlendTargets, BodyError, Capture, Channel, InBetweens, Shape
+from antdsl.bodies.agents.definition import BlendTargets, BodyError, Channel, InBetweens, SkinShape, SkinWeights
 from antdsl.bodies.files.gltf.gltf_shapes import make_unused_name, normalise_capture
 from antdsl.scene.geometry.polygons import TooManyCornersError, triangulate_polygons
 from antdsl.scene.geometry.usd.child.stage import OpenStage
@@ -45,7 +45,7 @@ class UsdBody:
     joint_parents: list[int] = field(default_factory=list)
     rest_matrices: list[Floats] = field(default_factory=list)
     channels: dict[str, Channel] = field(default_factory=dict)
-    shapes: dict[str, Shape] = field(default_factory=dict)
+    shapes: dict[str, SkinShape] = field(default_factory=dict)
     materials: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     omissions: dict[str, None] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)  # the custom data of animations by the name of the clip
@@ -63,7 +63,7 @@ class UsdBody:
         return len(self.joint_names) - 1
 
 
-def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
+def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> SkinShape | None:
     """Return the shape of a mesh prim, and add it to the library with its blend shapes. Return None if the mesh has no faces."""
     mesh, time = import_pxr_module("UsdGeom").Mesh(prim), body.stage.first_time
     points = _to_rows(mesh.GetPointsAttr().Get(time), 3)
@@ -82,7 +82,7 @@ def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
     normals, uvs = (
         None if point_attributes[key] is None else np.asarray(point_attributes[key], np.float32) for key in ("N", "uv")
     )
-    shape = Shape(
+    shape = SkinShape(
         name, points[source].astype(np.float32), triangles.astype(np.int32), normals, uvs, materials, material,
         {"vertex": source},
     )  # fmt: skip
@@ -162,8 +162,7 @@ def _expand_to_corners(raw_values: Any, interpolation: str, width: int, points: 
 def _split_points(
     corners: Integers, triangles: Integers, attributes: dict[str, Floats | None]
 ) -> tuple[Integers, Integers, dict[str, Floats | None]]:
-    """Return three results: for each point of the shape, its point in the file; triangles of the shape's points; and attributes
-    of the shape's points.
+    """Return the file point of each point of the shape, the triangles of the shape's points, and their attributes.
 
     A point of the file becomes several points where its corners have different attributes."""
     columns = [corners[:, None].astype(np.float64), *(each for each in attributes.values() if each is not None)]
@@ -173,7 +172,7 @@ def _split_points(
     return corners[first], number.reshape(-1)[triangles], point_attributes
 
 
-def _read_capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Integers, time: Any) -> Capture:
+def _read_capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Integers, time: Any) -> SkinWeights:
     """Return the joints that the points of a mesh follow.
 
     `points`: the number of points in the file. `source`: the file's point for each point of the shape."""
@@ -188,10 +187,10 @@ def _read_capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Int
     point_joints, shares, lone = normalise_capture(joints, np.maximum(weights, 0.0), len(skin.names))
     if lone:
         body.omissions[f"{lone:,} points of `{prim.GetPath()}` follow no joint, and were given to `{skin.names[0]}`"] = None
-    return Capture(skin.names, point_joints[source], shares[source], skin.inverse_matrices)
+    return SkinWeights(skin.names, point_joints[source], shares[source], skin.inverse_matrices)
 
 
-def _read_blend_shapes(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integers) -> BlendTargets | None:
+def _read_blend_shapes(body: UsdBody, shape: SkinShape, prim: Any, points: Floats, source: Integers) -> BlendTargets | None:
     """Add the blend shapes of a mesh to the library as shapes. The channel of the same name weights each blend shape."""
     skel = import_pxr_module("UsdSkel")
     binding = skel.BindingAPI(prim)
@@ -233,7 +232,14 @@ def _read_blend_shapes(body: UsdBody, shape: Shape, prim: Any, points: Floats, s
 
 
 def _add_blend_target(
-    body: UsdBody, shape: Shape, name: str, source: Integers, points: Floats, rows: Integers, offsets: Any, normal_offsets: Any
+    body: UsdBody,
+    shape: SkinShape,
+    name: str,
+    source: Integers,
+    points: Floats,
+    rows: Integers,
+    offsets: Any,
+    normal_offsets: Any,
 ) -> str:
     """Add a copy of a shape to the library, with the points `rows` of the file moved by offsets. Return its name."""
     _count_points(body, len(source))
@@ -249,7 +255,7 @@ def _add_blend_target(
         of_points = np.zeros_like(points)
         of_points[rows] = turns
         normals = (normals + of_points[source]).astype(np.float32)
-    body.shapes[name] = Shape(
+    body.shapes[name] = SkinShape(
         name,
         (points + displacements)[source].astype(np.float32),
         shape.faces,

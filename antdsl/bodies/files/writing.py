@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import __version__
-from antdsl.bodies.agents.definition import Binding, Clip, Definition, Layer, Shape
-from antdsl.bodies.agents.other_axes import convert_axes
+from antdsl.bodies.agents.definition import Binding, Clip, Definition, Layer, SkinShape
+from antdsl.bodies.agents.other_axes import convert_definition_axes
 from antdsl.bodies.agents.transforms import compose_matrix, decompose_matrix
 from antdsl.bodies.files.clip_document import list_clip_channels, shorten_samples, write_clip
 from antdsl.bodies.files.document_values import format_axis, parse_unit_mm
@@ -23,12 +23,12 @@ from antdsl.bodies.files.documents import format_json, write_group, write_layer,
 from antdsl.bodies.files.gltf.gltf_clips import build_settings_extras
 from antdsl.bodies.files.gltf.gltf_settings import CAPSULE_KEYS, build_body_extras
 from antdsl.bodies.files.gltf.gltf_textures import COLOUR_ATTRIBUTE
-from antdsl.bodies.files.gltf.gltf_writer import Entry, GltfWriter, ShapeParts
+from antdsl.bodies.files.gltf.gltf_writer import GltfShapeWriter, GltfWriter, JsonEntry
 from antdsl.bodies.files.houdini_clip import write_clip_text
 from antdsl.scene.scene_model import UNIT_MM
 
 SHAPES_FILE_NAME = "shapes.glb"
-FRONT, UP, METRE = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 1000.0
+WRITTEN_FRONT_AXIS, WRITTEN_UP_AXIS, MM_PER_METRE = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 1000.0
 _DEFAULT_COLOUR = (0.3, 0.3, 0.3)  # for materials with the colour of an agent's state, because a file contains no agents
 _IDENTITY_TRANSFORM: dict[str, tuple[float, ...]] = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 
@@ -42,7 +42,7 @@ def build_definition_files(body: Definition, name: str, *, has_houdini_clips: bo
     `has_houdini_clips`: write clips as text clips of Houdini, and what these lack into `NAME.json`."""
     unit = next((word for word, mm in UNIT_MM.items() if mm == body.unit), f"{body.unit:.15g} mm")
     if parse_unit_mm(unit) != body.unit:
-        unit, body = "mm", convert_axes(body, body.front, body.up, 1.0)
+        unit, body = "mm", convert_definition_axes(body, body.front, body.up, 1.0)
     files: dict[str, bytes] = {}
 
     def add_part_file(path: str, text: str, ending: str = "json") -> dict[str, Any]:
@@ -113,12 +113,12 @@ def _build_shapes_gltf(body: Definition) -> bytes:
         else:
             writer.get_part("nodes", nodes[body.rig.names[above]]).setdefault("children", []).append(nodes[name])
     for shape in body.shapes.values():
-        plain = Shape(
+        plain = SkinShape(
             shape.name, shape.points, shape.faces, shape.normals, shape.uvs, shape.materials, shape.material,
             {key: values for key, values in shape.attributes.items() if np.ndim(values) == 1 or key == COLOUR_ATTRIBUTE},
             shape.capture,
         )  # fmt: skip
-        parts = ShapeParts(writer, body, plain, shape.normals)
+        parts = GltfShapeWriter(writer, body, plain, shape.normals)
         entry: dict[str, Any] = {"name": shape.name, "mesh": parts.add_mesh(shape.name, materials)}
         if shape.capture is not None:
             entry["skin"] = parts.add_skin(nodes, roots[0])
@@ -126,7 +126,7 @@ def _build_shapes_gltf(body: Definition) -> bytes:
     return writer.to_bytes(False, scene=0, scenes=[{"nodes": roots}])
 
 
-def _build_shape_reference(body: Definition, shape: Shape, path: str) -> dict[str, Any]:
+def _build_shape_reference(body: Definition, shape: SkinShape, path: str) -> dict[str, Any]:
     """Return the entry of a definition file that refers to a shape, with the documented attributes of blend shapes."""
     reference: dict[str, Any] = {"file": path, "shape": shape.name}
     if _has_lone_material(body, shape):
@@ -148,7 +148,7 @@ def _build_shape_reference(body: Definition, shape: Shape, path: str) -> dict[st
     return reference
 
 
-def _has_lone_material(body: Definition, shape: Shape) -> bool:
+def _has_lone_material(body: Definition, shape: SkinShape) -> bool:
     """Return whether a shape has exactly one material, and this material has no colour.
 
     glTF would give it a colour, so the reference names the material."""
@@ -157,7 +157,7 @@ def _has_lone_material(body: Definition, shape: Shape) -> bool:
 
 def _add_explicit_shear(body: Definition, clip: Clip) -> Clip:
     """Return a clip with explicit shear if the rest pose has shear. Otherwise a reader would use the shear of the rest pose."""
-    if clip.shear is not None or np.abs(decompose_matrix(body.rig.rest)[3]).max(initial=0.0) < 1e-9:
+    if clip.shear is not None or np.abs(decompose_matrix(body.rig.rest_matrices)[3]).max(initial=0.0) < 1e-9:
         return clip
     return replace(clip, shear=np.zeros_like(clip.translation))
 
@@ -174,7 +174,7 @@ def write_gltf(body: Definition, layer: Layer, *, text: bool) -> tuple[bytes, li
     """Return the bytes of a glTF file with the shapes of one layer, and sentences about the parts that glTF cannot store.
 
     `text`: write the text form .gltf, otherwise .glb."""
-    placed = convert_axes(body, FRONT, UP, METRE)
+    placed = convert_definition_axes(body, WRITTEN_FRONT_AXIS, WRITTEN_UP_AXIS, MM_PER_METRE)
     document = _GltfParts(placed, layer)
     data = document.writer.to_bytes(text, scene=0, scenes=[{"nodes": document.roots}], extras=build_body_extras(placed))
     return data, [*document.omissions, *_list_omissions(body, layer)]
@@ -205,10 +205,10 @@ class _GltfParts:
         self.body, self.writer, self.omissions = body, GltfWriter(f"antdsl {__version__}"), list[str]()
         self.nodes: dict[str, int] = {}
         self.roots: list[int] = []
-        self._morph_shapes: list[tuple[int, ShapeParts]] = []
+        self._morph_shapes: list[tuple[int, GltfShapeWriter]] = []
         self._add_joints()
         self._materials = {name: self._add_material(name, colour) for name, colour in body.materials.items()}
-        self._shape_parts: dict[str, ShapeParts] = {}
+        self._shape_parts: dict[str, GltfShapeWriter] = {}
         for binding in (*layer.static, *layer.deforming):
             self._add_binding(binding)
         for clip in body.clips.values():
@@ -218,12 +218,12 @@ class _GltfParts:
         """Add one node per joint, with its rest pose."""
         rig = self.body.rig
         moved = {joint for clip in self.body.clips.values() for joint in clip.joints}
-        parts = decompose_matrix(rig.rest)
+        parts = decompose_matrix(rig.rest_matrices)
         again = compose_matrix(parts[0], parts[1], parts[2])
         for number, name in enumerate(rig.names):
-            entry: Entry = {"name": name}
-            if np.abs(again[number] - rig.rest[number]).max() > 1e-6 and name not in moved:
-                entry["matrix"] = rig.rest[number].T.ravel().tolist()
+            entry: JsonEntry = {"name": name}
+            if np.abs(again[number] - rig.rest_matrices[number]).max() > 1e-6 and name not in moved:
+                entry["matrix"] = rig.rest_matrices[number].T.ravel().tolist()
             else:
                 for (path, still), part in zip(_IDENTITY_TRANSFORM.items(), parts, strict=False):
                     if np.abs(part[number] - np.array(still)).max() > 1e-12:
@@ -246,7 +246,7 @@ class _GltfParts:
         Any other mesh is attached to its joint's node, or to a child of it if that node already has a mesh."""
         shape = self.body.shapes[binding.shape]
         if binding.shape not in self._shape_parts:
-            self._shape_parts[binding.shape] = ShapeParts(self.writer, self.body, shape, shape.normals)
+            self._shape_parts[binding.shape] = GltfShapeWriter(self.writer, self.body, shape, shape.normals)
             for name in shape.materials:
                 if name and name not in self._materials:
                     self._materials[name] = self._add_material(name, _DEFAULT_COLOUR)
@@ -272,8 +272,8 @@ class _GltfParts:
     def _add_clip(self, clip: Clip) -> None:
         """Add a clip as an animation, with channels for its joints and for morph weights."""
         times = self.writer.add_accessor(np.arange(clip.sample_count) / clip.rate, bounds=True)
-        samplers: list[Entry] = []
-        channels: list[Entry] = []
+        samplers: list[JsonEntry] = []
+        channels: list[JsonEntry] = []
 
         def add_sampler(node: int, path: str, values: NDArray[np.float32]) -> None:
             channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})

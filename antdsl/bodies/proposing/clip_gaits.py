@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.proposing.joint_motion import ClipMotion
-from antdsl.bodies.proposing.leg_search import FoundLeg
+from antdsl.bodies.proposing.leg_search import LegCandidate
 
 Floats = NDArray[np.float64]
 _MAX_STANCE_HEIGHT_SHARE = 0.2  # share of a foot's lift; a foot below this height may stand
@@ -63,7 +63,7 @@ class FootPaths:
     lift: Floats
 
 
-def measure_foot_paths(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats) -> FootPaths:
+def measure_foot_paths(motion: ClipMotion, legs: Sequence[LegCandidate], up: Floats) -> FootPaths:
     """Return the paths of the soles of legs in a clip."""
     heights, velocities = [], []
     for leg in legs:
@@ -72,9 +72,9 @@ def measure_foot_paths(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats)
         worlds = motion.worlds[:, joints].astype(np.float64)
         place = (worlds[..., :3] @ inner[None, :, :, None])[..., 0] + worlds[..., 3]
         if motion.repeats_first_pose:
-            velocity = (np.roll(place, -1, axis=0) - np.roll(place, 1, axis=0)) / (2 * motion.step)
+            velocity = (np.roll(place, -1, axis=0) - np.roll(place, 1, axis=0)) / (2 * motion.sample_interval)
         else:
-            velocity = np.gradient(place, motion.step, axis=0) if len(place) > 1 else np.zeros_like(place)
+            velocity = np.gradient(place, motion.sample_interval, axis=0) if len(place) > 1 else np.zeros_like(place)
         velocity -= (velocity @ up)[..., None] * up
         height = place @ up
         lowest = height.argmin(axis=1)
@@ -86,16 +86,16 @@ def measure_foot_paths(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats)
     return FootPaths(height, np.stack(velocities, axis=1), height.max(axis=0))
 
 
-def measure_planted_share(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, length: float) -> float:
+def measure_planted_share(motion: ClipMotion, legs: Sequence[LegCandidate], up: Floats, length: float) -> float:
     """Return the share of a clip, from 0 to 1, in which feet stand still on the ground. `length`: the length of a leg."""
     paths = measure_foot_paths(motion, legs, up)
     still = (paths.height < 0.05 * length) & (np.linalg.norm(paths.velocity, axis=2) < _MAX_PLANTED_SPEED * length)
     return float(still.mean())
 
 
-def find_gait(motion: ClipMotion, legs: Sequence[FoundLeg], up: Floats, length: float) -> ClipGait | None:
+def find_gait_of_clip(motion: ClipMotion, legs: Sequence[LegCandidate], up: Floats, length: float) -> ClipGait | None:
     """Return the gait of a clip, or None if the clip does not walk. `length`: the length of a leg."""
-    if len(motion.worlds) < 4 or not legs or motion.step <= 0 or not motion.is_cyclic:
+    if len(motion.worlds) < 4 or not legs or motion.sample_interval <= 0 or not motion.is_cyclic:
         return None
     paths = measure_foot_paths(motion, legs, up)
     low = paths.height < _MAX_STANCE_HEIGHT_SHARE * paths.lift

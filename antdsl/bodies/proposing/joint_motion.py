@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.deformers import deform_binding
-from antdsl.bodies.agents.poses import REST_CLIP, Poses, build_clip_table, compute_transforms, sample_poses
+from antdsl.bodies.agents.poses import REST_CLIP, WorldPoses, build_clip_table, compute_transforms, sample_poses
 from antdsl.bodies.posed_body import find_base_layer
 
 Floats = NDArray[np.float64]
@@ -18,7 +18,7 @@ _MAX_CLOSING_STEP_RATIO = 3  # times the longest step; a longer step from the la
 _MAX_CLOSED_GAP_SHARE = 1e-3  # share of the body's extent; a last pose nearer to the first repeats it
 
 
-def sample_worlds(body: Definition, clip: str, times: Floats) -> NDArray[np.float32]:
+def sample_world_transforms(body: Definition, clip: str, times: Floats) -> NDArray[np.float32]:
     """Return the world matrices of joints at the times of a clip, float32[n, J, 3, 4], joints in the order of the rig.
 
     `clip`: "" for the rest pose. `times`: seconds."""
@@ -35,20 +35,20 @@ class ClipMotion:
     """The motion of joints over one cycle of a clip.
 
     `worlds`: float32[F, J, 3, 4], the world matrices of joints.
-    `step`: seconds between samples.
+    `sample_interval`: seconds between samples.
     `repeats_first_pose`: whether the last pose of the clip repeats the first; it is then left out here.
     `is_cyclic`: whether the last pose leads to the first, in a step about as long as the others."""
 
     name: str
     worlds: NDArray[np.float32]
-    step: float
+    sample_interval: float
     repeats_first_pose: bool
     is_cyclic: bool
 
     @property
     def seconds(self) -> float:
         """Return the duration of the cycle."""
-        return len(self.worlds) * self.step
+        return len(self.worlds) * self.sample_interval
 
 
 def measure_clip_motion(body: Definition, name: str, extent: float) -> ClipMotion:
@@ -58,7 +58,7 @@ def measure_clip_motion(body: Definition, name: str, extent: float) -> ClipMotio
     clip = body.clips[name]
     count = min(max(clip.sample_count, 1), _MAX_SAMPLES)
     times = np.linspace(0.0, clip.duration, count)
-    worlds = sample_worlds(body, name, np.minimum(times, clip.duration * (1 - 1e-6)))
+    worlds = sample_world_transforms(body, name, np.minimum(times, clip.duration * (1 - 1e-6)))
     step = clip.duration / max(count - 1, 1)
     positions = worlds[:, :, :, 3].astype(np.float64)
     closes = count > 2 and bool(np.abs(positions[-1] - positions[0]).max() < max(_MAX_CLOSED_GAP_SHARE * extent, 1e-9))
@@ -71,16 +71,16 @@ def measure_clip_motion(body: Definition, name: str, extent: float) -> ClipMotio
 class BodyPoints:
     """The points of the drawn layer in one pose.
 
-    `place`: float64[P, 3], their positions.
-    `joint`: int[P], the joint that each point follows most, or -1."""
+    `positions`: float64[P, 3], their positions.
+    `joint_indices`: int[P], the joint that each point follows most, or -1."""
 
-    place: Floats
-    joint: NDArray[np.intp]
+    positions: Floats
+    joint_indices: NDArray[np.intp]
 
 
 def find_posed_points(body: Definition, worlds: NDArray[np.float32]) -> BodyPoints:
     """Return the points of the drawn layer of a body in a pose. `worlds`: the world matrices of its joints, [J, 3, 4]."""
-    poses = Poses(worlds[None], None, np.asarray(body.rig.channel_defaults, np.float32)[None])
+    poses = WorldPoses(worlds[None], None, np.asarray(body.rig.channel_defaults, np.float32)[None])
     positions, joints = [np.zeros((0, 3))], [np.zeros(0, np.intp)]
     layer = find_base_layer(body)
     for binding in (*layer.static, *layer.deforming):

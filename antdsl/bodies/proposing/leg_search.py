@@ -23,7 +23,7 @@ _MAX_SOLE_LEGS = 4  # animals with more legs stand on claws, which hold at any a
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundLeg:
+class LegCandidate:
     """A leg that the search found, by joint numbers, and the points of its sole.
 
     `chain`: all joints from the trunk to the foot.
@@ -41,40 +41,40 @@ class FoundLeg:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LegSearch:
+class LegSearchResult:
     """The legs that the search found, and the reasons why other parts on the ground are not legs.
 
     `feet`: all chains that touch the ground, including those that are not legs, for the motion of their soles.
-    `ground`: the position of the ground along the body's up axis.
-    `height`: the height of the body along this axis."""
+    `ground_height`: the position of the ground along the body's up axis.
+    `body_height`: the height of the body along this axis."""
 
-    legs: tuple[FoundLeg, ...]
-    feet: tuple[FoundLeg, ...]
+    legs: tuple[LegCandidate, ...]
+    feet: tuple[LegCandidate, ...]
     reasons: tuple[str, ...]
-    ground: float
-    height: float
+    ground_height: float
+    body_height: float
 
 
-def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Floats) -> LegSearch:
+def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Floats) -> LegSearchResult:
     """Return the legs of a body in its standing pose. `worlds`: matrices of its joints [J, 3, 4]; `up`: a unit vector."""
-    heights = points.place @ up
+    heights = points.positions @ up
     if not len(heights):
-        return LegSearch((), (), ("the file has no points",), 0.0, 0.0)
+        return LegSearchResult((), (), ("the file has no points",), 0.0, 0.0)
     ground, height = float(heights.min()), max(float(np.ptp(heights)), 1e-9)
     low = heights < ground + _CONTACT_HEIGHT * height
-    counts = np.bincount(points.joint[low & (points.joint >= 0)], minlength=len(rig.names))
+    counts = np.bincount(points.joint_indices[low & (points.joint_indices >= 0)], minlength=len(rig.names))
     touching = [joint for joint in range(len(rig.names)) if counts[joint] >= _MIN_CONTACT_POINTS]
     groups = _group_by_branch(rig, touching)
     positions = worlds[:, :, 3].astype(np.float64)
-    legs: list[FoundLeg] = []
-    feet: list[FoundLeg] = []
+    legs: list[LegCandidate] = []
+    feet: list[LegCandidate] = []
     reasons: list[str] = []
     for chain_start, every in groups.items():
         contacts = [each for each in every if positions[each] @ up < ground + _ANKLE_HEIGHT * height] or every[-1:]
         soles = tuple(_find_sole(joint, points, low, worlds) for joint in contacts)
         path = _find_joint_path(rig, chain_start, contacts[0])
         name = rig.names[contacts[0]]
-        feet.append(FoundLeg(path[0], path[0], contacts[0], tuple(path), soles))
+        feet.append(LegCandidate(path[0], path[0], contacts[0], tuple(path), soles))
         rise = float((positions[chain_start] - positions[contacts[0]]) @ up)
         if len(path) < 3:
             reasons.append(f"`{name}` touches the ground, but has no hip and knee above it, so it is not a leg")
@@ -87,11 +87,11 @@ def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Flo
         has_sole = len(groups) <= _MAX_SOLE_LEGS and _measure_sole(rig, contacts[0], points, low, up) >= _MIN_SOLE_SHARE * rise
         ankle = next(joint for joint in below if positions[joint] @ up < ground + _ANKLE_HEIGHT * height or joint == below[-1])
         ball = next((joint for joint in contacts[1:] if is_below(rig, joint, contacts[0])), contacts[0])
-        legs.append(FoundLeg(upper, lower, contacts[0], tuple(path), soles, ankle if has_sole else -1, ball))
+        legs.append(LegCandidate(upper, lower, contacts[0], tuple(path), soles, ankle if has_sole else -1, ball))
         feet[-1] = legs[-1]
     if not groups:
         reasons.append("no joint moves the points that touch the ground")
-    return LegSearch(tuple(legs), tuple(feet), tuple(reasons), ground, height)
+    return LegSearchResult(tuple(legs), tuple(feet), tuple(reasons), ground, height)
 
 
 def _group_by_branch(rig: Rig, contact_joints: list[int]) -> dict[int, list[int]]:
@@ -165,12 +165,12 @@ def _find_hip_and_knee(path: list[int], positions: Floats) -> tuple[int, int]:
 def _measure_sole(rig: Rig, foot: int, points: BodyPoints, low: NDArray[np.bool_], up: Floats) -> float:
     """Return the greatest level distance between points of a foot on the ground, along the axes of the body's space."""
     below = [joint for joint in range(len(rig.names)) if is_below(rig, joint, foot)]
-    place = points.place[low & np.isin(points.joint, below)]
+    place = points.positions[low & np.isin(points.joint_indices, below)]
     return float(np.ptp(place - np.outer(place @ up, up), axis=0).max(initial=0.0)) if len(place) else 0.0
 
 
 def _find_sole(joint: int, points: BodyPoints, low: NDArray[np.bool_], worlds: NDArray[np.float32]) -> tuple[int, Floats]:
     """Return a joint, and the mean position of its points on the ground in the space of the joint."""
-    middle = points.place[low & (points.joint == joint)].mean(axis=0)
+    middle = points.positions[low & (points.joint_indices == joint)].mean(axis=0)
     matrix = worlds[joint].astype(np.float64)
     return joint, np.linalg.lstsq(matrix[:, :3], middle - matrix[:, 3], rcond=None)[0]

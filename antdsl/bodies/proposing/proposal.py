@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.definition import Definition, to_language_name
 from antdsl.bodies.files.document_values import format_axis
 from antdsl.bodies.proposing.joint_motion import find_posed_points
-from antdsl.bodies.proposing.leg_search import FoundLeg, is_below
-from antdsl.bodies.proposing.study import IDLE_WORDS, MIN_STILL_SHARE, BodyStudy, study_body
+from antdsl.bodies.proposing.leg_search import LegCandidate, is_below
+from antdsl.bodies.proposing.study import IDLE_WORDS, MIN_STILL_SHARE, BodyMeasurements, measure_body
 from antdsl.scene.scene_model import UNIT_MM
 
 Floats = NDArray[np.float64]
@@ -25,31 +25,31 @@ _GAIT_WORDS = ("walk", "run", "trot", "gallop", "jog", "sprint", "hop", "crawl",
 # a name that contains no information
 _UNINFORMATIVE_NAME_PATTERN = re.compile(r"(?:clip|anim|animation|action|take|armature|mixamo\.com|[\W_\d])*", re.IGNORECASE)
 _MIN_UPRIGHT_RATIO = 1.5  # ratio of height to length; above it, a body stands upright
-_TRUNK_SHARE = 0.96  # share of the trunk's points that its capsule contains along each axis
+_TRUNK_LENGTH_SHARE = 0.96  # share of the trunk's points that its capsule contains along each axis
 _GRAVITY_MM = 9810.0
 _WALK_FROUDE, _WALK_STRIDE, _WALK_DUTY, _WALK_LIFT = 0.16, 1.4, 0.62, 0.1  # values of a normal walk, in leg lengths
 
 
 @dataclass(slots=True, eq=False)
-class Proposal:
+class BodyFileProposal:
     """A proposed definition.
 
-    `lines`: the keys of the file with their values, in order.
+    `entries`: the keys of the file with their values, in order.
     `reasons`: the reasons for each value by key; "" has the reasons for the file."""
 
-    lines: dict[str, Any] = field(default_factory=dict)
+    entries: dict[str, Any] = field(default_factory=dict)
     reasons: dict[str, list[str]] = field(default_factory=dict)
 
-    def add(self, key: str, value: Any, *reasons: str) -> None:
+    def add_entry(self, key: str, value: Any, *reasons: str) -> None:
         """Add a key with its value, and the reasons for the value."""
-        self.lines[key] = value
+        self.entries[key] = value
         self.reasons.setdefault(key, []).extend(reasons)
 
     def format_text(self) -> str:
         """Return the text of the definition file. Reasons are comments."""
         rows = ["{"]
         rows += [f"  // {reason}" for reason in self.reasons.get("", ())]
-        for key, value in self.lines.items():
+        for key, value in self.entries.items():
             rows += [f"  // {reason}" for reason in self.reasons.get(key, ())]
             rows.append(f"  {json.dumps(key)}: {_format_value(value)},")
         return "\n".join([*rows, "}"]) + "\n"
@@ -62,20 +62,20 @@ def _format_value(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def propose_definition(body: Definition, file: str) -> Proposal:
+def propose_definition(body: Definition, file: str) -> BodyFileProposal:
     """Return a proposal for a body that was read from `file`, a path relative to the definition file."""
-    study = study_body(body)
-    proposal = Proposal()
+    study = measure_body(body)
+    proposal = BodyFileProposal()
     proposal.reasons[""] = ["Proposed by `antdsl body --propose`. Correct what is wrong, then delete the comments."]
-    proposal.add("antdsl_body", 1)
-    proposal.add("name", to_language_name(body.name))
-    proposal.add("from", file)
+    proposal.add_entry("antdsl_body", 1)
+    proposal.add_entry("name", to_language_name(body.name))
+    proposal.add_entry("from", file)
     front = _add_axes(proposal, study)
     unit = _add_unit(proposal, study)
     _add_length(proposal, study, front)
     names = _choose_clip_names(study)
-    if study.idle:
-        proposal.add("idle", names[study.idle], f"`{study.idle}` {_explain_idle_clip(study)}")
+    if study.idle_clip:
+        proposal.add_entry("idle", names[study.idle_clip], f"`{study.idle_clip}` {_explain_idle_clip(study)}")
     else:
         proposal.reasons.setdefault("clips", []).append(
             "no clip stands still, so the rest pose is used for idle agents and for the standing height of legs"
@@ -86,33 +86,33 @@ def propose_definition(body: Definition, file: str) -> Proposal:
     return proposal
 
 
-def _explain_idle_clip(study: BodyStudy) -> str:
+def _explain_idle_clip(study: BodyMeasurements) -> str:
     """Return the reason for choosing a clip as the idle clip."""
-    if any(word in study.idle.lower() for word in IDLE_WORDS):
+    if any(word in study.idle_clip.lower() for word in IDLE_WORDS):
         return "its name suggests this"
-    return f"has feet on the ground for {study.planted_shares.get(study.idle, 0.0):.0%} of its time, and moves least"
+    return f"has feet on the ground for {study.planted_shares.get(study.idle_clip, 0.0):.0%} of its time, and moves least"
 
 
 # ---- axes, units and length
 
 
-def _add_axes(proposal: Proposal, study: BodyStudy) -> Floats:
+def _add_axes(proposal: BodyFileProposal, study: BodyMeasurements) -> Floats:
     """Add `front` and `up` to the proposal, and return the front axis."""
     body, up = study.body, study.up
     word = format_axis(_round_axis(up))
     if word == format_axis(body.up):
-        up_reason = "up: that of the file; feet are at its lower end" if study.search.feet else "up: that of the file"
+        up_reason = "up: that of the file; feet are at its lower end" if study.leg_search.feet else "up: that of the file"
     else:
         up_reason = (
-            f"up: along the file's {format_axis(body.up)} no legs reach the ground, along {word} {len(study.search.legs)} do"
+            f"up: along the file's {format_axis(body.up)} no legs reach the ground, along {word} {len(study.leg_search.legs)} do"
         )
     front, front_reason = _find_front(study)
-    proposal.add("front", format_axis(_round_axis(front)), f"front: {front_reason}")
-    proposal.add("up", word, up_reason)
+    proposal.add_entry("front", format_axis(_round_axis(front)), f"front: {front_reason}")
+    proposal.add_entry("up", word, up_reason)
     return front
 
 
-def _find_front(study: BodyStudy) -> tuple[Floats, str]:
+def _find_front(study: BodyMeasurements) -> tuple[Floats, str]:
     """Return the front axis and the reason for it."""
     if study.gaits:
         gait = max(study.gaits.values(), key=lambda gait: gait.speed)
@@ -130,17 +130,17 @@ def _find_front(study: BodyStudy) -> tuple[Floats, str]:
     return default, "as in the file; no clip walks"
 
 
-def _measure_toe_direction(study: BodyStudy) -> Floats | None:
+def _measure_toe_direction(study: BodyMeasurements) -> Floats | None:
     """Return the mean direction from foot joints to the points of their soles. Return None if feet have no clear direction."""
     total = np.zeros(3)
-    for leg in study.search.legs:
+    for leg in study.leg_search.legs:
         below = [k for k in range(len(study.body.rig.names)) if is_below(study.body.rig, k, leg.foot)]
-        points = study.points.place[np.isin(study.points.joint, below)]
+        points = study.points.positions[np.isin(study.points.joint_indices, below)]
         if len(points):
             total += points.mean(axis=0) - study.worlds[leg.foot, :, 3].astype(np.float64)
     total -= study.up * (total @ study.up)
     size = float(np.linalg.norm(total))
-    return total / size if size > 0.02 * study.length * max(len(study.search.legs), 1) else None
+    return total / size if size > 0.02 * study.length * max(len(study.leg_search.legs), 1) else None
 
 
 def _find_nearest_axis(direction: Floats, up: Floats) -> Floats:
@@ -154,20 +154,20 @@ def _round_axis(axis: Floats) -> tuple[float, float, float]:
     return x + 0.0, y + 0.0, z + 0.0
 
 
-def _add_unit(proposal: Proposal, study: BodyStudy) -> float:
+def _add_unit(proposal: BodyFileProposal, study: BodyMeasurements) -> float:
     """Add `units` to the proposal, and return the millimetres per unit."""
     body, low, high = study.body, *_PLAUSIBLE_HEIGHT_MM
     own = next((word for word, mm in UNIT_MM.items() if mm == body.unit), f"{body.unit:.15g} mm")
-    height = study.search.height
+    height = study.leg_search.body_height
     if low <= height * body.unit <= high or height <= 0:
-        proposal.add("units", own, f"units: as in the file; the body is {_format_metres(height * body.unit)} high")
+        proposal.add_entry("units", own, f"units: as in the file; the body is {_format_metres(height * body.unit)} high")
         return body.unit
     fitting = [word for word in _UNIT_WORDS if low <= height * UNIT_MM[word] <= high]
     word = fitting[0] if fitting else own
     unit = UNIT_MM.get(word, body.unit)
     high_words, fitting_words = _format_metres(height * body.unit), _format_metres(height * unit)
     reason = f"units: in the file's {own} the body would be {high_words} high; so they are {fitting_words}"
-    proposal.add("units", word, reason)
+    proposal.add_entry("units", word, reason)
     return unit
 
 
@@ -176,29 +176,29 @@ def _format_metres(millimetres: float) -> str:
     return f"{millimetres / 1000:.3g} m" if millimetres >= 100 else f"{millimetres:.3g} mm"
 
 
-def _add_length(proposal: Proposal, study: BodyStudy, front: Floats) -> None:
+def _add_length(proposal: BodyFileProposal, study: BodyMeasurements, front: Floats) -> None:
     """Add `length` to the proposal: the extent along the front axis, or the height of an upright body."""
-    if not len(study.points.place):
+    if not len(study.points.positions):
         return
-    along, height = float(np.ptp(study.points.place @ front)), study.search.height
+    along, height = float(np.ptp(study.points.positions @ front)), study.leg_search.body_height
     if height > _MIN_UPRIGHT_RATIO * along:
-        proposal.add(
+        proposal.add_entry(
             "length", _round_digits(height), "length: its height, since it stands upright: `size` of an agent is its height"
         )
     else:
-        proposal.add(
+        proposal.add_entry(
             "length", _round_digits(along), "length: along its front in the standing pose; `size` of an agent is this length"
         )
-    if abs(study.search.ground) > 0.05 * height:
+    if abs(study.leg_search.ground_height) > 0.05 * height:
         proposal.reasons["length"].append(
-            f"the lowest point is at {_round_digits(study.search.ground):g}, not at 0: move the model onto the ground"
+            f"the lowest point is at {_round_digits(study.leg_search.ground_height):g}, not at 0: move the model onto the ground"
         )
 
 
 # ---- clips
 
 
-def _choose_clip_names(study: BodyStudy) -> dict[str, str]:
+def _choose_clip_names(study: BodyMeasurements) -> dict[str, str]:
     """Return a short name for each clip, by its name in the file.
 
     It is a common word in the file's name, else a word for the clip's activity, else the file's name in the language's
@@ -209,7 +209,7 @@ def _choose_clip_names(study: BodyStudy) -> dict[str, str]:
     nameless = [name for name in by_speed if _UNINFORMATIVE_NAME_PATTERN.fullmatch(name)]
     words = {name: word for name in by_speed if (word := _find_gait_word(name))}
     words |= {name: "walk" if k == 0 else "run" for k, name in enumerate(nameless)}
-    words |= {study.idle: "idle"} if study.idle else {}
+    words |= {study.idle_clip: "idle"} if study.idle_clip else {}
     order = dict.fromkeys([*words, *study.body.clips])
     for name in order:
         word, count = words.get(name) or to_language_name(re.split(r"[|/]", name)[-1] or name), 2
@@ -226,7 +226,7 @@ def _find_gait_word(name: str) -> str:
     return next((word for word in _GAIT_WORDS if word in name.lower()), "")
 
 
-def _add_clips(proposal: Proposal, study: BodyStudy, names: Mapping[str, str]) -> None:
+def _add_clips(proposal: BodyFileProposal, study: BodyMeasurements, names: Mapping[str, str]) -> None:
     """Add `clips` to the proposal: their names, strides, and whether feet are placed on the ground while they play.
 
     `names`: the proposed names by the names in the file."""
@@ -239,17 +239,17 @@ def _add_clips(proposal: Proposal, study: BodyStudy, names: Mapping[str, str]) -
             reasons.append(
                 f"`{names[name]}`: feet on the ground move {gait.speed:.3g} units a second, for {gait.seconds:.3g} s a cycle"
             )
-        elif study.search.feet and study.planted_shares[name] < MIN_STILL_SHARE:
+        elif study.leg_search.feet and study.planted_shares[name] < MIN_STILL_SHARE:
             entry["feet"] = False
             reasons.append(
                 f"`{names[name]}`: feet leave the ground ({study.planted_shares[name]:.0%} stand), so the clip moves the legs"
             )
-        if gait is None and name != study.idle and not study.motions[name].is_cyclic:
+        if gait is None and name != study.idle_clip and not study.motions[name].is_cyclic:
             entry["loop"] = False
             reasons.append(f"`{names[name]}`: its last pose does not lead to its first, so it plays once")
         entries.append(entry)
     if entries:
-        proposal.add("clips", entries, *reasons)
+        proposal.add_entry("clips", entries, *reasons)
     proposal.reasons.setdefault("clips", [])
     if not study.gaits and study.body.clips:
         proposal.reasons["clips"].append("no clip walks in place: legs walk by the gait below")
@@ -258,9 +258,11 @@ def _add_clips(proposal: Proposal, study: BodyStudy, names: Mapping[str, str]) -
 # ---- legs and gaits
 
 
-def _add_legs(proposal: Proposal, study: BodyStudy, clip_names: Mapping[str, str], front: Floats, unit: float) -> None:
+def _add_legs(
+    proposal: BodyFileProposal, study: BodyMeasurements, clip_names: Mapping[str, str], front: Floats, unit: float
+) -> None:
     """Add `legs` and `gaits` to the proposal. `clip_names`: the proposed names by the names in the file."""
-    search = study.search
+    search = study.leg_search
     if not search.legs:
         for reason in search.reasons or ("no chain of joints reaches the ground",):
             proposal.reasons.setdefault("clips" if study.body.clips else "front", []).append(f"no legs: {reason}")
@@ -275,7 +277,7 @@ def _add_legs(proposal: Proposal, study: BodyStudy, clip_names: Mapping[str, str
         reasons.append(
             "ankle: the foot has a sole, which lies flat on the ground; without `ankle` it keeps its angle to the body"
         )
-    proposal.add("legs", legs, *reasons)
+    proposal.add_entry("legs", legs, *reasons)
     feet = [search.feet.index(search.legs[k]) for k in order]
     gaits, gait_reasons, speeds = [], [], list[float]()
     for name, gait in sorted(study.gaits.items(), key=lambda entry: entry[1].speed):
@@ -293,16 +295,18 @@ def _add_legs(proposal: Proposal, study: BodyStudy, clip_names: Mapping[str, str
             _make_gait("walk", speed, _WALK_STRIDE * leg, _WALK_DUTY, _WALK_LIFT * leg, _build_usual_phases(names, len(legs)))
         )
         gait_reasons.append(f"no clip walks: a typical walk for legs of {_format_metres(leg * unit)}")
-    proposal.add("gaits", gaits, *gait_reasons)
+    proposal.add_entry("gaits", gaits, *gait_reasons)
 
 
-def _make_leg(name: str, leg: FoundLeg, joints: Sequence[str]) -> dict[str, str]:
+def _make_leg(name: str, leg: LegCandidate, joints: Sequence[str]) -> dict[str, str]:
     """Return the entry of `legs` for a leg. With an ankle, the foot joint is that of the toes if the rig has one."""
     entry = {"name": name, "upper": joints[leg.upper], "lower": joints[leg.lower]}
     return entry | ({"ankle": joints[leg.ankle], "foot": joints[leg.ball]} if leg.ankle >= 0 else {"foot": joints[leg.foot]})
 
 
-def _order_legs(legs: Sequence[FoundLeg], study: BodyStudy, front: Floats, side: Floats) -> tuple[list[int], list[str]]:
+def _order_legs(
+    legs: Sequence[LegCandidate], study: BodyMeasurements, front: Floats, side: Floats
+) -> tuple[list[int], list[str]]:
     """Return the order of legs, and the name of each in this order. Pairs are from front to back, left before right."""
     feet = np.array([study.worlds[leg.upper, :, 3].astype(np.float64) for leg in legs])
     ahead, right = feet @ front, feet @ side
@@ -346,26 +350,26 @@ def _make_gait(name: str, speed: float, stride: float, duty: float, lift: float,
 # ---- the capsule
 
 
-def _add_capsule(proposal: Proposal, study: BodyStudy, front: Floats) -> None:
+def _add_capsule(proposal: BodyFileProposal, study: BodyMeasurements, front: Floats) -> None:
     """Add `capsule` to the proposal: the box of the trunk in the standing pose, without legs and outstretched arms."""
-    rig, search = study.body.rig, study.search
+    rig, search = study.body.rig, study.leg_search
     limbs = {k for leg in search.legs for k in range(len(rig.names)) if is_below(rig, k, leg.chain[0])}
-    own = ~np.isin(study.points.joint, sorted(limbs))
-    trunk = study.points.place[own] if own.sum() > 8 else study.points.place
+    own = ~np.isin(study.points.joint_indices, sorted(limbs))
+    trunk = study.points.positions[own] if own.sum() > 8 else study.points.positions
     if not len(trunk):
         return
     side = np.cross(front, study.up)
-    tail = (1 - _TRUNK_SHARE) / 2
-    pose = f"of the clip `{study.idle}`" if study.idle else _describe_rest_pose(study)
-    if not study.idle and study.gaits:
+    tail = (1 - _TRUNK_LENGTH_SHARE) / 2
+    pose = f"of the clip `{study.idle_clip}`" if study.idle_clip else _describe_rest_pose(study)
+    if not study.idle_clip and study.gaits:
         slow = min(study.gaits.values(), key=lambda gait: gait.speed)
         worlds = study.motions[slow.clip].worlds[0]
         points = find_posed_points(study.body, worlds)
-        trunk = points.place[own] if own.sum() > 8 else points.place
+        trunk = points.positions[own] if own.sum() > 8 else points.positions
         pose = f"of the clip `{slow.clip}`: no clip stands still, and arms may be spread in the rest pose"
     low, high = (np.quantile(trunk @ np.stack([front, study.up, side], axis=1), end, axis=0) for end in (tail, 1 - tail))
-    size, middle = np.maximum(high - low, 1e-3 * search.height), (high + low) / 2
-    proposal.add(
+    size, middle = np.maximum(high - low, 1e-3 * search.body_height), (high + low) / 2
+    proposal.add_entry(
         "capsule",
         {
             "length": _round_digits(max(size[0], size[2])), "width": _round_digits(size[2]),
@@ -376,7 +380,7 @@ def _add_capsule(proposal: Proposal, study: BodyStudy, front: Floats) -> None:
     )  # fmt: skip
 
 
-def _describe_rest_pose(study: BodyStudy) -> str:
+def _describe_rest_pose(study: BodyMeasurements) -> str:
     """Return words that describe the rest pose in the reason for the capsule."""
     return "of the file: no clip stands or walks, so check the width if arms are spread"
 

@@ -13,7 +13,7 @@ from antdsl.cli.printing.messages import print_result
 
 if TYPE_CHECKING:
     from antdsl.bench.costs import BenchJob, Measurement
-    from antdsl.bench.tables import CaseResult
+    from antdsl.bench.tables import BenchCaseResult
 
 SLOWEST_BACKEND = "reference"  # skipped unless named: it runs one agent at a time
 
@@ -30,16 +30,16 @@ def run_bench_command(
     list_: bool = typer.Option(False, "--list", help="List the cases and stop."),
 ) -> None:
     """Measure what steps cost: CPU and wall time, memory, set-up."""
-    from antdsl.bench import CASES
+    from antdsl.bench import BENCH_CASES
 
     if list_:
-        for case in CASES.values():
+        for case in BENCH_CASES.values():
             sizes = ", ".join(f"{number:,}" for number in case.agents) or "as it is"
             print_result(f"{case.name:<18}{case.description}: {sizes}")
         return
     require_writable_file(json_, "--json")
     with protect_inputs({"--json": json_}) as inputs:
-        inputs += [Path(name) for name in cases or [] if name not in CASES]
+        inputs += [Path(name) for name in cases or [] if name not in BENCH_CASES]
     names = _choose_backends(backend)
     from antdsl.cli.commands.run import choose_threads
 
@@ -55,9 +55,9 @@ def run_bench_command(
         if json_ is not None:
             import json
 
-            from antdsl.bench.tables import as_json
+            from antdsl.bench.tables import make_json_document
 
-            write_result(json_, (json.dumps(as_json(results), indent=1) + "\n").encode(), output)
+            write_result(json_, (json.dumps(make_json_document(results), indent=1) + "\n").encode(), output)
 
 
 def _choose_backends(names: list[str]) -> list[str]:
@@ -74,16 +74,16 @@ def _choose_backends(names: list[str]) -> list[str]:
 def _choose_jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | None]]:
     """Return the cases to measure, each with a number of agents: a requested number, or the numbers of the case. Without cases,
     return a quick selection."""
-    from antdsl.bench import CASES
+    from antdsl.bench import BENCH_CASES
 
     if not cases:
-        quick = [(case.name, agents or list(case.quick_agent_counts)) for case in CASES.values() if case.quick_agent_counts]
+        quick = [(case.name, agents or list(case.quick_agent_counts)) for case in BENCH_CASES.values() if case.quick_agent_counts]
         return [(name, count) for name, counts in quick for count in counts]
     jobs: list[tuple[str, int | None]] = []
     for name in cases:
-        case = CASES.get(name)
+        case = BENCH_CASES.get(name)
         if case is None and not Path(name).is_file():
-            raise typer.BadParameter(f"`{name}` is neither a case nor a file; cases: {', '.join(CASES)}", param_hint="CASE")
+            raise typer.BadParameter(f"`{name}` is neither a case nor a file; cases: {', '.join(BENCH_CASES)}", param_hint="CASE")
         if Path(name).suffix == ".ant":
             raise typer.BadParameter(f"`{name}` is a program; name a scene that uses it", param_hint="CASE")
         jobs += [(name, count) for count in agents or (case.agents if case is not None else ()) or (None,)]
@@ -92,24 +92,24 @@ def _choose_jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | N
 
 def _require_openable(name: str) -> None:
     """Report the errors of a scene before anything is measured."""
-    from antdsl.bench import CASES
+    from antdsl.bench import BENCH_CASES
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.pipeline import open_scene
 
-    if name not in CASES:
+    if name not in BENCH_CASES:
         exit_on_errors(open_scene(Path(name))[1])
 
 
 def _measure_case(
     name: str, agents: int | None, backends: list[str], turns: int, steps: int, threads: int, full_run: bool
-) -> CaseResult:
+) -> BenchCaseResult:
     """Return the measurements of a case: each backend in a separate process, then all of them alternately in one process."""
     from antdsl.bench import BenchJob
-    from antdsl.bench.tables import CaseResult
+    from antdsl.bench.tables import BenchCaseResult
 
     separate_results = [_measure_job(BenchJob(name, agents, (each,), turns, steps, threads, full_run)) for each in backends]
     joint_result = _measure_job(BenchJob(name, agents, tuple(backends), turns, steps, threads)) if len(backends) > 1 else None
-    return CaseResult(tuple(separate_results), joint_result)
+    return BenchCaseResult(tuple(separate_results), joint_result)
 
 
 def _measure_job(job: BenchJob) -> Measurement:
@@ -121,7 +121,7 @@ def _measure_job(job: BenchJob) -> Measurement:
         raise CommandError(ExitCode.FINDINGS, f"error: {job.case}: {error}") from None
 
 
-def _print_result(result: CaseResult) -> None:
+def _print_result(result: BenchCaseResult) -> None:
     from antdsl.cli.printing.bench_tables import print_case_result
 
     print_case_result(result)

@@ -148,11 +148,11 @@ def _check_tables() -> None:
 
 def _check_sandbox(problems: list[str]) -> None:
     """Print which sandbox layers confine the process that reads foreign formats."""
-    from antdsl.reader.client import ReaderFailure, find_active_layers
+    from antdsl.reader.client import ReaderFailureError, find_active_layers
 
     try:
         active = find_active_layers()
-    except ReaderFailure as error:
+    except ReaderFailureError as error:
         _print_check("reader", False, str(error))
         problems.append("allow this user to start processes and to write to the folder for temporary files")
         return

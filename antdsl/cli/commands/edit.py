@@ -126,7 +126,7 @@ def _resimulate_edits(loaded: LoadedEdits, scene: Path | None, roots: tuple[str,
             print_report(why.report, to_stderr=True)
         code = ExitCode.USAGE if isinstance(why, ExplainError) and why.usage else ExitCode.FINDINGS
         raise CommandError(code, f"error: {why}", f"help: {why.help}" if why.help else "") from None
-    print_note(NOTHING_TO_SETTLE if settlement is None else settlement.describe())
+    print_note(NOTHING_TO_SETTLE if settlement is None else settlement.describe_result())
     return loaded if settlement is None else loaded.add_settled(settlement.frames)
 
 

@@ -54,7 +54,7 @@ def run_fit_command(
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.cli.sweep_arguments import parse_seeds
     from antdsl.diagnostics import Report
-    from antdsl.executors import WorkersLost
+    from antdsl.executors import WorkersLostError
     from antdsl.fitting import PointEvaluator, fit_goals
     from antdsl.fitting.evaluation import find_spec
     from antdsl.fitting.report import describe_fit, encode_fit, format_points
@@ -99,8 +99,8 @@ def run_fit_command(
                 others = list(range(numbers[-1] + 1, numbers[-1] + 1 + check_seeds))
                 checker = PointEvaluator(scenes, spec, others, grants, running, specs[0].pass_share)
                 result = replace(result, check=checker.evaluate([result.best.values])[0])
-    except (KeyboardInterrupt, WorkersLost) as error:
-        code = ExitCode.INPUT_OUTPUT if isinstance(error, WorkersLost) else choose_stop_exit_code(error)
+    except (KeyboardInterrupt, WorkersLostError) as error:
+        code = ExitCode.INPUT_OUTPUT if isinstance(error, WorkersLostError) else choose_stop_exit_code(error)
         raise CommandError(code, f"stopped: {error}".rstrip(": "), "run the same command again") from None
     create_folder_durably(folder)
     text = describe_fit(result)

@@ -112,7 +112,7 @@ def run_sweep_command(
     from antdsl.cli.arguments import parse_until, require_scene
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.cli.sweep_arguments import build_study, load_request, open_scene_shots, parse_widths, reject_missing_scene
-    from antdsl.executors import WorkersLost
+    from antdsl.executors import WorkersLostError
     from antdsl.numerics.processor.host import count_available_cores
     from antdsl.scene.paths import record_requested_paths
     from antdsl.sweeps import FinishedRunStore, SweepJobChooser, run_jobs
@@ -189,12 +189,12 @@ def run_sweep_command(
                     finished_measures[outcome.job.key] = outcome.measures
                 chooser.record_result(outcome.job, outcome.measures)
                 _require_measures(chooser)
-    except (KeyboardInterrupt, WorkersLost) as error:
+    except (KeyboardInterrupt, WorkersLostError) as error:
         _write_tables(run_store, study, chooser, finished_measures, show, plots=False)
         finished = f"{len(finished_measures)} of {len(runs)} runs are finished and stored"
         code, words = (
             (ExitCode.INPUT_OUTPUT, f"error: {error}")
-            if isinstance(error, WorkersLost)
+            if isinstance(error, WorkersLostError)
             else (choose_stop_exit_code(error), "stopped")
         )
         raise CommandError(

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from antdsl.bench.tables import (
     STEP_COLUMNS,
-    CaseResult,
+    BenchCaseResult,
     build_phase_table,
     build_step_rows,
     compare_backends,
@@ -20,7 +20,7 @@ from antdsl.bench.tables import (
 from antdsl.cli.printing.messages import print_result
 
 
-def print_case_result(result: CaseResult) -> None:
+def print_case_result(result: BenchCaseResult) -> None:
     """Print a measured case."""
     console = Console(highlight=False, soft_wrap=True)
     with console.capture() as printed:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Leg, Shape, map_language_names
+from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Leg, SkinShape, map_language_names
 from antdsl.bodies.files.document_values import format_axis
 from antdsl.bodies.files.documents import to_plain_metadata
 from antdsl.diagnostics import Report
@@ -79,7 +79,7 @@ def find_length_unit(body: Definition) -> str:
     return next((name for name, mm in UNIT_MM.items() if abs(mm / body.unit - 1) < 1e-6), f"× {body.unit:g} mm")
 
 
-def _describe_shape(shape: Shape) -> list[str]:
+def _describe_shape(shape: SkinShape) -> list[str]:
     words = [f"{len(shape.points):,} points", f"{len(shape.faces):,} triangles"]
     if shape.capture is not None:
         words.append(f"follows {len(shape.capture.names)} joints")
@@ -166,7 +166,7 @@ def format_body_json(body: Definition | None, report: Report) -> str:
     return json.dumps(content, indent=2, ensure_ascii=True) + "\n"
 
 
-def _make_shape_document(shape: Shape) -> dict[str, Any]:
+def _make_shape_document(shape: SkinShape) -> dict[str, Any]:
     return {
         "points": len(shape.points),
         "triangles": len(shape.faces),

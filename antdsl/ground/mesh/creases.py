@@ -383,7 +383,8 @@ def mark_rows_in_near_cells(
     begin: I64,
     end: I64,
 ) -> None:
-    """Replace the rung `rung` in `rungs` by a result: -1 in a cell of the mask `is_near_slope`, -2 in other cells.
+    """Replace the level `distance_level` in `distance_levels` by a result: -1 in a cell of the mask `is_near_slope`, -2 in other
+    cells.
 
     It applies to agents `begin` to `end` (exclusive)."""
     for k in range(begin, end):

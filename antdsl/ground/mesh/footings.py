@@ -24,7 +24,7 @@ def write_footing_positions(
 ) -> BOOL:
     """Write the position of each footing, [n,3], 0 for nowhere; return whether all face numbers are valid.
 
-    The faces of a mesh begin at `first` in `faces` and `normal` (3, m). `vertices` has three numbers per vertex."""
+    The faces of a mesh begin at `first_faces` in `faces` and `normal` (3, m). `vertices` has three numbers per vertex."""
     for begin in range(0, mesh.size, _PREFETCH_GROUP_SIZE):
         end = min(begin + _PREFETCH_GROUP_SIZE, mesh.size)
         for n in range(end, min(end + _PREFETCH_GROUP_SIZE, mesh.size)):
@@ -66,7 +66,7 @@ def write_footing_sides(
     end: I64,
 ) -> None:
     """Write the side (axis direction) of the faces of footings `begin` to `end` (exclusive); 0 for nowhere. The faces of a mesh
-    begin at `first`."""
+    begin at `first_faces`."""
     for n in range(begin, end):
         if mesh[n] >= 0 and face[n] >= 0:
             sides[n] = side_by_face[first_faces[mesh[n]] + face[n]]

@@ -49,7 +49,7 @@ def find_self_intersections(corners: Floats, weld: Ints, piece: Ints, coordinate
 
     - `weld` (m, 3): numbers of corners by position
     - `piece` int32[m]: the piece of each face, -1 for none
-    - `grain`: faces nearer to each other than this distance (mm) touch, and touching counts as a cut"""
+    - `coordinate_precision`: faces nearer to each other than this distance (mm) touch, and touching counts as a cut"""
     flat = weld.ravel()
     one_place = np.zeros((int(flat.max(initial=-1)) + 1, 3))
     one_place[flat[::-1]] = corners.reshape(-1, 3)[::-1]  # nearly equal corners get one position, so they cut nothing

@@ -54,7 +54,8 @@ def project_to_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s
 
 @inlined
 def get_face_part_clearance(clearances: ClearanceTables, face: I64, weights: TriangleWeights) -> F64:
-    """Return a distance (mm) around the point of face `f` without any other piece; at most `reach`. See `FacePartClearances`."""
+    """Return a distance (mm) around the point of face `face` without any other piece; at most `reach`. See
+    `FacePartClearances`."""
     n = clearances.parts_per_edge[face]
     if n == 0:
         return clearances.reach
@@ -140,7 +141,8 @@ def walk_to_next_event(
 
 @inlined
 def turn_along_border(edge: FaceDirection, direction: FaceDirection, remaining_length: F64) -> tuple[FaceDirection, F64]:
-    """Return the direction along an open border, and the distance left in that direction. `left`: the distance left before."""
+    """Return the direction along an open border, and the distance left in that direction. `remaining_length`: the distance left
+    before."""
     (edge_c, edge_s), (c, s) = edge, direction
     along = c * edge_c + s * edge_s
     turn = -1.0 if along < 0 else 1.0

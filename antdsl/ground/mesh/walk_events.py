@@ -92,8 +92,8 @@ class WalkTables:
 
 @dataclass(frozen=True, slots=True)
 class CrowdWalk:
-    """A walk of a crowd. `walk`: the tables of faces. `parts`: distances to other surfaces. `boxes`: their locations. `scale`:
-    tolerances."""
+    """A walk of a crowd. `walk_tables`: the tables of faces. `part_clearances`: distances to other surfaces. `boxes`: their
+    locations. `tolerances`: tolerances."""
 
     walk_tables: WalkTables
     part_clearances: FacePartClearances

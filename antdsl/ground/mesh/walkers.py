@@ -13,8 +13,8 @@ FaceDirection = tuple[F64, F64]  # cosine and sine in the frame of a face
 
 
 class SurfaceTables(NamedTuple):
-    """Tables of faces for a walk: the packed table, `link` and `has_forked_edges` of the topology, and the `first` face of each
-    mesh."""
+    """Tables of faces for a walk: the packed table, `edge_links` and `has_forked_edges` of the topology, and the `first_faces`
+    face of each mesh."""
 
     face_table: Array1[F64]
     edge_links: Array2[I32]
@@ -35,14 +35,16 @@ class ClearanceTables(NamedTuple):
 
 
 class SideGroups(NamedTuple):
-    """`piece` and `side_groups` of the topology: the piece of each face, and a group number for both sides of each face."""
+    """`piece_numbers` and `side_groups` of the topology: the piece of each face, and a group number for both sides of each
+    face."""
 
     piece_numbers: Array1[I32]
     side_groups: Array2[I32]
 
 
 class CutTables(NamedTuple):
-    """Faces of the same piece that cut each face: `cutting_faces` from `first[face]` to `first[face + 1]` (exclusive)."""
+    """Faces of the same piece that cut each face: `cutting_faces` from `cut_starts[face]` to `cut_starts[face + 1]`
+    (exclusive)."""
 
     cut_starts: Array1[I64]
     cutting_faces: Array1[I64]
@@ -112,7 +114,7 @@ class SurfaceLanding(NamedTuple):
 class PieceSearchTables(NamedTuple):
     """The tables for a search of other pieces.
 
-    - `buffer`: `buffer_count` parts, each with space for all faces
+    - `face_buffer`: `buffer_count` parts, each with space for all faces
     - `agent_count`: the number of agents"""
 
     sides: SideGroups

@@ -17,7 +17,7 @@ from antdsl.atomic_write import write_atomically
 from antdsl.numerics.periodic_box import PeriodicBox
 from antdsl.outputs.cache.manifest_parts import CameraEntry, FollowEntry, LampEntry, ManifestPart, PeriodEntry, Triple, Word
 from antdsl.program.tables.things import KIND_BY_WORD, KINDS_WITH_FACES, ThingKindRow
-from antdsl.safe_read import FileTooLarge, read_size_limited
+from antdsl.safe_read import FileTooLargeError, read_size_limited
 from antdsl.scene.camera_models import DEFAULT_CAMERA_NAME
 from antdsl.scene.light_model import DEFAULT_LIGHT, LightSettings
 from antdsl.scene.looks import LOOK_WORDS
@@ -361,7 +361,7 @@ def read_manifest(folder: Path) -> Manifest:
     path = folder / MANIFEST_FILE_NAME
     try:
         text = read_size_limited(path, _MAX_MANIFEST_BYTES, follows_links=False).decode()
-    except FileTooLarge:
+    except FileTooLargeError:
         raise ManifestError(f"`{path}` is too large for a manifest") from None
     except (OSError, UnicodeDecodeError):
         raise ManifestError(f"`{folder}` is not a cache: it has no readable `{MANIFEST_FILE_NAME}`") from None

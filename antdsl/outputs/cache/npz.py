@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.outputs.cache.zip_parts import MemberForm, StoredFile, make_member_form, make_stored_file
-from antdsl.safe_read import FileTooLarge, open_size_limited
+from antdsl.safe_read import FileTooLargeError, open_size_limited
 from antdsl.scene.geometry.arrays import ALLOWED_DTYPES, NPY_MAGIC, ArrayFileError, parse_npy, read_npz_archive
 
 __all__ = ["ArrayFileError", "encode_npz", "make_npz_file", "parse_npy", "read_npz", "write_member"]
@@ -94,5 +94,5 @@ def read_npz(path: Path, names: Container[str] | None = None) -> dict[str, NDArr
     try:
         with open_size_limited(path, MAX_FILE_BYTES, follows_links=False) as file:
             return read_npz_archive(file, os.fstat(file.fileno()).st_size, names)
-    except FileTooLarge as error:
+    except FileTooLargeError as error:
         raise ArrayFileError(f"has {error.size:,} bytes, more than the limit of {error.cap:,}") from None

@@ -33,9 +33,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.driving import DrivenPose
+from antdsl.bodies.agents.driving import PoseAdjustments
 from antdsl.bodies.agents.leg_ik import PlacedFeet
-from antdsl.bodies.agents.machine_clips import EARLIER_FIELDS, MachineClips
+from antdsl.bodies.agents.machine_clips import EARLIER_CLIP_FIELDS, MachineClips
 from antdsl.bodies.agents.varied_bodies import VariationDraws
 from antdsl.numerics import parallel
 from antdsl.numerics.randomness import draw_uniform
@@ -52,7 +52,7 @@ _SOLE_FIELD = "normal"  # of feet, only in frames of bodies with flat soles
 Arrays = Mapping[str, NDArray[Any]]
 # By field, the register behind `MACHINE.` and its type in a frame.
 _REGISTER_BY_FIELD = {each.field: ("clip" if each.field == "clip" else f"clip_{each.field}", each.type) for each in CLIP_COLUMNS}
-_USUAL_FIELDS = tuple(field for field in _REGISTER_BY_FIELD if field not in EARLIER_FIELDS)
+_USUAL_FIELDS = tuple(field for field in _REGISTER_BY_FIELD if field not in EARLIER_CLIP_FIELDS)
 _CLIP_FIELDS, _SHARE_FIELDS = ("clip", "before"), ("turns", "weight", "before_turns", "before_weight", "fade")
 
 
@@ -73,7 +73,9 @@ def make_clip_arrays(population: Population, threads: int = 1) -> dict[str, NDAr
         early = now["earlier_fade"] > 0
         if early.any() and (early & (now["fade"] > 0)).any():
             rows = population.rows_by_id()
-            values |= {field: now[field].take(rows).astype(_REGISTER_BY_FIELD[field][1], copy=False) for field in EARLIER_FIELDS}
+            values |= {
+                field: now[field].take(rows).astype(_REGISTER_BY_FIELD[field][1], copy=False) for field in EARLIER_CLIP_FIELDS
+            }
         arrays |= {f"clips.{population.name}.{machine}.{field}": array for field, array in values.items()}
     return arrays
 
@@ -189,7 +191,7 @@ def list_mask_layers(species: SpeciesEntry, mask: int) -> tuple[str, ...]:
     return tuple(layer for k, layer in enumerate(species.wears) if mask >> k & 1)
 
 
-def read_driven_pose(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64], seed: int) -> DrivenPose:
+def read_driven_pose(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64], seed: int) -> PoseAdjustments:
     """Return the channels and looks that states set in a frame, and the variation between bodies, for the agents `ids`.
 
     Data that the frame lacks is left out."""
@@ -197,7 +199,7 @@ def read_driven_pose(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int6
     channels = {name: _find_array(arrays, f"channels.{of}.{name}", "f4", count) for name in species.channels}
     looks = {name: _find_array(arrays, f"looks.{of}.{name}", "f4", count, 3) for name in species.looks}
     joints = {name: _find_array(arrays, f"joints.{of}.{name}", "f4", count, 7) for name in species.joints}
-    return DrivenPose(
+    return PoseAdjustments(
         {name: values for name, values in channels.items() if values is not None},
         {name: values for name, values in looks.items() if values is not None},
         VariationDraws(ids, seed, of),

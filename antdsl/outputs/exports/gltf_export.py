@@ -17,7 +17,7 @@ from antdsl.atomic_write import write_atomically
 from antdsl.bodies.agents.definition import STATE_MATERIAL, Binding
 from antdsl.bodies.agents.transforms import align_signs, decompose_matrix
 from antdsl.bodies.body import compute_vertex_normals
-from antdsl.bodies.files.gltf.gltf_writer import GltfWriter, ShapeParts
+from antdsl.bodies.files.gltf.gltf_writer import GltfShapeWriter, GltfWriter
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.exports.gltf_keys import PATHS, AgentRows, NodeTracks, plan_keys
 from antdsl.outputs.exports.gltf_lights import add_lights
@@ -174,7 +174,7 @@ class _WornShape:
 
     binding: Binding
     body: PosedBody
-    parts: ShapeParts
+    parts: GltfShapeWriter
     outfits: list[int]
     meshes: dict[tuple[float, ...], int] = field(default_factory=dict)  # by the agent's colour
 
@@ -299,10 +299,10 @@ def _list_shapes(writer: GltfWriter, outfits: list[PosedBody]) -> Iterable[_Worn
     return shapes.values()
 
 
-def _write_shape(writer: GltfWriter, body: PosedBody, name: str) -> ShapeParts:
+def _write_shape(writer: GltfWriter, body: PosedBody, name: str) -> GltfShapeWriter:
     shape = body.definition.shapes[name]
     normals = shape.normals if shape.normals is not None else compute_vertex_normals(shape.points.astype(np.float64), shape.faces)
-    return ShapeParts(writer, body.definition, shape, normals)
+    return GltfShapeWriter(writer, body.definition, shape, normals)
 
 
 def _write_materials(stage: GltfStage, body: PosedBody, shape: str, colour: tuple[float, ...]) -> dict[str, int]:

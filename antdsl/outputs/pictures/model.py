@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.driving import DrivenPose
+from antdsl.bodies.agents.driving import PoseAdjustments
 from antdsl.bodies.agents.leg_ik import BodySpaceFeet, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips
-from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.poses import WorldPoses
 from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import NO_DRIVEN_POSE, PosedBody
 from antdsl.numerics.records import take_rows
@@ -78,12 +78,12 @@ class Crowd:
     body: PosedBody = field(default_factory=_load_default_body)
     machine_clips: tuple[MachineClips, ...] = ()
     feet: PlacedFeet | None = None
-    driven_pose: DrivenPose = NO_DRIVEN_POSE
+    driven_pose: PoseAdjustments = NO_DRIVEN_POSE
     next_crowd: "Crowd | None" = None
     body_key: str = ""
     is_marked: NDArray[np.bool_] | None = None
 
-    def compute_poses(self, needs_local: bool = False) -> Poses:
+    def compute_poses(self, needs_local: bool = False) -> WorldPoses:
         """Return transforms and channels of all agents in the space of their body."""
         count = len(self.position)
         return self.body.compute_poses(

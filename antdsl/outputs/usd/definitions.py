@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.bodies.agents.blend_shapes import compute_attribute_offsets, find_blend_knots, get_point_attribute, match_points
-from antdsl.bodies.agents.definition import Binding, Definition, Shape
+from antdsl.bodies.agents.blend_shapes import compute_attribute_offsets, get_point_attribute, list_blend_knots, match_points
+from antdsl.bodies.agents.definition import Binding, Definition, SkinShape
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.usd.materials import MaterialBinder, MaterialBodyMesh
 from antdsl.outputs.usd.values import (
@@ -111,7 +111,7 @@ def make_joint_paths(definition: Definition) -> tuple[str, ...]:
 
 def compute_rest_matrices(definition: Definition) -> Array:
     """Return the world matrices float64[J, 4, 4] of the joints in the rest pose."""
-    world = np.array(definition.rig.rest, np.float64)
+    world = np.array(definition.rig.rest_matrices, np.float64)
     for joint, parent in enumerate(definition.rig.parents.tolist()):
         if parent >= 0:
             world[joint] = world[parent] @ world[joint]
@@ -125,7 +125,7 @@ class _SkeletonTable:
         self._stage, self._path, self._definition, self._joints = stage, path, definition, joints
         self._rest_matrices, self._skeletons = compute_rest_matrices(definition), list[tuple[str, Array, Array, Any]]()
 
-    def find_or_add(self, shape: Shape) -> str:
+    def find_or_add(self, shape: SkinShape) -> str:
         """Return the path of a skeleton with the bind pose of a shape. It is added if no existing skeleton fits.
 
         Joints of an existing skeleton that had no bind pose yet get the pose of this shape."""
@@ -144,7 +144,7 @@ class _SkeletonTable:
         path = f"{self._path}/skeleton" + (f"_{number}" if number > 1 else "")
         skeleton = import_pxr_module("UsdSkel").Skeleton.Define(self._stage, path)
         skeleton.CreateJointsAttr(import_pxr_module("Vt").TokenArray(list(self._joints)))
-        skeleton.CreateRestTransformsAttr(to_usd_matrices(np.asarray(self._definition.rig.rest)))
+        skeleton.CreateRestTransformsAttr(to_usd_matrices(np.asarray(self._definition.rig.rest_matrices)))
         self._skeletons.append((path, bind, known, skeleton.CreateBindTransformsAttr(to_usd_matrices(bind))))
         import_pxr_module("UsdSkel").BindingAPI.Apply(skeleton.GetPrim())
         return path
@@ -176,7 +176,7 @@ def _write_shape(
     steps = binding.deformer.split("+") if binding.deformer else []
     skinned = [step for step in steps if step.endswith("skinning")]
     _add_difference_notes(skel_definition, binding, shape, steps)
-    skeleton = skeletons.find_or_add(shape if skinned else Shape(shape.name, shape.points, shape.faces))
+    skeleton = skeletons.find_or_add(shape if skinned else SkinShape(shape.name, shape.points, shape.faces))
     api.CreateSkeletonRel().SetTargets([skeleton])
     if skinned and shape.capture is not None:
         _write_capture(api, definition, shape)
@@ -193,7 +193,7 @@ def _write_shape(
         _write_blend_shapes(stage, path, api, definition, shape)
 
 
-def _add_difference_notes(skel_definition: SkelDefinition, binding: Binding, shape: Shape, steps: list[str]) -> None:
+def _add_difference_notes(skel_definition: SkelDefinition, binding: Binding, shape: SkinShape, steps: list[str]) -> None:
     """Add notes about the differences between a binding and its form in UsdSkel."""
     if "dualquatblendskinning" in steps:
         skel_definition.notes.append(
@@ -209,7 +209,7 @@ def _add_difference_notes(skel_definition: SkelDefinition, binding: Binding, sha
         skel_definition.notes.append(f"`{shape.name}` is blended after skinning, but UsdSkel blends first")
 
 
-def _write_capture(api: Any, definition: Definition, shape: Shape) -> None:
+def _write_capture(api: Any, definition: Definition, shape: SkinShape) -> None:
     """Write the joints that the points of a shape follow, and their weights."""
     capture = shape.capture
     assert capture is not None
@@ -220,7 +220,7 @@ def _write_capture(api: Any, definition: Definition, shape: Shape) -> None:
     api.CreateJointWeightsPrimvar(False, used).Set(import_pxr_module("Vt").FloatArray.FromNumpy(weights))
 
 
-def _write_blend_shapes(stage: Any, path: str, api: Any, definition: Definition, shape: Shape) -> None:
+def _write_blend_shapes(stage: Any, path: str, api: Any, definition: Definition, shape: SkinShape) -> None:
     """Write each input of a blend shape as a USD BlendShape prim. The channel of the same name is its weight."""
     blend, skel = shape.blend, import_pxr_module("UsdSkel")
     assert blend is not None
@@ -229,7 +229,7 @@ def _write_blend_shapes(stage: Any, path: str, api: Any, definition: Definition,
     for name in blend.shapes:
         each = f"{path}/{make_unique(to_identifier(name), taken)}"
         blend_shape = skel.BlendShape.Define(stage, each)
-        shapes, weights = find_blend_knots(definition, name)
+        shapes, weights = list_blend_knots(definition, name)
         for target, weight in zip(shapes, weights.tolist(), strict=True):
             into = blend_shape if weight == 1.0 else blend_shape.CreateInbetween(to_identifier(target.name))
             rows, other = match_points(shape, target, blend.point_id)
@@ -248,7 +248,7 @@ def _write_blend_shapes(stage: Any, path: str, api: Any, definition: Definition,
 
 
 def _compute_blend_offsets(
-    base: Shape, target: Shape, name: str, rows: Array, other: Array, blended_attributes: tuple[str, ...]
+    base: SkinShape, target: SkinShape, name: str, rows: Array, other: Array, blended_attributes: tuple[str, ...]
 ) -> Array:
     """Return how the attribute `name` differs between the points of `base` and `target`, float32[P, 3]."""
     offsets = np.zeros((len(base.points), 3), np.float32)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Clip
 from antdsl.bodies.agents.machine_clips import PlayedClip
-from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.poses import WorldPoses
 from antdsl.bodies.posed_body import NO_DRIVEN_POSE, PosedBody
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.pictures.light import decode_srgb
@@ -164,7 +164,7 @@ class _PoseBody:
             make_single_clips(np.array([p // (POSES_PER_CLIP + 1) - 1]), np.array([p % (POSES_PER_CLIP + 1) / POSES_PER_CLIP]))
             for p in clip_codes
         ]
-        poses: Poses = self._body_mesh.body.compute_poses(machines, 1)
+        poses: WorldPoses = self._body_mesh.body.compute_poses(machines, 1)
         points, normals = (each[0] for each in self._body_mesh.body.compute_shape_points(poses))
         path = f"{self._path}/{self._name_pose(clip_codes)}"
         usd_mesh = add_mesh(self._stage, path, points, self._body_mesh.faces, normals, self._body_mesh.uvs)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import decompose_matrices, normalise_quaternions
-from antdsl.bodies.agents.poses import Poses
+from antdsl.bodies.agents.poses import WorldPoses
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.numerics.records import match_ids
 from antdsl.outputs.cache.manifest import SpeciesEntry
@@ -114,7 +114,7 @@ class _JointSamples:
     `values`: translations, rotations (x y z w) and scales, float32[n, J, 3 or 4].
     `channels`: float32[n, C]."""
 
-    def __init__(self, poses: Poses) -> None:
+    def __init__(self, poses: WorldPoses) -> None:
         assert poses.local_transforms is not None
         n, count = poses.local_transforms.shape[:2]
         square = np.zeros((n * count, 4, 4))

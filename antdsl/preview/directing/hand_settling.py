@@ -12,7 +12,7 @@ from antdsl.outputs.edits.edit_layer import NotEditable
 from antdsl.outputs.edits.side_effects import SideEffects
 from antdsl.preview.directing.hand_edits import EditedRun
 from antdsl.preview.observing.explainer import StretchHistory
-from antdsl.settling.resimulation import NOTHING_TO_SETTLE, Settling, SettlingError
+from antdsl.settling.resimulation import NOTHING_TO_SETTLE, EditSettling, SettlingError
 
 _MAX_SECONDS = 0.02  # after this time, settling gives way to requests and steps
 _CHANGED_TEXT = "the edits or the frames have changed: settle again"
@@ -68,14 +68,14 @@ class HandSettling:
     def _run(self) -> Iterator[str]:
         """Settle the frames, show the result, and set the report. Yield a text about the progress after each frame."""
         frames, next_ids, attributes = self.edited.open_frames_to_settle()
-        settling = Settling(frames, self._open_history, next_ids, attributes)
-        yield from settling.run()
+        settling = EditSettling(frames, self._open_history, next_ids, attributes)
+        yield from settling.run_rounds()
         settlement = settling.settlement
         self.edited.settle(self._inputs, None if settlement is None else settlement.frames)
         side_effects = SideEffects(self.edited.find_view() or frames)
         for number in side_effects.examine():
             yield f"frame {number} is examined"
-        text = NOTHING_TO_SETTLE if settlement is None else settlement.describe()
+        text = NOTHING_TO_SETTLE if settlement is None else settlement.describe_result()
         self._report = (text, *(f"warning: {message}" for message in side_effects.messages))
 
     def _open_history(self, frame: int) -> StretchHistory:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.blending import blend_poses
 from antdsl.bodies.agents.definition import Definition, TransformGroup
 from antdsl.bodies.agents.driving import set_pose_channels
-from antdsl.bodies.agents.leg_ik import LegSolver, PlacedFeet
+from antdsl.bodies.agents.leg_ik import LegIkSolver, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, build_machine_playback
 from antdsl.bodies.agents.poses import ClipTable, build_clip_table
 from antdsl.bodies.agents.varied_bodies import VariationDraws, draw_colour_path_positions, draw_group_scale
@@ -163,7 +163,7 @@ def _make_body_arrays(actions: SpeciesActions, key: str, worn: BodyOutfit) -> Ar
     played = (*build_posed_body(worn).build_idle_clips(displayed["id"], actions.seconds), *machines.values())
     arrays |= _make_trait_arrays(actions, worn, played)
     solver = build_posed_body(worn).leg_solver
-    feet = None if solver is None else read_feet(key, stored, count, solver.count)
+    feet = None if solver is None else read_feet(key, stored, count, solver.leg_count)
     if feet is not None and solver is not None and count:
         stands = solver.compute_stance_weights((*worn.clips, PlayedClip(worn.definition.idle)), played, count)
         arrays |= make_stance_arrays(solver, feet, displayed, stands)
@@ -264,7 +264,7 @@ def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint
 
 
 def make_stance_arrays(
-    legs: LegSolver, feet: PlacedFeet, displayed: Arrays, foot_weights: Floats
+    legs: LegIkSolver, feet: PlacedFeet, displayed: Arrays, foot_weights: Floats
 ) -> dict[str, NDArray[np.int16]]:
     """Return the stances of bodies as integer arrays.
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import STATE_MATERIAL, Definition
 from antdsl.bodies.agents.driving import iterate_look_shares
-from antdsl.bodies.agents.leg_ik import LEG_BENDING_LIMITS, LegSolver
+from antdsl.bodies.agents.leg_ik import LEG_BENDING_LIMITS, LegIkSolver
 from antdsl.bodies.agents.machine_clips import PlayedClip
 from antdsl.bodies.agents.poses import ClipTable, build_clip_table
 from antdsl.bodies.agents.varied_bodies import iterate_scale_pivots
@@ -182,7 +182,7 @@ def _make_clip_arrays(table: ClipTable, definition: Definition, played_clips: tu
     clip_ranges: dict[str, tuple[int, int]] = {}
     for name in dict.fromkeys(name for each in played_clips for name in (each.clip, *each[3:]) if name in table.names):
         number = table.find_clip(name) + 1
-        first, length = int(table.first[number]), int(table.sample_counts[number])
+        first, length = int(table.first_sample_rows[number]), int(table.sample_counts[number])
         clip_ranges[name] = sum(map(len, sample_rows)), length
         sample_rows.append(np.arange(first, first + length))
     clips = []
@@ -191,7 +191,7 @@ def _make_clip_arrays(table: ClipTable, definition: Definition, played_clips: tu
         again = first >= 0 and bool(table.is_looping[table.find_clip(each.clip) + 1])
         blend_ranges = [number for blend_clip in each[3:] for number in clip_ranges.get(blend_clip, (-1, 1))]
         clips.append((first, length, int(again) + 2 * int(each.add), groups.index(each.group), *blend_ranges))
-    rows = table.samples[np.concatenate(sample_rows)]
+    rows = table.sample_rows[np.concatenate(sample_rows)]
     sample = np.zeros((len(rows), joints, _count_texels(table), 4), np.float32)
     at = 0
     for texel, width in enumerate((3, 4, *([3] if table.has_scale else []), *([3] if table.has_shear else []))):
@@ -280,14 +280,14 @@ def find_depth_order(table: ClipTable) -> NDArray[np.int32]:
     return place
 
 
-def _make_leg_arrays(legs: LegSolver | None, table: ClipTable) -> Arrays:
+def _make_leg_arrays(legs: LegIkSolver | None, table: ClipTable) -> Arrays:
     """Return `leg` float32[L, 5, 4], one row of four numbers each.
 
     These are the joints of hip, knee, foot and ankle, numbered by depth; the axis about which a straight knee bends, and whether
     the sole is flat; the body's up in the space of the ankle, and of the foot; the vector from the foot to the ankle."""
     if legs is None:
         return {}
-    leg_array, place = np.zeros((legs.count, 5, 4), np.float32), find_depth_order(table)
+    leg_array, place = np.zeros((legs.leg_count, 5, 4), np.float32), find_depth_order(table)
     leg_array[:, 0] = [place[[each.upper, each.lower, each.foot, each.ankle]] for each in legs.chains]
     leg_array[:, 1, :3], leg_array[:, 1, 3] = legs.get_straight_axes(), [each.has_flat_sole for each in legs.chains]
     for row, leg in zip(leg_array, legs.chains, strict=True):
@@ -295,13 +295,13 @@ def _make_leg_arrays(legs: LegSolver | None, table: ClipTable) -> Arrays:
     return {"leg": leg_array}
 
 
-def _number_leg_parts(legs: LegSolver | None, joints: int) -> NDArray[np.int32]:
+def _number_leg_parts(legs: LegIkSolver | None, joints: int) -> NDArray[np.int32]:
     """Return the number of the leg part that each joint of the rig belongs to; 0 for none.
 
     The number is four times the leg's number plus 1 for thigh, 2 for shank, 3 for arch, 4 for sole."""
     part_numbers = np.zeros(joints, np.int32)
     for number, each in enumerate(legs.chains if legs is not None else ()):
-        for piece, those in enumerate((each.thigh, each.shank, each.arch, each.sole), 1):
+        for piece, those in enumerate((each.thigh_joints, each.shank_joints, each.arch_joints, each.sole_joints), 1):
             part_numbers[those] = 4 * number + piece
     return part_numbers
 

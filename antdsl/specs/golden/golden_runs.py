@@ -21,7 +21,7 @@ from antdsl import __version__, limits
 from antdsl.atomic_write import write_atomically
 from antdsl.program.model import Program
 from antdsl.runtime import World, state_hash
-from antdsl.safe_read import FileTooLarge, read_size_limited
+from antdsl.safe_read import FileTooLargeError, read_size_limited
 from antdsl.specs.cases import SpecRun
 from antdsl.specs.golden.fingerprints import StateDifference, build_columns, digest_agents, find_differences
 
@@ -129,7 +129,7 @@ def read_golden(path: Path) -> GoldenFile | None:
         return GoldenFile.model_validate_json(data)
     except FileNotFoundError:
         return None
-    except FileTooLarge:
+    except FileTooLargeError:
         raise GoldenError(f"`{path.name}` is too large for a file of golden runs") from None
     except OSError as problem:
         raise GoldenError(f"`{path.name}` cannot be read: {(problem.strerror or str(problem)).lower()}") from None

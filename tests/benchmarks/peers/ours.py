@@ -8,7 +8,7 @@ import sys
 import warnings
 from time import process_time
 
-from antdsl.bench.cases import CASES
+from antdsl.bench.cases import BENCH_CASES
 from antdsl.bench.measuring import WARM_UP_STEPS, count_mean_neighbours, wait_for_code
 from antdsl.runtime import Options, World, bind, step
 
@@ -17,7 +17,7 @@ def main() -> None:
     """Take a turn for each line of the standard input."""
     warnings.simplefilter("ignore")
     name, backend, agents, steps = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
-    case = CASES[name]
+    case = BENCH_CASES[name]
     shot = case.make(agents)
     world: World | None = None
     for _ in sys.stdin:

@@ -123,11 +123,11 @@ def _replace_rest_pose(rig: Rig, pose: Rig | None) -> Rig:
     """Replace the rest pose of each joint that also exists in `pose`. Return the new rig."""
     if pose is None:
         return rig
-    rest, known = rig.rest.copy(), {name: number for number, name in enumerate(pose.names)}
+    rest, known = rig.rest_matrices.copy(), {name: number for number, name in enumerate(pose.names)}
     for number, name in enumerate(rig.names):
         if name in known:
-            rest[number] = pose.rest[known[name]]
-    return replace(rig, rest=rest)
+            rest[number] = pose.rest_matrices[known[name]]
+    return replace(rig, rest_matrices=rest)
 
 
 def read_local_matrix(file: GltfDocument, node: dict[str, Any]) -> Floats:

@@ -99,7 +99,7 @@ def _read_clip(
     if size > remaining_bytes:
         raise BodyError(f"has clips of more than {limits.MAX_CLIP_BYTES:,} bytes when they are sampled", code="too-large")
     joints = tuple(each for each in rig.names if each in moved)
-    rest = decompose_matrix(rig.rest[[rig.names.index(each) for each in joints]].reshape(-1, 4, 4))
+    rest = decompose_matrix(rig.rest_matrices[[rig.names.index(each) for each in joints]].reshape(-1, 4, 4))
     translation, rotation, scale, shear = (np.broadcast_to(part, (len(times), *part.shape)).copy() for part in rest)
     for number, each in enumerate(joints):
         for path, array in (("translation", translation), ("rotation", rotation), ("scale", scale)):

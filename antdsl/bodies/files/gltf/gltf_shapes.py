@@ -1,5 +1,5 @@
-"""Meshes of a glTF file as shapes: triangles, normals, texture coordinates, colours of materials, the joints that points follow,
-and morph targets as shapes to blend with. Khronos Group, glTF 2.0 Specification, 2021, section 3.7."""
+"""Meshes of a glTF file as shapes: triangles, normals, texture coordinates, colours, joints of points, and morph targets.
+Khronos Group, glTF 2.0 Specification, 2021, section 3.7."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.definition import STATE_MATERIAL, BlendTargets, BodyError, Capture, Channel, Shape
+from antdsl.bodies.agents.definition import STATE_MATERIAL, BlendTargets, BodyError, Channel, SkinShape, SkinWeights
 from antdsl.bodies.body import normalise_normals
 from antdsl.bodies.files.gltf.gltf_textures import COLOUR_ATTRIBUTE, TextureError, Textures
 from antdsl.scene.geometry.gltf_file import (
@@ -37,7 +37,7 @@ class GltfBody:
 
     file: GltfDocument
     joint_by_node: dict[int, str] = field(default_factory=dict)
-    shapes: dict[str, Shape] = field(default_factory=dict)
+    shapes: dict[str, SkinShape] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
     channels_by_node: dict[int, tuple[str, ...]] = field(default_factory=dict)  # channels of each node's mesh
     materials: dict[str, tuple[float, float, float]] = field(default_factory=dict)
@@ -59,7 +59,7 @@ def make_unused_name(name: str, used_names: Iterable[str]) -> str:
 
 
 @dataclass(slots=True)
-class _MeshPieces:
+class _MeshPrimitives:
     """The values of a mesh's primitives in sequence. Primitives with identical points store these points once.
 
     `point_sets`: the distinct arrays of points. `index_by_points`: their indices by hash.
@@ -81,7 +81,7 @@ class _MeshPieces:
 
 def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, Any] | None, node: dict[str, Any]) -> bool:
     """Read a mesh into the shape `name`, and its morph targets into further shapes. Return False if the mesh has no triangles."""
-    file, pieces = body.file, _MeshPieces()
+    file, pieces = body.file, _MeshPrimitives()
     for primitive in file.get_objects(mesh, "primitives"):
         _read_piece(body, pieces, primitive, skin is not None)
     if not pieces.point_sets:
@@ -105,7 +105,7 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
     colours = _compute_point_colours(body, pieces, counts)
     if colours is not None:
         further[COLOUR_ATTRIBUTE] = colours
-    shape = Shape(name, points, faces, normals, uvs, materials, material, further)
+    shape = SkinShape(name, points, faces, normals, uvs, materials, material, further)
     if skin is not None:
         shape = replace(shape, capture=_read_capture(body, pieces, skin, name))
     body.shapes[name] = shape
@@ -117,7 +117,7 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
     return True
 
 
-def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], skinned: bool) -> None:
+def _read_piece(body: GltfBody, pieces: _MeshPrimitives, primitive: dict[str, Any], skinned: bool) -> None:
     """Append the points, faces, normals, materials and morph targets of a primitive to `pieces`."""
     file = body.file
     if primitive.get("mode", TRIANGLES_PRIMITIVE_MODE) not in (
@@ -191,7 +191,7 @@ def _read_vertex_colours(file: GltfDocument, attributes: dict[str, Any], count: 
     return np.clip(values[:, :3], 0.0, 1.0)
 
 
-def _compute_point_colours(body: GltfBody, pieces: _MeshPieces, counts: list[int]) -> NDArray[np.float32] | None:
+def _compute_point_colours(body: GltfBody, pieces: _MeshPrimitives, counts: list[int]) -> NDArray[np.float32] | None:
     """Return the linear colours of all points of a mesh, float32[P, 3], without the base colours of materials.
 
     Return None if no primitive has vertex colours or a texture. Points that several materials share have the texture of the
@@ -217,7 +217,9 @@ def _compute_point_colours(body: GltfBody, pieces: _MeshPieces, counts: list[int
     return np.concatenate(colours).astype(np.float32) if is_coloured else None
 
 
-def _read_faces(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], faces: NDArray[np.int64], point_set: int) -> bool:
+def _read_faces(
+    body: GltfBody, pieces: _MeshPrimitives, primitive: dict[str, Any], faces: NDArray[np.int64], point_set: int
+) -> bool:
     """Append the triangles of a primitive. Return False if it has no triangles.
 
     `point_set`: the index of the primitive's points in `pieces.point_sets`."""
@@ -240,7 +242,7 @@ def _read_target(file: GltfDocument, target: dict[str, Any], key: str, count: in
     return offsets.astype(np.float64)
 
 
-def _read_joint_weights(pieces: _MeshPieces, read_point_values: Callable[[str, int], Floats | None], count: int) -> None:
+def _read_joint_weights(pieces: _MeshPrimitives, read_point_values: Callable[[str, int], Floats | None], count: int) -> None:
     """Append the joints that each point follows and their weights, in as many columns as the file has."""
     joints: list[NDArray[np.int64]] = []
     weights: list[Floats] = []
@@ -254,7 +256,7 @@ def _read_joint_weights(pieces: _MeshPieces, read_point_values: Callable[[str, i
     pieces.weights.append(np.concatenate(weights, axis=1) if weights else np.zeros((count, 4)))
 
 
-def _read_capture(body: GltfBody, pieces: _MeshPieces, skin: dict[str, Any], name: str) -> Capture:
+def _read_capture(body: GltfBody, pieces: _MeshPrimitives, skin: dict[str, Any], name: str) -> SkinWeights:
     """Return the joints that the points of a skinned mesh follow."""
     file = body.file
     names = tuple(body.joint_by_node[number] for number in file.get_list(skin, "joints"))
@@ -272,7 +274,7 @@ def _read_capture(body: GltfBody, pieces: _MeshPieces, skin: dict[str, Any], nam
     joints, weights, lone = normalise_capture(joints, weights, len(names))
     if lone:
         body.omissions[f"{lone:,} points of `{name}` follow no joint, and were given to `{names[0]}`"] = None
-    return Capture(names, joints, weights, inverse)
+    return SkinWeights(names, joints, weights, inverse)
 
 
 def normalise_capture(
@@ -294,14 +296,16 @@ def normalise_capture(
     return joints[:, needed].astype(np.int32), weights[:, needed].astype(np.float32), int(lone.sum())
 
 
-def build_rigid_capture(joint: str, points: int) -> Capture:
+def build_rigid_capture(joint: str, points: int) -> SkinWeights:
     """Return a capture that binds all points to one joint, with positions in the space of this joint.
 
     With it, a blended shape moves with the joint. `points`: number of points."""
-    return Capture((joint,), np.zeros((points, 1), np.int32), np.ones((points, 1), np.float32), np.eye(4)[None])
+    return SkinWeights((joint,), np.zeros((points, 1), np.int32), np.ones((points, 1), np.float32), np.eye(4)[None])
 
 
-def _read_targets(body: GltfBody, shape: Shape, pieces: _MeshPieces, mesh: dict[str, Any], node: dict[str, Any]) -> BlendTargets:
+def _read_targets(
+    body: GltfBody, shape: SkinShape, pieces: _MeshPrimitives, mesh: dict[str, Any], node: dict[str, Any]
+) -> BlendTargets:
     """Add shapes to the library for the morph targets of a mesh, and channels that weight them. Return the inputs of the blend
     shape."""
     file, number = body.file, len(pieces.targets[0])
@@ -326,14 +330,14 @@ def _read_targets(body: GltfBody, shape: Shape, pieces: _MeshPieces, mesh: dict[
                 for each, p in zip(pieces.targets, pieces.point_sets, strict=True)
             ]
             normals = (normals + np.concatenate(turned)).astype(np.float32)  # type: ignore[arg-type]
-        body.shapes[name] = Shape(name, (shape.points + moved).astype(np.float32), shape.faces, normals, shape.uvs)
+        body.shapes[name] = SkinShape(name, (shape.points + moved).astype(np.float32), shape.faces, normals, shape.uvs)
         body.channels[channel] = Channel(channel, float(weights[count]))
         shapes.append(name)
         channels.append(channel)
     return BlendTargets(tuple(shapes), tuple(channels), ("P", "N") if shape.normals is not None else ("P",))
 
 
-def _read_materials(body: GltfBody, pieces: _MeshPieces) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
+def _read_materials(body: GltfBody, pieces: _MeshPrimitives) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
     """Return the names of a shape's materials, and the material number of each triangle; add their base colours to the
     definition."""
     file, known = body.file, body.file.get_top_list("materials")

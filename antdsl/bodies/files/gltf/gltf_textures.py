@@ -18,7 +18,7 @@ from antdsl.scene.geometry.gltf_file import GltfDocument, GltfError
 Floats = NDArray[np.float64]
 COLOUR_ATTRIBUTE = "Cd"  # the attribute of points with linear colours
 _IMAGE_SIGNATURES = ((b"\x89PNG", "PNG"), (b"\xff\xd8\xff", "JPEG"))
-_CLAMP, _MIRROR = 33071, 33648
+_CLAMP_WRAP_MODE, _MIRROR_WRAP_MODE = 33071, 33648
 
 
 class TextureError(Exception):
@@ -97,9 +97,9 @@ def _transform_uvs(file: GltfDocument, info: dict[str, Any], uvs: Floats) -> Flo
 
 def _wrap_coordinates(values: Floats, mode: Any) -> Floats:
     """Return texture coordinates in the range 0 to 1, wrapped by a sampler's mode. The default repeats the texture."""
-    if mode == _CLAMP:
+    if mode == _CLAMP_WRAP_MODE:
         return np.clip(values, 0.0, 1.0)
-    if mode == _MIRROR:
+    if mode == _MIRROR_WRAP_MODE:
         return np.asarray(1.0 - np.abs(values % 2.0 - 1.0))
     return np.asarray(values - np.floor(values))
 

@@ -15,20 +15,20 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.blend_shapes import (
     compute_attribute_offsets,
     compute_knot_shares,
-    find_blend_knots,
     get_point_attribute,
+    list_blend_knots,
     match_points,
 )
-from antdsl.bodies.agents.definition import Definition, Shape
+from antdsl.bodies.agents.definition import Definition, SkinShape
 from antdsl.bodies.body import normalise_normals
 from antdsl.bodies.files.gltf.gltf_textures import COLOUR_ATTRIBUTE
 
 VERTEX_BUFFER_TARGET, INDEX_BUFFER_TARGET = 34962, 34963  # `target` of a buffer view
 _COMPONENT_CODES = {"f4": 5126, "u2": 5123, "u4": 5125, "i2": 5122}
 _ACCESSOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
-_JSON, _BIN = 0x4E4F534A, 0x004E4942
+_JSON_CHUNK_TYPE, _BINARY_CHUNK_TYPE = 0x4E4F534A, 0x004E4942
 
-Entry = dict[str, Any]
+JsonEntry = dict[str, Any]
 
 
 class GltfWriter:
@@ -37,21 +37,21 @@ class GltfWriter:
     def __init__(self, generator: str) -> None:
         self.data = bytearray()
         self._asset = {"version": "2.0", "generator": generator}
-        self._lists: dict[str, list[Entry]] = {}
-        self._extensions: dict[str, Entry] = {}
+        self._lists: dict[str, list[JsonEntry]] = {}
+        self._extensions: dict[str, JsonEntry] = {}
         self._packed_view: int | None = None  # the buffer view of packed accessors
         self._accessors: dict[tuple[Any, ...], int] = {}  # by their values and use
 
-    def add_part(self, key: str, entry: Entry) -> int:
+    def add_part(self, key: str, entry: JsonEntry) -> int:
         """Add a part to one of the lists (`nodes`, `meshes`) and return its number."""
         self._lists.setdefault(key, []).append(entry)
         return len(self._lists[key]) - 1
 
-    def get_part(self, key: str, number: int) -> Entry:
+    def get_part(self, key: str, number: int) -> JsonEntry:
         """Return a part that was added before. The caller may extend it."""
         return self._lists[key][number]
 
-    def add_extension(self, name: str, entry: Entry) -> None:
+    def add_extension(self, name: str, entry: JsonEntry) -> None:
         """Add an entry for an extension at the top of the file. Readers that do not know the extension may ignore it."""
         self._extensions[name] = entry
 
@@ -74,7 +74,7 @@ class GltfWriter:
         self.data += bytes(-len(self.data) % 4)
         start = len(self.data)
         self.data += raw
-        entry: Entry = {
+        entry: JsonEntry = {
             "bufferView": self._add_view(start, len(raw), target, is_packed), "componentType": _COMPONENT_CODES[kind],
             "count": len(rows), "type": _ACCESSOR_TYPES[rows.shape[1]],
         }  # fmt: skip
@@ -93,7 +93,7 @@ class GltfWriter:
         if is_packed and self._packed_view is not None and self._packed_view == len(views) - 1:
             views[-1]["byteLength"] = start + size - views[-1]["byteOffset"]
             return self._packed_view
-        view: Entry = {"buffer": 0, "byteOffset": start, "byteLength": size}
+        view: JsonEntry = {"buffer": 0, "byteOffset": start, "byteLength": size}
         number = self.add_part("bufferViews", view | ({"target": target} if target else {}))
         self._packed_view = number if is_packed else self._packed_view
         return number
@@ -103,7 +103,7 @@ class GltfWriter:
         `extras`."""
         data = bytes(self.data) + bytes(-len(self.data) % 4)
         lists = {key: entries for key, entries in self._lists.items() if entries}
-        buffer: Entry = {"byteLength": len(data)}
+        buffer: JsonEntry = {"byteLength": len(data)}
         if as_text:
             buffer["uri"] = "data:application/octet-stream;base64," + b64encode(data).decode("ascii")
         if self._extensions:
@@ -113,16 +113,16 @@ class GltfWriter:
         if as_text:
             return said + b"\n"
         said += b" " * (-len(said) % 4)
-        chunks = struct.pack("<II", len(said), _JSON) + said
+        chunks = struct.pack("<II", len(said), _JSON_CHUNK_TYPE) + said
         if data:
-            chunks += struct.pack("<II", len(data), _BIN) + data
+            chunks += struct.pack("<II", len(data), _BINARY_CHUNK_TYPE) + data
         return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
 
 
-class ShapeParts:
+class GltfShapeWriter:
     """The accessors of a shape. All meshes of the shape share them: the `primitives` of a mesh differ only in materials."""
 
-    def __init__(self, writer: GltfWriter, body: Definition, shape: Shape, normals: NDArray[np.float32] | None) -> None:
+    def __init__(self, writer: GltfWriter, body: Definition, shape: SkinShape, normals: NDArray[np.float32] | None) -> None:
         self.writer, self.shape = writer, shape
         self.attributes = {"POSITION": writer.add_accessor(shape.points, "f4", VERTEX_BUFFER_TARGET, bounds=True)}
         if normals is not None:
@@ -140,7 +140,7 @@ class ShapeParts:
                         values, "u4" if is_integer else "f4", VERTEX_BUFFER_TARGET
                     )
         self._add_capture()
-        self.targets = MorphTargets(body, shape) if shape.blend is not None else None
+        self.targets = MorphTargetWriter(body, shape) if shape.blend is not None else None
         self._target_entries = [] if self.targets is None else [self._add_target(*each) for each in self.targets.offsets]
         self._indices_by_material = self._add_material_triangles()
 
@@ -164,7 +164,7 @@ class ShapeParts:
             self.attributes[f"JOINTS_{k // 4}"] = self.writer.add_accessor(influences[0], "u2", VERTEX_BUFFER_TARGET)
             self.attributes[f"WEIGHTS_{k // 4}"] = self.writer.add_accessor(influences[1], "f4", VERTEX_BUFFER_TARGET)
 
-    def _add_target(self, points: NDArray[np.float32], normals: NDArray[np.float32] | None) -> Entry:
+    def _add_target(self, points: NDArray[np.float32], normals: NDArray[np.float32] | None) -> JsonEntry:
         """Add the accessors of a morph target and return its entry. `points`, `normals`: offsets from the base."""
         entry = {"POSITION": self.writer.add_accessor(points, "f4", VERTEX_BUFFER_TARGET, bounds=True)}
         if normals is not None and "NORMAL" in self.attributes:
@@ -187,13 +187,13 @@ class ShapeParts:
         material."""
         primitives = []
         for material, indices in self._indices_by_material:
-            primitive: Entry = {"attributes": self.attributes, "indices": indices}
+            primitive: JsonEntry = {"attributes": self.attributes, "indices": indices}
             if material in materials:
                 primitive["material"] = materials[material]
             if self._target_entries:
                 primitive["targets"] = self._target_entries
             primitives.append(primitive)
-        entry: Entry = {"name": name, "primitives": primitives}
+        entry: JsonEntry = {"name": name, "primitives": primitives}
         if self.targets is not None:
             entry["extras"] = {"targetNames": list(self.targets.names)}
         return self.writer.add_part("meshes", entry)
@@ -239,20 +239,20 @@ class ShapeParts:
         return self.writer.add_part("skins", {"joints": joints, "inverseBindMatrices": inverse, "skeleton": top})
 
 
-class MorphTargets:
+class MorphTargetWriter:
     """The morph targets of a blend shape, and their weights at given channel values.
 
     A target is the difference of an input, or of an in-between, from the base. glTF adds targets linearly. An in-between is a
     separate target, weighted by its share in `blend_shapes`."""
 
-    def __init__(self, body: Definition, shape: Shape) -> None:
+    def __init__(self, body: Definition, shape: SkinShape) -> None:
         assert shape.blend is not None
         self.names: list[str] = []
         self.offsets: list[tuple[NDArray[np.float32], NDArray[np.float32] | None]] = []
         self._inputs: list[tuple[int, NDArray[np.float64]]] = []  # channel, and weights of its shapes
         self.is_one_per_channel = True  # whether there is exactly one target per channel
         for name, channel in zip(shape.blend.shapes, shape.blend.channels, strict=True):
-            targets, knots = find_blend_knots(body, name)
+            targets, knots = list_blend_knots(body, name)
             self._inputs.append((body.rig.find_channel(channel), knots))
             self.is_one_per_channel &= len(targets) == 1
             for target in targets:
@@ -262,7 +262,7 @@ class MorphTargets:
                 self.offsets.append((moved[0], moved[1]))
 
     @staticmethod
-    def _compute_offset(shape: Shape, target: Shape, attribute: str, is_blended: bool) -> NDArray[np.float32] | None:
+    def _compute_offset(shape: SkinShape, target: SkinShape, attribute: str, is_blended: bool) -> NDArray[np.float32] | None:
         """Return the offsets (P, 3) of `attribute` between a shape and a target; zeros or None if the attribute is not
         blended."""
         if not is_blended or get_point_attribute(shape, attribute) is None or get_point_attribute(target, attribute) is None:

@@ -27,7 +27,7 @@ from typing import NoReturn
 
 from antdsl import limits
 from antdsl.reader import client
-from antdsl.reader.protocol import ProtocolError, ReadRefusal, clean_for_display
+from antdsl.reader.protocol import ProtocolError, ReadRefusedError, clean_for_display
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.paths import PathRefused, Roots
 
@@ -161,11 +161,11 @@ class UsdFileClosure:
     def _read_assets(self, document: dict[str, str], name: str, digest: str) -> list[str]:
         try:
             return client.send_request("usd-layer", document, file_bytes=self.size, request_digest=digest).require_texts("assets")
-        except ReadRefusal as error:
+        except ReadRefusedError as error:
             if error.subject == "exception":
                 raise UsdError("bad-usd", f"`{name}` cannot be read as USD: {error}", error.help, "usd") from None
             raise UsdError(error.code, str(error), error.help, "usd") from None
-        except client.ReaderFailure as error:
+        except client.ReaderFailureError as error:
             raise UsdError("bad-usd", f"`{name}` {error}", error.help, "usd") from None
         except ProtocolError as error:
             raise UsdError("bad-usd", f"`{name}` cannot be read: {error}", "export it again", "usd") from None

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.reader import client, confinement
-from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusal
+from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusedError
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.usd.closure import UsdFileClosure
 from antdsl.scene.geometry.usd.errors import UsdError, make_missing_extra_error
@@ -40,7 +40,7 @@ class UsdStage:
     def send_request(self, kind: str, document: Mapping[str, Any] | None = None) -> ReaderMessage:
         """Return the reader's answer about this stage. The answer is not checked.
 
-        Raises UsdError, or MeshError for an invalid mesh. A ReadRefusal about anything else passes to the caller."""
+        Raises UsdError, or MeshError for an invalid mesh. A ReadRefusedError about anything else passes to the caller."""
         said = {
             "path": self.closure.path,
             "folder": self.closure.folder,
@@ -65,9 +65,9 @@ class UsdStage:
                 request_digest=digest.hexdigest(),
                 files_digest=self.closure.closure_digest,
             )
-        except client.ReaderFailure as error:
+        except client.ReaderFailureError as error:
             raise self.make_error(str(error), error.help) from None
-        except ReadRefusal as error:
+        except ReadRefusedError as error:
             if error.subject == "mesh":
                 raise MeshError(str(error), error.help) from None
             if error.subject == "exception":
@@ -126,7 +126,7 @@ def _check_sandbox(text: str) -> None:
         raise make_missing_extra_error()
     try:
         is_confined = bool(client.find_active_layers()["seccomp"])
-    except client.ReaderFailure as error:
+    except client.ReaderFailureError as error:
         raise UsdError("bad-usd", f"`{text}` cannot be read: {error}", "run `antdsl doctor`", "usd") from None
     if not is_confined and not confinement.is_usd_trusted():
         words = f"`{text}` is not opened: this system has no sandbox for the library that reads USD"

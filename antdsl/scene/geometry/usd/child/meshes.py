@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.reader.sandbox import allow_memory
+from antdsl.reader.sandbox import raise_memory_limit
 from antdsl.scene.geometry.matrices import (
     apply_transforms,
     compose_transforms,
@@ -88,7 +88,7 @@ def join_meshes(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
     if not shapes:
         also = f", only {', '.join(passed_over)}" if passed_over else ""
         raise UsdError("no-such-prim", f"there is no mesh at or below `{path}`{also}", _find_hidden_reason(stage))
-    allow_memory(6 * 24 * (faces + points))
+    raise_memory_limit(6 * 24 * (faces + points))
     values = {name: np.concatenate([_read_values(stage, shape, name) for shape in shapes]) for name in primvars}
     return JoinedMesh(*_join_shapes(shapes), _make_moves(stage, shapes), values, passed_over)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.reader.sandbox import allow_memory
+from antdsl.reader.sandbox import raise_memory_limit
 from antdsl.scene.geometry.matrices import compose_transforms
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage, to_column_matrix
 from antdsl.scene.geometry.usd.errors import UsdError, import_pxr_module
@@ -199,4 +199,4 @@ def check_motion_bytes(size: int, noun: str) -> None:
             f"the frames of {noun} would take {size / limits.GIB:.1f} GiB, more than {limits.MAX_MOTION_BYTES / limits.GIB:.0f}"
         )
         raise UsdError("too-large", words, "simulate fewer frames at a time, or name a lighter part")
-    allow_memory(4 * size)
+    raise_memory_limit(4 * size)
