@@ -236,3 +236,22 @@ def test_what_does_not_fit_vectors_is_reported_at_its_place(tmp_path: Path, old:
     (tmp_path / "p.ant").write_text(PROGRAM.replace(old, new, 1))
     result = commands.run("check", "p.ant", cwd=tmp_path)
     assert result.returncode and f"error[{code}]" in result.stdout + result.stderr and "p.ant:" in result.stdout + result.stderr
+
+
+def test_a_scene_cannot_start_vectors_with_a_number(tmp_path: Path) -> None:
+    open_plane(tmp_path, PROGRAM, "count: 3, place: {on: ground}")
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(scene.read_text() + "fields: {way: {start: 1}}\n")
+    result = commands.run("check", "scene.yaml", cwd=tmp_path)
+    assert result.returncode and "error[wrong-value]: `start` is a number, but the cells of `way` hold vectors" in result.stdout
+    assert f"scene.yaml:{len(scene.read_text().splitlines())}:" in result.stdout
+
+
+def test_advice_about_unused_vectors_names_vectors(tmp_path: Path) -> None:
+    text = PROGRAM.replace("    deposit way heading * (1 + id * 0.01) / 1 step\n", "")
+    open_plane(tmp_path, text, "count: 3, place: {on: ground}")
+    assert "write `deposit way heading * 1 /s` in a state" in commands.run("check", "scene.yaml", cwd=tmp_path).stdout
+    lines = [line for line in PROGRAM.splitlines() if "length(way)" not in line and "reachable" not in line]
+    text = "\n".join(lines).replace(" + along(way) * 0.5", "").replace("along(way, weight: 2)", "wander()")
+    (tmp_path / "p.ant").write_text(text + "\n")
+    assert "let agents follow it: `steer along(way)`" in commands.run("check", "p.ant", cwd=tmp_path).stdout

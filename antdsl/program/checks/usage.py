@@ -40,7 +40,9 @@ def check_unused_names(context: CheckContext, report: Report) -> None:
     for field in context.program.fields.values():
         if not context.is_used("field", field.name):
             message = f"field `{field.name}` is never laid or smelled"
-            report.warning("unused-field", message, field.span, f"write `deposit {field.name} 1 /s` in a state, or delete it")
+            amount = "heading * 1 /s" if field.has_vectors else "1 /s"
+            advice = f"write `deposit {field.name} {amount}` in a state, or delete it"
+            report.warning("unused-field", message, field.span, advice)
     _check_behaviours(context, report)
 
 
@@ -89,7 +91,8 @@ def check_unused_memory(context: CheckContext, report: Report) -> None:
     read, laid = (frozenset().union(*names) for names in zip(*named, strict=True)) if named else (frozenset(), frozenset())
     for field in context.program.fields.values():
         if field.name in laid and field.name not in read and not context.is_used("smelled", field.name):
-            advice = f"let agents follow it: `steer climb({field.name})`, or delete it"
+            follow = "along" if field.has_vectors else "climb"
+            advice = f"let agents follow it: `steer {follow}({field.name})`, or delete it"
             report.warning("unread-field", f"field `{field.name}` is laid but never smelled", field.span, advice)
 
 

@@ -131,6 +131,9 @@ def _check_fields(scene: Scene, program: Program, report: Report) -> None:
     for name, start in scene.model.fields.items():
         if name not in program.fields:
             report_unknown_name(report, scene, ("fields", name), "no program has a field", program.fields)
+        elif program.fields[name].has_vectors:
+            message = f"`start` is a number, but the cells of `{name}` hold vectors"
+            report.error("wrong-value", message, scene.find_span("fields", name, "start"), "leave it out: vectors begin as 0")
         check_around(scene, report, start.around, start.radius, "fields", name)
 
 
