@@ -32,7 +32,7 @@ KINDS_WITH_POSITION = {
     TypeKind.PLACE,
     *(TypeKind(row.word) for row in KIND_BY_WORD.values() if row.nearest_op),
 }
-_FLOW_KIND = TypeKind("flow")
+FLOW_KIND = TypeKind("flow")
 _VECTOR_PHRASES: dict[Dimension, str] = {
     Dimension(): "a push or direction",
     Dimension(length=1): "a position",
@@ -71,7 +71,7 @@ def is_compatible(actual: ValueType, expected_type: ValueType) -> bool:
     if TypeKind.BAD in (actual.kind, expected_type.kind):
         return True
     if actual.kind is TypeKind.VECTOR_FIELD:
-        return expected_type.kind in (actual.kind, _FLOW_KIND)
+        return expected_type.kind in (actual.kind, FLOW_KIND)
     if actual.kind is not expected_type.kind:
         return actual.kind.value in list_replacements(expected_type.kind.value)
     if actual.kind in (TypeKind.NUMBER, TypeKind.VECTOR) and actual.dimension != expected_type.dimension:
@@ -121,7 +121,7 @@ def _make_mismatch(node: nodes.Expr, actual: ValueType, expected_type: ValueType
     fix = _make_vector_units_fix(node) if expected_type.kind is TypeKind.PLACE and actual == ValueType(TypeKind.VECTOR) else None
     if (
         fix is None
-        and expected_type.kind is not _FLOW_KIND
+        and expected_type.kind is not FLOW_KIND
         and not (expected_type.kind is TypeKind.BOOL and actual.kind in _THING_KINDS)
     ):
         fix = _make_own_text_fix(node, advice)
@@ -187,7 +187,7 @@ def _choose_advice(node: nodes.Expr, actual: ValueType, expected_type: ValueType
         return f"`length({short})` is a number"
     if expected_type.kind is TypeKind.NUMBER and actual.kind in (TypeKind.ITEM, TypeKind.AGENT, TypeKind.PLACE):
         return f"`distance({short})` is a length; `{short}.size` and the like are its values"
-    if expected_type.kind is _FLOW_KIND:
+    if expected_type.kind is FLOW_KIND:
         if actual.kind is TypeKind.VECTOR:
             return f"`toward({short})` takes any direction; here the name of a flow is needed"
         return "name a flow: `world { flow drift }`, and in the scene `drift: {toward: nest}`"

@@ -9,7 +9,14 @@ from antdsl.program.names.scope import NameScope, find_highest_rate, make_bad_ex
 from antdsl.program.tables.senses import find_words
 from antdsl.program.tables.units import combine_dimensions, scale_dimension
 from antdsl.program.tables.vocabulary import OPERATION_BY_SIGN
-from antdsl.program.types.descriptions import describe_type, is_compatible, quote_source, report_mismatch, report_operand_mismatch
+from antdsl.program.types.descriptions import (
+    FLOW_KIND,
+    describe_type,
+    is_compatible,
+    quote_source,
+    report_mismatch,
+    report_operand_mismatch,
+)
 from antdsl.program.types.expressions import OPTIONAL_KINDS, THING_KINDS
 from antdsl.program.types.folding import find_constant, fold_operation
 from antdsl.program.types.states import STATE_WORDS, find_state
@@ -20,7 +27,7 @@ _ORDER_SIGNS = ("<", "<=", ">", ">=")
 _EQUALITY_SIGNS = ("==", "!=")
 # The operation for the bare name of a thing where a value is expected, by its kind.
 _VALUE_AT_AGENT = {TypeKind(row.args[0].type): (row.op, parse_type_words(row.result) or BAD_TYPE) for row in find_words("value")}
-_VALUE_AT_AGENT[TypeKind.VECTOR_FIELD] = _VALUE_AT_AGENT[TypeKind("flow")]
+_VALUE_AT_AGENT[TypeKind.VECTOR_FIELD] = _VALUE_AT_AGENT[FLOW_KIND]
 
 
 def make_operation(name: str, type: ValueType, span: Span, *args: Expr | None, site: str = "") -> OperationExpr:
