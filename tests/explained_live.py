@@ -13,17 +13,17 @@ import pytest
 from explained import Fact, differences, fact_of
 
 from antdsl.numerics import randomness
-from antdsl.preview import Session
+from antdsl.preview import PreviewSession
 from antdsl.preview.observing.explainer import Explainer
 from antdsl.runtime import World, phases
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 
-def session_of(name: str, folder: Path, **how: Any) -> Session:
+def session_of(name: str, folder: Path, **how: Any) -> PreviewSession:
     """A session on a copy of an example, so that it can be edited."""
     shutil.copytree(EXAMPLES / name, folder / name)
-    session, report = Session.open(folder / name / "scene.yaml", **how)
+    session, report = PreviewSession.open(folder / name / "scene.yaml", **how)
     assert session is not None, report.sort_by_place()
     return session
 
@@ -31,7 +31,7 @@ def session_of(name: str, folder: Path, **how: Any) -> Session:
 class Notes:
     """Writes down what random agents do in each step of a session, half of them such as change their state."""
 
-    def __init__(self, session: Session, monkeypatch: pytest.MonkeyPatch, seed: int, each: int) -> None:
+    def __init__(self, session: PreviewSession, monkeypatch: pytest.MonkeyPatch, seed: int, each: int) -> None:
         self.session, self.each, self.facts = session, each, list[Fact]()
         self._picks, self._drawn, self._here = random.Random(seed), list[Any](), list[Fact]()
         words = randomness.draw_four_words
@@ -61,7 +61,7 @@ class Notes:
                 population = self.session.world.populations[fact.species]
                 row = int(population.find_rows(np.array([fact.agent]))[0])
                 velocity = None if row < 0 else tuple(population.now[f"velocity.{axis}"][row] for axis in "xyz")
-                self.facts.append(replace(fact, next_velocity=velocity, hash=self.session.hash))
+                self.facts.append(replace(fact, next_velocity=velocity, hash=self.session.state_hash))
 
     def explained_otherwise(self, count: int) -> dict[tuple[str, int, int], list[str]]:
         """In what explanations of so many facts, picked at random, differ from them."""

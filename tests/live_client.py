@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.pipeline import open_scene, simulate
-from antdsl.preview import Live
+from antdsl.preview import LiveSimulation
 from antdsl.preview.binary_packets import unpack_arrays
 from antdsl.preview.requests import REQUEST_ADAPTER
 from antdsl.runtime import state_hash
@@ -26,20 +26,20 @@ PATIENCE = 60.0  # seconds
 class Page:
     """A client of a Live. `ask` takes what a browser would send."""
 
-    def __init__(self, live: Live) -> None:
+    def __init__(self, live: LiveSimulation) -> None:
         self.live = live
         self.told: list[Message] = []
         self.make_packets: dict[str, bytes] = {}
         self.frames: list[tuple[int, bool]] = []  # each that was shown, and whether it was a light one
         self._changed = Condition()
-        live.join(self)
+        live.add_client(self)
 
-    def tell(self, message: Message) -> None:
+    def send_message(self, message: Message) -> None:
         with self._changed:
             self.told.append(message)
             self._changed.notify_all()
 
-    def show(self, slot: str, packet: bytes) -> None:
+    def show_packet(self, slot: str, packet: bytes) -> None:
         with self._changed:
             self.make_packets[slot] = packet
             if slot == "frame":
@@ -48,7 +48,7 @@ class Page:
             self._changed.notify_all()
 
     def ask(self, op: str, **what: Any) -> None:
-        self.live.ask(REQUEST_ADAPTER.validate_json(json.dumps({"op": op, **what})), self)
+        self.live.enqueue_request(REQUEST_ADAPTER.validate_json(json.dumps({"op": op, **what})), self)
 
     def until(self, true: Callable[[], Any]) -> Any:
         """What `true` gives, once it gives something."""

@@ -11,7 +11,7 @@ from typing import Any
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.frames import Opcode
 
-from antdsl.preview.live import Client, QueueFull
+from antdsl.preview.live import Client, QueueFullError
 from antdsl.preview.requests import AnyRequest
 from antdsl.preview.serving.addresses import ListeningSockets, open_listening_sockets
 from antdsl.preview.serving.guard import RequestGuard
@@ -30,18 +30,18 @@ class Noted:
     joined: int = 0
     busy: bool = False
 
-    def ask(self, request: AnyRequest, client: Client) -> None:
+    def enqueue_request(self, request: AnyRequest, client: Client) -> None:
         if self.busy:
-            raise QueueFull
+            raise QueueFullError
         self.asks.append(request)
-        client.tell({"op": "outcome", "of": request.op, "number": len(self.asks)})
+        client.send_message({"op": "outcome", "of": request.op, "number": len(self.asks)})
 
-    def join(self, client: Client) -> None:
+    def add_client(self, client: Client) -> None:
         self.joined += 1
         self.clients.append(client)
-        client.tell({"op": "hello", "build": ""})
+        client.send_message({"op": "hello", "build": ""})
 
-    def leave(self, client: Client) -> None:
+    def remove_client(self, client: Client) -> None:
         self.clients.remove(client)
 
 

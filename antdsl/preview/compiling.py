@@ -20,7 +20,7 @@ from antdsl.source import Source
 
 
 @dataclass(eq=False)
-class Compiler:
+class SceneCompiler:
     """Compiles the file `scene` of one scene. `replacement_texts`: texts that replace files, such as unsaved edits."""
 
     scene: Path
@@ -63,7 +63,7 @@ class Compiler:
         self.binding_cache.drop_unused()
         return new_world, migration, Report()
 
-    def files(self) -> RequestedPaths:
+    def get_watched_files(self) -> RequestedPaths:
         """Return all files of the last shot and of later attempts; some may not exist yet.
 
         Each comes with its root; links below a root are not followed."""
@@ -73,9 +73,9 @@ class Compiler:
         return roots_by_path
 
     def open_file(self, path: Path) -> int:
-        """Return a handle on one of the files from `files`; the caller closes it. Raises OSError if it is missing or not a
-        regular file."""
-        return reopen_file(path, self.files().get(path, path.parent))
+        """Return a handle on one of the files from `get_watched_files`; the caller closes it. Raises OSError if it is missing or
+        not a regular file."""
+        return reopen_file(path, self.get_watched_files().get(path, path.parent))
 
     def _drop_changed_files(self) -> None:
         for path, text in self.replacement_texts.items():

@@ -56,9 +56,9 @@ class FileWatch:
         self._list_paths, self._open_file, self._clock = list_paths, open_file, clock
         self._files: dict[Path, _WatchedFile] = {}
         self._remaining_bytes = 0  # bytes that this poll may still read without a sign of change
-        self.poll()
+        self.find_changed_files()
 
-    def poll(self) -> tuple[Path, ...]:
+    def find_changed_files(self) -> tuple[Path, ...]:
         """Return the files that have stopped changing and differ from their last reported or first read contents."""
         now, paths, self._remaining_bytes = self._clock(), list(dict.fromkeys(self._list_paths())), _REREAD_BYTES_PER_POLL
         changed = [path for path in paths if path in self._files and self._is_changed(path, self._files[path], now)]
@@ -69,7 +69,7 @@ class FileWatch:
             del self._files[path]
         return tuple(changed)
 
-    def recheck_changing(self) -> None:
+    def recheck_unstable_files(self) -> None:
         """Record that other code has just read the files.
 
         A file that is changing at this time counts as changed once it stops, even if its contents are then the same as before."""
@@ -77,7 +77,7 @@ class FileWatch:
             if _read_stamp(path) != file.read_stamp:
                 file.contents = _UNKNOWN_HASH
 
-    def is_being_written(self) -> bool:
+    def is_any_file_being_written(self) -> bool:
         """Return whether a file has changed and may still be incomplete. Each change is reported once."""
         changed_files = [file for file in self._files.values() if file.is_unreported]
         for file in changed_files:
@@ -87,7 +87,7 @@ class FileWatch:
     def wait_for_changes(self, stop: Event, interval: float = 0.02) -> Iterator[tuple[Path, ...]]:
         """Wait for changes, and yield the changed files, until `stop` is set. `interval`: seconds between two polls."""
         while not stop.wait(interval):
-            changed = self.poll()
+            changed = self.find_changed_files()
             if changed:
                 yield changed
 

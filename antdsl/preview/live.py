@@ -14,23 +14,23 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from antdsl.diagnostics import Report
 from antdsl.pipeline import RunChoices
-from antdsl.preview.compiling import Compiler
+from antdsl.preview.compiling import SceneCompiler
 from antdsl.preview.doing import HANDLER_BY_REQUEST, SESSIONLESS_REQUESTS
 from antdsl.preview.file_watch import FileWatch
-from antdsl.preview.look_ahead import LookAhead
+from antdsl.preview.look_ahead import LookAheadSimulation
 from antdsl.preview.observing.observer import Observer, PauseReason
 from antdsl.preview.requests import (
     AnyRequest,
     DraftLine,
     Explain,
-    RequestRefused,
+    RequestRefusedError,
     Seek,
     SetBreakpoints,
     SetDisplay,
     SetValue,
     SwitchProfile,
 )
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 from antdsl.runtime import Options
 
 if TYPE_CHECKING:
@@ -52,39 +52,39 @@ O = TypeVar("O")  # noqa: E741
 class Client(Protocol):
     """A connected page. Its methods may be called from any thread, and never wait."""
 
-    def tell(self, message: dict[str, Any]) -> None:
+    def send_message(self, message: dict[str, Any]) -> None:
         """Send a message. All messages arrive, in order."""
 
-    def show(self, slot: str, packet: bytes) -> None:
+    def show_packet(self, slot: str, packet: bytes) -> None:
         """Send arrays. Only the latest packet of a slot is certain to arrive."""
 
 
-class QueueFull(Exception):
+class QueueFullError(Exception):
     """Error if the queue of requests is full."""
 
 
-class Live:
-    """The thread that owns the session, from `start` until `stop` returns. Any thread may call `ask`, `join` and `leave`."""
+class LiveSimulation:
+    """The thread that owns a session from `start` until `stop` returns. Any thread may queue requests, add or remove clients."""
 
-    def __init__(self, session: Session, *, watch: bool = True) -> None:
+    def __init__(self, session: PreviewSession, *, watch: bool = True) -> None:
         self._initialise(session.compiler, session, Report(), watch)
 
     @classmethod
-    def open(
+    def open_scene(
         cls, scene: Path, choices: RunChoices | None = None, options: Options | None = None, *, watch: bool = True, **how: int
-    ) -> Live:
+    ) -> LiveSimulation:
         """Return the thread of a session for a scene file. If the file has errors, the session opens as soon as they are fixed.
 
-        `how`: further arguments of `Session.open`."""
-        live, compiler = cls.__new__(cls), Compiler(scene)
-        session, report = Session.open(scene, choices, options, compiler=compiler, **how)
+        `how`: further arguments of `PreviewSession.open`."""
+        live, compiler = cls.__new__(cls), SceneCompiler(scene)
+        session, report = PreviewSession.open(scene, choices, options, compiler=compiler, **how)
         live._initialise(compiler, session, report, watch)
         live._session_options = choices, options, how
         return live
 
-    def _initialise(self, compiler: Compiler, session: Session | None, report: Report, watch: bool) -> None:
+    def _initialise(self, compiler: SceneCompiler, session: PreviewSession | None, report: Report, watch: bool) -> None:
         from antdsl.preview.observing.observers import OBSERVER_MAKERS
-        from antdsl.preview.viewing.page_screen import PageScreen
+        from antdsl.preview.viewing.page_screen import PageUpdates
 
         self.compiler, self._session, self.report = compiler, session, report
         self._session_options: tuple[RunChoices | None, Options | None, dict[str, int]] = (None, None, {})
@@ -94,12 +94,12 @@ class Live:
         self._pending_steps = 0  # requested steps, apart from play
         self.pause_reason: PauseReason | None = None  # the reason of an automatic pause
         self.clients: dict[Client, SetDisplay] = {}
-        self.screen, self.look_ahead = PageScreen(self), LookAhead()
+        self.screen, self.look_ahead = PageUpdates(self), LookAheadSimulation()
         self.explainer: Explainer | None = None
         self.observers: list[Observer] = []
         for make in OBSERVER_MAKERS:
             self.observers.append(make(self))
-        self._watch = FileWatch(compiler.files, open_file=compiler.open_file) if watch else None
+        self._watch = FileWatch(compiler.get_watched_files, open_file=compiler.open_file) if watch else None
         self._queue: deque[tuple[AnyRequest | str, Client]] = deque()
         self._postponed_requests: list[tuple[AnyRequest, Client]] = []  # requests received before the session existed
         self._wake_condition, self._is_stopped = Condition(), False
@@ -121,29 +121,29 @@ class Live:
         if self._thread.is_alive():
             self._thread.join()
 
-    def ask(self, request: AnyRequest, client: Client) -> None:
-        """Queue a request to run between two steps. Raises QueueFull if too many wait."""
+    def enqueue_request(self, request: AnyRequest, client: Client) -> None:
+        """Queue a request to run between two steps. Raises QueueFullError if too many wait."""
         self._enqueue_item(request, client)
 
-    def join(self, client: Client) -> None:
+    def add_client(self, client: Client) -> None:
         """Send a page the complete state, and all updates from then on."""
         self._enqueue_item("join", client)
 
-    def leave(self, client: Client) -> None:
+    def remove_client(self, client: Client) -> None:
         """Send no more updates to a page."""
         self._enqueue_item("leave", client)
 
     def _enqueue_item(self, item: AnyRequest | str, client: Client) -> None:
         with self._wake_condition:
             if len(self._queue) >= _MAX_QUEUED_REQUESTS and not isinstance(item, str):
-                raise QueueFull
+                raise QueueFullError
             self._queue.append((item, client))
             self._wake_condition.notify()
 
     # --- for handlers, on the live thread ----------------------------------------------------------------------------
 
     @property
-    def session(self) -> Session:
+    def session(self) -> PreviewSession:
         """Return the session. Only handlers may read it, since they are called only if there is a session."""
         assert self._session is not None
         return self._session
@@ -165,7 +165,7 @@ class Live:
     def send_to_all(self, message: dict[str, Any]) -> None:
         """Send a message to all pages."""
         for client in self.clients:
-            client.tell(message)
+            client.send_message(message)
 
     def show_exact_frame(self) -> None:
         """Bring the session to the frame that the page displays. Does nothing if the session is there already."""
@@ -182,7 +182,7 @@ class Live:
         nearest = min(remembered, key=lambda stored_frame: abs(stored_frame - frame), default=None)
         self.displayed_frame = nearest if frame != self.session.frame else None
 
-    def go_to(self, frame: int) -> None:
+    def seek_frame(self, frame: int) -> None:
         """Bring the session to a frame. Requests are handled between the steps that this takes.
 
         Meanwhile the stored agents of the frame are displayed."""
@@ -192,7 +192,7 @@ class Live:
         if not session.is_ahead(frame):
             session.seek(session.find_checkpoint_frame(frame))
 
-    def set_pace(self, speed: float) -> None:
+    def set_speed(self, speed: float) -> None:
         """Set the speed of play."""
         self.speed, self._next_step_time = speed, monotonic()
 
@@ -240,7 +240,7 @@ class Live:
         """Record that the files were read, with these findings. A file that was still being saved will be read again."""
         self.report = report
         if self._watch is not None:
-            self._watch.recheck_changing()
+            self._watch.recheck_unstable_files()
 
     # --- the thread --------------------------------------------------------------------------------------------------
 
@@ -268,10 +268,10 @@ class Live:
         now = monotonic()
         if self._watch is not None and now >= self._next_poll_time:
             self._next_poll_time = now + _FILE_POLL_SECONDS
-            changed = self._watch.poll()
-            if not changed and self._watch.is_being_written() and self._session is not None:
+            changed = self._watch.find_changed_files()
+            if not changed and self._watch.is_any_file_being_written() and self._session is not None:
                 self._session.precompile()  # a file that has just changed may still be incomplete, so compile while waiting
-                changed = self._watch.poll()
+                changed = self._watch.find_changed_files()
             if changed:
                 self.reload("saved")
         if self._session is not None:
@@ -281,7 +281,7 @@ class Live:
         self.screen.send_due_updates(monotonic())
         self._wait_for_work()
 
-    def _advance_once(self, session: Session) -> None:
+    def _advance_once(self, session: PreviewSession) -> None:
         """Run one unit of work: a step of a seek, a requested step, or the next step of play."""
         if self._target_frame is not None:
             end = monotonic() + _MAX_SEEK_SECONDS
@@ -300,7 +300,7 @@ class Live:
                 now if self.speed == 0 else max(self._next_step_time + session.world.dt / self.speed, now - _MAX_CATCH_UP_SECONDS)
             )
 
-    def _look_ahead(self, session: Session) -> None:
+    def _look_ahead(self, session: PreviewSession) -> None:
         """Simulate future frames while a page displays them and no other request waits. During play, simulate one per played
         frame, and more until the next frame is due."""
         version = self.look_ahead.version
@@ -317,7 +317,7 @@ class Live:
         if self.look_ahead.version != version:
             self.screen.on_look_ahead()
 
-    def _may_look_ahead(self, session: Session) -> bool:
+    def _may_look_ahead(self, session: PreviewSession) -> bool:
         return self.screen.needs_look_ahead(session) and not self.is_seeking and self.displayed_frame is None
 
     def _wait_for_work(self) -> None:
@@ -367,18 +367,18 @@ class Live:
         try:
             if self._session is None and type(request) not in SESSIONLESS_REQUESTS:
                 words = "the preview cannot play yet: the scene has errors"
-                raise RequestRefused(words, "correct them and save; it starts automatically")
+                raise RequestRefusedError(words, "correct them and save; it starts automatically")
             HANDLER_BY_REQUEST[type(request)](self, request, client)
-        except RequestRefused as why:
-            client.tell({"op": "refused", "of": request.op, "message": why.message, "help": why.help})
+        except RequestRefusedError as why:
+            client.send_message({"op": "refused", "of": request.op, "message": why.message, "help": why.help})
         except Exception:
             traceback.print_exc(file=sys.stderr)
-            client.tell({"op": "refused", "of": request.op, "message": _BUG_MESSAGE, "help": "the earlier simulation continues"})
+            client.send_message({"op": "refused", "of": request.op, "message": _BUG_MESSAGE, "help": "the earlier run continues"})
         self.screen.on_action()
 
     def _try_to_open_session(self) -> None:
         choices, options, how = self._session_options
-        self._session, report = Session.open(self.compiler.scene, choices, options, compiler=self.compiler, **how)
+        self._session, report = PreviewSession.open(self.compiler.scene, choices, options, compiler=self.compiler, **how)
         self.on_files_read(report)
         self._attach_observers()
         self.screen.on_edit(files_changed=True)
@@ -394,7 +394,7 @@ class Live:
             self._session.on_new_world = self._on_new_world
             self._on_new_world(self._session)
 
-    def _on_new_world(self, session: Session) -> None:
+    def _on_new_world(self, session: PreviewSession) -> None:
         self.screen.on_new_world()
         for observer in self.observers:
             observer.on_new_world(session)

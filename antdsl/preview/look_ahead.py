@@ -5,15 +5,15 @@ The session's world is copied once, when this simulation begins, and never chang
 from __future__ import annotations
 
 from antdsl.preview.agent_columns import POSITION_COLUMNS, Arrays, make_packet_arrays, reuse_arrays
-from antdsl.preview.session import Session
-from antdsl.preview.timeline import ParamChange, SimulationStretch
+from antdsl.preview.session import PreviewSession
+from antdsl.preview.timeline import ParamChange, SimulationSegment
 from antdsl.runtime import FaultStop, LimitStop, World, step, take_checkpoint
 
 LOOK_AHEAD_SECONDS = 2.0
 _MAX_POSITION_BYTES = 1 << 26  # maximum size of the stored positions
 
 
-class LookAhead:
+class LookAheadSimulation:
     """The frames of the next 2 seconds, or as many as fit in 64 MiB.
 
     `frames`: ids and positions of all species by frame; the first is the session's current frame. Without edits, the session
@@ -23,7 +23,7 @@ class LookAhead:
     def __init__(self) -> None:
         self.frames: dict[int, dict[str, Arrays]] = {}
         self.version = 0  # changes whenever the frames change
-        self._run_key: tuple[SimulationStretch, tuple[ParamChange, ...]] | None = None
+        self._run_key: tuple[SimulationSegment, tuple[ParamChange, ...]] | None = None
         self._world: World | None = None
         self._stopped = False
 
@@ -33,7 +33,7 @@ class LookAhead:
             self.frames, self._run_key, self._world, self._stopped = {}, None, None, False
             self.version += 1
 
-    def needs_simulation(self, session: Session) -> bool:
+    def needs_simulation(self, session: PreviewSession) -> bool:
         """Return whether more frames must be simulated.
 
         This also drops frames of another run than the session's, and frames before the current one."""
@@ -47,7 +47,7 @@ class LookAhead:
             del self.frames[frame]
         return not self._stopped and max(self.frames) < self._find_last_frame(session)
 
-    def simulate_next_frame(self, session: Session) -> None:
+    def simulate_next_frame(self, session: PreviewSession) -> None:
         """Simulate one more frame if one is missing. The first call stores the session's current frame."""
         stretch, world = session.timeline.find_stretch(session.frame), self._world
         if world is None:
@@ -70,7 +70,7 @@ class LookAhead:
         }
         self.version += 1
 
-    def _find_last_frame(self, session: Session) -> int:
+    def _find_last_frame(self, session: PreviewSession) -> int:
         """Return the last frame to simulate."""
         count = max(
             1, min(round(LOOK_AHEAD_SECONDS / session.world.dt), _MAX_POSITION_BYTES // (12 * max(1, len(session.world))))

@@ -16,7 +16,7 @@ _MAX_LAYER_CHARACTERS = 60  # characters of a layer in messages
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class EditOutcome:
     """The result of an edit.
 
     `report`: if it has errors, nothing has changed.
@@ -30,7 +30,7 @@ class Outcome:
     description: str = ""
 
     @property
-    def ok(self) -> bool:
+    def is_successful(self) -> bool:
         """Return whether the edit succeeded."""
         return self.report.ok
 
@@ -62,10 +62,10 @@ def parse_param(shot: Shot, name: str, value: str) -> tuple[Quantity | None, Rep
     return (quantity if report.ok else None), report
 
 
-def make_error_outcome(message: str) -> Outcome:
+def make_error_outcome(message: str) -> EditOutcome:
     report = Report()
     report.error("unknown-thing", message, None)
-    return Outcome(report)
+    return EditOutcome(report)
 
 
 def find_binding_params(plan: Plan) -> frozenset[str]:

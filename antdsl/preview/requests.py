@@ -8,14 +8,14 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, TypeAdapter
 
-Name = Annotated[str, StringConstraints(min_length=1, max_length=200)]
-Words = Annotated[str, StringConstraints(min_length=1, max_length=2000)]
-Frame = Annotated[int, Field(ge=-(2**53), le=2**53)]  # the range of integers in JavaScript
-Agent = Annotated[int, Field(ge=0, le=2**53)]
+NameText = Annotated[str, StringConstraints(min_length=1, max_length=200)]
+NonEmptyText = Annotated[str, StringConstraints(min_length=1, max_length=2000)]
+FrameNumber = Annotated[int, Field(ge=-(2**53), le=2**53)]  # the range of integers in JavaScript
+AgentId = Annotated[int, Field(ge=0, le=2**53)]
 MAX_PLANNED_AGENTS = 300  # maximum number of agents with planned paths displayed at the same time
 
 
-class RequestRefused(Exception):
+class RequestRefusedError(Exception):
     """Error for a request that cannot be carried out: the reason, and an alternative."""
 
     def __init__(self, message: str, help: str = "") -> None:
@@ -58,7 +58,7 @@ class Seek(_RequestModel):
     simulation."""
 
     op: Literal["seek"]
-    frame: Frame
+    frame: FrameNumber
     exact: bool
 
 
@@ -66,16 +66,16 @@ class SetValue(_RequestModel):
     """Set a param, or a setting of a field, to a number with its unit."""
 
     op: Literal["set"]
-    name: Name
-    value: Words
+    name: NameText
+    value: NonEmptyText
 
 
 class SwitchLayer(_RequestModel):
     """Switch a layer of a species on or off. The layer is identified by its text."""
 
     op: Literal["layer"]
-    species: Name
-    layer: Words
+    species: NameText
+    layer: NonEmptyText
     on: bool
 
 
@@ -83,7 +83,7 @@ class SwitchField(_RequestModel):
     """Switch a field on or off."""
 
     op: Literal["field"]
-    name: Name
+    name: NameText
     on: bool
 
 
@@ -96,9 +96,9 @@ class DraftLine(_RequestModel):
 
     op: Literal["direct"]
     list: LineList
-    verb: Name
+    verb: NameText
     agents: Annotated[str, StringConstraints(max_length=4000)]
-    values: dict[Name, Words] = Field(default_factory=dict, max_length=32)
+    values: dict[NameText, NonEmptyText] = Field(default_factory=dict, max_length=32)
     apply: bool = False
 
 
@@ -133,15 +133,15 @@ class Restart(_RequestModel):
 class ColumnRef(_RequestModel):
     """An attribute of a species, by name."""
 
-    species: Name
-    name: Name
+    species: NameText
+    name: NameText
 
 
 class AgentRef(_RequestModel):
     """One agent: its species and its id."""
 
-    species: Name
-    agent: Agent
+    species: NameText
+    agent: AgentId
 
 
 class SetDisplay(_RequestModel):
@@ -155,8 +155,8 @@ class SetDisplay(_RequestModel):
 
     op: Literal["look"]
     columns: tuple[ColumnRef, ...] = Field((), max_length=64)
-    fields: tuple[Name, ...] = Field((), max_length=64)
-    flows: tuple[Name, ...] = Field((), max_length=64)
+    fields: tuple[NameText, ...] = Field((), max_length=64)
+    flows: tuple[NameText, ...] = Field((), max_length=64)
     solids: bool = True
     follow: AgentRef | None = None
     planned: tuple[AgentRef, ...] | None = Field(None, max_length=64)
@@ -166,32 +166,32 @@ class Explain(_RequestModel):
     """Request why an agent acted as it did in the step to a frame."""
 
     op: Literal["explain"]
-    species: Name
-    agent: Agent
-    frame: Frame
+    species: NameText
+    agent: AgentId
+    frame: FrameNumber
 
 
 class StateBreak(_RequestModel):
     """A breakpoint on entering a state."""
 
     kind: Literal["state"]
-    species: Name
-    machine: Name
-    state: Name
+    species: NameText
+    machine: NameText
+    state: NameText
 
 
 class ConditionBreak(_RequestModel):
     """A breakpoint on a condition. `text`: the condition in the language of specs."""
 
     kind: Literal["condition"]
-    text: Words
+    text: NonEmptyText
 
 
 class SpecBreak(_RequestModel):
     """A breakpoint on a failing spec."""
 
     kind: Literal["spec"]
-    spec: Name
+    spec: NameText
 
 
 class FaultBreak(_RequestModel):

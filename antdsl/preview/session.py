@@ -14,18 +14,18 @@ from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.pipeline import RunChoices, Shot
 from antdsl.preview.agent_columns import Arrays
-from antdsl.preview.compiling import Compiler
+from antdsl.preview.compiling import SceneCompiler
 from antdsl.preview.directing.hand_notes import (
     HandNotes,
+    describe_switched_notes,
     drop_written_notes,
     find_last_unaffected_frame,
     list_active_lines,
-    name_switched_notes,
     switch_off_failed_notes,
 )
 from antdsl.preview.layer_order import DisabledLayers, remove_disabled_layers
 from antdsl.preview.outcomes import (
-    Outcome,
+    EditOutcome,
     find_binding_params,
     make_error_outcome,
     make_silencing_settings,
@@ -33,7 +33,7 @@ from antdsl.preview.outcomes import (
     shorten_text,
 )
 from antdsl.preview.precompiled_shot import describe_changed_files
-from antdsl.preview.timeline import SimulationStretch, Timeline, find_nearest_checkpoint
+from antdsl.preview.timeline import SimulationSegment, Timeline, find_nearest_checkpoint
 from antdsl.reload import describe_migration
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step
 from antdsl.runtime.binding.start_findings import find_start_warnings
@@ -42,20 +42,20 @@ from antdsl.runtime.profiling import StepMeter
 _RESTARTED_TEXT = "simulated again from the first frame"
 
 
-class Session:
-    """A running scene with its history. Create one with `Session.open`."""
+class PreviewSession:
+    """A running scene with its history. Create one with `PreviewSession.open`."""
 
     world: World  # read-only for callers
 
-    def __init__(self, compiler: Compiler, options: Options, timeline: Timeline) -> None:
+    def __init__(self, compiler: SceneCompiler, options: Options, timeline: Timeline) -> None:
         self.compiler, self.options, self.timeline = compiler, options, timeline
         self.playing = False
         self.notes: HandNotes = ()  # in addition to those of the scene, for all frames
         self.fault_text: str | None = None  # of the last step
         self._settings_of_disabled_fields: dict[str, dict[str, str]] = {}  # settings of disabled fields
-        self.meter: StepMeter | None = None  # if set, measures each step; see `measure`
-        self.on_new_world: Callable[[Session], None] | None = None  # called when `world` was replaced
-        self._current_stretch: SimulationStretch
+        self.meter: StepMeter | None = None  # if set, measures each step; see `set_measuring`
+        self.on_new_world: Callable[[PreviewSession], None] | None = None  # called when `world` was replaced
+        self._current_stretch: SimulationSegment
 
     @classmethod
     def open(
@@ -66,14 +66,14 @@ class Session:
         *,
         checkpoint_interval: int = 24,
         budget: int = limits.GIB // 4,
-        compiler: Compiler | None = None,
-    ) -> tuple[Session | None, Report]:
+        compiler: SceneCompiler | None = None,
+    ) -> tuple[PreviewSession | None, Report]:
         """Return a session at the scene's first simulated frame, and a report. The session is None if there are errors.
 
         `checkpoint_interval`: frames between checkpoints.
         `budget`: bytes of memory for all stored data.
         `compiler`: a compiler that has opened this scene before."""
-        session = cls(compiler or Compiler(scene), options or Options(), Timeline(checkpoint_interval, budget))
+        session = cls(compiler or SceneCompiler(scene), options or Options(), Timeline(checkpoint_interval, budget))
         report = session._restart_from_first_frame(choices or RunChoices(), {}).report
         return (session if report.ok else None), report
 
@@ -105,12 +105,12 @@ class Session:
         return self.timeline.last_frame
 
     @property
-    def hash(self) -> str:
+    def state_hash(self) -> str:
         """Return the state hash of the current frame."""
         return state_hash(self.world)
 
     @property
-    def edited(self) -> bool:
+    def is_edited(self) -> bool:
         """Return whether the session differs from a fresh run.
 
         It does after a change during the run that was not undone at the same frame."""
@@ -175,35 +175,35 @@ class Session:
         if self.meter is not None:
             self.meter.end(self.world)
 
-    def measure(self, is_on: bool) -> None:
+    def set_measuring(self, is_on: bool) -> None:
         """Start or stop measuring the time of each part of a step, in `meter`. Results do not change."""
         if self.meter is not None:
             self.meter.stop()
         self.meter = StepMeter() if is_on else None
 
-    def _restore_checkpoint(self, stretch: SimulationStretch, frame: int) -> None:
+    def _restore_checkpoint(self, stretch: SimulationSegment, frame: int) -> None:
         """Restore a stretch at a checkpoint, in a new world without digging yet."""
         world = stretch.restore_world(stretch.checkpoints[frame], self.options, self.compiler.binding_cache)
         world.watchers = self.world.watchers
         self._enter_world(world, stretch)
 
-    def _enter_world(self, world: World, stretch: SimulationStretch) -> None:
+    def _enter_world(self, world: World, stretch: SimulationSegment) -> None:
         self._current_stretch, self.world = stretch, world
         if self.on_new_world is not None:
             self.on_new_world(self)
 
     # --- edits ---------------------------------------------------------------------------------------------------------
 
-    def reload(self) -> Outcome:
+    def reload(self) -> EditOutcome:
         """Continue from the current frame with the current files. If they have errors, the last valid program continues."""
         outcome = self._recompile_files(self.choices, self._current_stretch.disabled_layers)
-        if outcome.ok or not (self.choices.params or self._current_stretch.disabled_layers or self.notes):
+        if outcome.is_successful or not (self.choices.params or self._current_stretch.disabled_layers or self.notes):
             return outcome
         choices, dropped = self._drop_unknown_choices(self.choices, self._current_stretch.disabled_layers)
         if not dropped:
             return outcome
         outcome = self._recompile_files(choices, self._current_stretch.disabled_layers)
-        return replace(outcome, line=" · ".join([outcome.line, *dropped])) if outcome.ok else outcome
+        return replace(outcome, line=" · ".join([outcome.line, *dropped])) if outcome.is_successful else outcome
 
     def precompile(self) -> None:
         """Compile the current files while they may still change, so that a reload finds the result. There is no other effect."""
@@ -212,25 +212,25 @@ class Session:
         self.compiler.precompile(self.choices)
         self.compiler.replacement_texts = instead
 
-    def set(self, name: str, value: str) -> Outcome:
+    def set_value(self, name: str, value: str) -> EditOutcome:
         """Set a param, or a setting of a field, to a number with its unit. `text` of the result is the line for the scene.
         `text` of the result is the scene's line for it."""
         text, did = f"set: {{{name}: {value}}}", f"`{name}` is {value}"
         quantity, report = parse_param(self.shot, name, value)
         if quantity is None:
-            return Outcome(report)
+            return EditOutcome(report)
         if name not in self.shot.plan.params or name in find_binding_params(self.shot.plan) or self._lacks_notes():
             choices = self.choices
             return self._recompile_files(
                 replace(choices, params={**choices.params, name: value}), self._current_stretch.disabled_layers, text, did
             )
-        self.timeline.drop_after(self.frame, text)
+        self.timeline.drop_frames_after(self.frame, text)
         self._current_stretch.change_param(
             self.world, name, value, quantity.to_base_units(self.shot.scene.model.unit_mm, self.world.dt)
         )
-        return Outcome(report, "from the next frame on", text, did)
+        return EditOutcome(report, "from the next frame on", text, did)
 
-    def switch_field(self, name: str, is_on: bool) -> Outcome:
+    def switch_field(self, name: str, is_on: bool) -> EditOutcome:
         """Switch a field on or off. While it is off, deposits are scaled to less than a millionth and vanish after one step."""
         off = make_silencing_settings(name)
         if name not in self.shot.program.fields:
@@ -246,7 +246,7 @@ class Session:
             replace(self.choices, params=params if is_on else {**params, **off}), self._current_stretch.disabled_layers, text, did
         )
 
-    def switch_layer(self, species: str, layer: str, is_on: bool) -> Outcome:
+    def switch_layer(self, species: str, layer: str, is_on: bool) -> EditOutcome:
         """Switch a layer of a species off or on again. The layer is identified by its text.
 
         `text` of the result is the layer's lines, commented out."""
@@ -263,45 +263,45 @@ class Session:
         text = "\n".join(f"# {line.strip()}" for line in layer.splitlines())
         return self._recompile_files(self.choices, off, text, f"layer `{shorten_text(layer)}` is off")
 
-    def replace_notes(self, notes: HandNotes, description: str, text: str = "") -> Outcome:
+    def replace_notes(self, notes: HandNotes, description: str, text: str = "") -> EditOutcome:
         """Replace the notes by hand. The session goes back to the last frame that the change does not affect, and continues from
         there with the current files and values. `description`, `text`: the values of the outcome with these names."""
         frame = find_last_unaffected_frame(self.notes, notes)
         choices, layers = replace(self.choices, notes=list_active_lines(notes)), self._current_stretch.disabled_layers
         if frame == inf:
-            outcome = Outcome(line="the run does not change", description=description)
+            outcome = EditOutcome(line="the run does not change", description=description)
         elif frame < self.first_frame:
             outcome = replace(self._restart_from_first_frame(choices, layers), text=text, description=description)
         else:
             outcome = self._recompile_files(choices, layers, text, description, first=int(min(frame, self.frame)))
-        self.notes = notes if outcome.ok else self.notes
+        self.notes = notes if outcome.is_successful else self.notes
         return outcome
 
     def _lacks_notes(self) -> bool:
         """Return whether the current stretch was simulated without some of the notes, which begin later."""
         return self._current_stretch.choices.notes != list_active_lines(self.notes)
 
-    def restart(self) -> Outcome:
+    def restart(self) -> EditOutcome:
         """Simulate the current files from the first frame, with the settings made by hand.
 
         Its state hashes equal those of `antdsl run` with these settings in the files."""
         return self._restart_from_first_frame(self.choices, self._current_stretch.disabled_layers)
 
-    def _restart_from_first_frame(self, choices: RunChoices, disabled_layers: DisabledLayers) -> Outcome:
+    def _restart_from_first_frame(self, choices: RunChoices, disabled_layers: DisabledLayers) -> EditOutcome:
         shot, report, _ = self._compile(choices, disabled_layers)
         if shot is None or not report.ok:
-            return Outcome(report)
+            return EditOutcome(report)
         try:
             world = bind(shot.plan, shot.setting, self.options, binding_cache=self.compiler.binding_cache)
         except BindError as why:
-            return Outcome(why.report)
+            return EditOutcome(why.report)
         report.extend(find_start_warnings(shot.scene, world))
         self.timeline = self.timeline.make_empty_successor(_RESTARTED_TEXT)
-        stretch = SimulationStretch(shot, world.frame, "from the first frame", world.origin, choices, disabled_layers)
+        stretch = SimulationSegment(shot, world.frame, "from the first frame", world.origin, choices, disabled_layers)
         self.timeline.start_stretch(stretch, world)
         self.fault_text = None
         self._enter_world(world, stretch)
-        return Outcome(report, f"{len(self.world):,} agents from frame {self.frame}", description=_RESTARTED_TEXT)
+        return EditOutcome(report, f"{len(self.world):,} agents from frame {self.frame}", description=_RESTARTED_TEXT)
 
     def _compile(self, choices: RunChoices, disabled_layers: DisabledLayers) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
         """Return the shot of the files with these choices (None after errors), its report, and the layers that no longer
@@ -320,21 +320,21 @@ class Session:
         text: str = "",
         description: str | None = None,
         first: int | None = None,
-    ) -> Outcome:
+    ) -> EditOutcome:
         """Continue with the current files and other choices. `description`: describes the edit; None for changed files. `first`:
         a stored frame from which to continue instead of the current one."""
         saved, own_notes = description is None, self._current_stretch.choices.notes
         compiled = replace(choices, notes=own_notes) if saved and set(own_notes) <= set(choices.notes) else choices
         shot, report, missing_layers = self._compile(compiled, disabled_layers)
         if shot is None or not report.ok:
-            return Outcome(report)
+            return EditOutcome(report)
         description, old_notes = describe_changed_files(self.shot, shot) if description is None else description, self.notes
         if saved and shot.inputs == self.shot.inputs:
             if description:  # after a comment or another change without effect on results, such as the camera or the last frame
                 self._current_stretch.shot = shot
             undone = self._drop_undone_edit()
             if not (undone and self._lacks_notes()):
-                return Outcome(
+                return EditOutcome(
                     report,
                     undone or ("the run does not change" if description else "nothing has changed"),
                     description=description,
@@ -345,7 +345,7 @@ class Session:
         if choices != compiled:
             shot, report, missing_layers = self._compile(choices, disabled_layers)
             if shot is None or not report.ok:
-                return Outcome(report)
+                return EditOutcome(report)
         frame = self.frame
         if first is not None and first < frame:
             self.seek(first)
@@ -353,16 +353,16 @@ class Session:
         report.extend(findings)
         if world is None:
             self.seek(frame)
-            return Outcome(report)
+            return EditOutcome(report)
         report.extend(find_start_warnings(shot.scene, world))
         lines = [f"layer `{layer}` no longer exists" for _, layer in missing_layers]
-        line = " · ".join([describe_migration(migration), *lines, *name_switched_notes(old_notes, self.notes)])
+        line = " · ".join([describe_migration(migration), *lines, *describe_switched_notes(old_notes, self.notes)])
         disabled_layers = {key: path for key, path in disabled_layers.items() if key not in missing_layers}
-        stretch = SimulationStretch(shot, world.frame, description, world.origin, choices, disabled_layers)
+        stretch = SimulationSegment(shot, world.frame, description, world.origin, choices, disabled_layers)
         stretch.replace(self._current_stretch, self.world, world)
         self.timeline.start_stretch(stretch, world)
         self._enter_world(world, stretch)
-        return Outcome(report, line, text, description)
+        return EditOutcome(report, line, text, description)
 
     def _drop_undone_edit(self) -> str:
         """Drop the later frames of an undone edit if the files are again as they were at this frame. Return the edit's
@@ -375,7 +375,7 @@ class Session:
         if all(_has_same_files(each.shot, self.shot) for each in later):
             return ""
         line = "the files are again as they were at this frame: later frames are simulated again"
-        self.timeline.drop_after(self.frame, line)
+        self.timeline.drop_frames_after(self.frame, line)
         return line
 
     def _drop_unknown_choices(self, choices: RunChoices, disabled_layers: DisabledLayers) -> tuple[RunChoices, list[str]]:
@@ -387,7 +387,7 @@ class Session:
         dropped = [f"`{name}: {value}` no longer fits" for name, value in choices.params.items() if name not in fits]
         old_notes, choices = self.notes, replace(choices, params=fits)
         self.notes = switch_off_failed_notes(self.notes, self._compile(choices, disabled_layers)[1])
-        dropped += name_switched_notes(old_notes, self.notes)
+        dropped += describe_switched_notes(old_notes, self.notes)
         return replace(choices, notes=list_active_lines(self.notes)), dropped
 
 

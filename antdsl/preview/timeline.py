@@ -92,7 +92,7 @@ class ParamChange:
 
 
 @dataclass(slots=True, eq=False)
-class SimulationStretch:
+class SimulationSegment:
     """The frames from `first` on that one shot simulated.
 
     `reason`: the reason for the stretch.
@@ -113,7 +113,7 @@ class SimulationStretch:
     # the inputs of an unedited run up to its first frame, and the hash there
     _state_before_edit: tuple[object, str] | None = None
 
-    def replace(self, previous_stretch: SimulationStretch, old_world: World, world: World) -> None:
+    def replace(self, previous_stretch: SimulationSegment, old_world: World, world: World) -> None:
         """Replace the stretch `previous_stretch` at the frame of the world `old_world` by this stretch.
 
         `world` was made from `old_world`. This stretch still counts as a fresh run if an edit was undone at its own frame and no
@@ -175,7 +175,7 @@ class Timeline:
     def __init__(self, checkpoint_interval: int, budget: int) -> None:
         self.every, self.max_bytes = checkpoint_interval, budget
         self.version = 0  # changes whenever simulated frames are replaced
-        self.stretches: list[SimulationStretch] = []
+        self.stretches: list[SimulationSegment] = []
         self.branches: list[TimelineBranch] = []
         self.curves: dict[int, dict[str, float]] = {}
         self.stop_reasons: dict[int, str] = {}
@@ -193,25 +193,25 @@ class Timeline:
         """Return the bytes of all stored data except curves."""
         return self._checkpoint_bytes + self.reduced_frames.nbytes + self.poses.nbytes
 
-    def find_stretch(self, frame: int) -> SimulationStretch:
+    def find_stretch(self, frame: int) -> SimulationSegment:
         """Return the stretch that a frame belongs to. A frame at which two stretches meet belongs to the later one."""
         return next(stretch for stretch in reversed(self.stretches) if stretch.first <= frame)
 
-    def find_next_stretch(self, stretch: SimulationStretch) -> SimulationStretch | None:
+    def find_next_stretch(self, stretch: SimulationSegment) -> SimulationSegment | None:
         """Return the stretch after another one, or None."""
         number = self.stretches.index(stretch) + 1
         return self.stretches[number] if number < len(self.stretches) else None
 
-    def start_stretch(self, stretch: SimulationStretch, world: World) -> None:
+    def start_stretch(self, stretch: SimulationSegment, world: World) -> None:
         """Continue with another stretch from its first frame. The old history from that frame on becomes a branch."""
-        self.drop_after(stretch.first, stretch.reason)
+        self.drop_frames_after(stretch.first, stretch.reason)
         self.curves.pop(stretch.first, None)  # to be measured again
         for each in [each for each in self.stretches if each.first == stretch.first]:
             self._drop_stretch(each)
         self.stretches.append(stretch)
         self.store_frame(stretch, world)
 
-    def drop_after(self, frame: int, line: str) -> None:
+    def drop_frames_after(self, frame: int, line: str) -> None:
         """Drop everything after a frame except its curves."""
         self.version += 1
         old = {each: values for each, values in self.curves.items() if each > frame}
@@ -248,7 +248,7 @@ class Timeline:
     def _add_branch(self, branch: TimelineBranch) -> None:
         self.branches = [*self.branches[1 - _MAX_BRANCHES :], branch]
 
-    def store_frame(self, stretch: SimulationStretch, world: World) -> None:
+    def store_frame(self, stretch: SimulationSegment, world: World) -> None:
         """Store the state of a world at its frame. A frame is stored once, even if it is simulated again."""
         frame = world.frame
         fresh = not self.curves or frame > self.last_frame
@@ -273,15 +273,15 @@ class Timeline:
         self.reduced_frames.drop_frame(frame)
         self.poses.drop_frame(frame)
 
-    def _drop_stretch(self, stretch: SimulationStretch) -> None:
+    def _drop_stretch(self, stretch: SimulationSegment) -> None:
         self.stretches.remove(stretch)
         self._checkpoint_bytes -= sum(_count_bytes(arrays) for arrays in stretch.checkpoints.values())
 
-    def _enforce_budget(self, current: SimulationStretch) -> None:
+    def _enforce_budget(self, current: SimulationSegment) -> None:
         while self.nbytes > self.max_bytes and self._drop_least_useful(current):
             pass
 
-    def _drop_least_useful(self, current: SimulationStretch) -> bool:
+    def _drop_least_useful(self, current: SimulationSegment) -> bool:
         """Drop the least useful data. Return False if only one reduced frame and the first checkpoints of stretches are left."""
         if self.poses.nbytes > _POSES_BUDGET_SHARE * self.max_bytes:
             self.poses.drop_frame(next(iter(self.poses)))
@@ -302,7 +302,7 @@ class Timeline:
         return len(self.reduced_frames) > 1
 
 
-def _list_droppable_checkpoints(stretch: SimulationStretch) -> Iterator[tuple[bool, int, int, SimulationStretch]]:
+def _list_droppable_checkpoints(stretch: SimulationSegment) -> Iterator[tuple[bool, int, int, SimulationSegment]]:
     """Yield the checkpoints of a stretch except the first. Each is a tuple of four values:
 
     whether it is the last one, the longest simulation without it (in frames), its frame, and the stretch."""
@@ -328,6 +328,6 @@ def _count_bytes(arrays: Arrays) -> int:
     return sum(array.nbytes for array in arrays.values())
 
 
-def find_nearest_checkpoint(stretch: SimulationStretch, frame: int) -> int:
+def find_nearest_checkpoint(stretch: SimulationSegment, frame: int) -> int:
     """Return the last frame of the stretch with a checkpoint, at or before `frame`."""
     return max(each for each in stretch.checkpoints if each <= frame)

@@ -16,7 +16,7 @@ from time import perf_counter, process_time
 
 from previewed import ROOT, joined, read, until
 
-from antdsl.preview.live import Live
+from antdsl.preview.live import LiveSimulation
 from antdsl.preview.serving.addresses import open_listening_sockets
 from antdsl.preview.serving.guard import RequestGuard
 from antdsl.preview.serving.page_files import load_pages
@@ -89,7 +89,7 @@ def be_a_reader(address: str) -> None:
         print(count[0], flush=True)
 
 
-async def turn(live: Live, seconds: float) -> Turn:
+async def turn(live: LiveSimulation, seconds: float) -> Turn:
     await asyncio.sleep(0.3)
     frame, began, used = live.session.frame, perf_counter(), process_time()
     await asyncio.sleep(seconds)
@@ -97,7 +97,7 @@ async def turn(live: Live, seconds: float) -> Turn:
 
 
 async def measured(scene: Path, threads: int, turns: int, seconds: float) -> tuple[list[Turn], list[Turn], list[int]]:
-    live = Live.open(scene, options=Options(threads=threads))
+    live = LiveSimulation.open_scene(scene, options=Options(threads=threads))
     listening = open_listening_sockets(None, 0)
     guard = RequestGuard(listening.host_names)
     alone, watched, frame_counts = [], [], []

@@ -20,7 +20,7 @@ from time import perf_counter, process_time
 
 from previewed import ROOT, joined, previewed, read, until
 
-from antdsl.preview import Session
+from antdsl.preview import PreviewSession
 
 FORAGING = ROOT / "examples" / "foraging"
 EDITS = (
@@ -76,7 +76,7 @@ def served(scene: Path, program: Path, count: int) -> None:
 
 
 def inside(scene: Path, program: Path, count: int) -> None:
-    session, report = Session.open(scene)
+    session, report = PreviewSession.open(scene)
     if session is None:
         sys.exit("\n".join(d.message for d in report.errors))
     for _ in range(3):
@@ -90,7 +90,7 @@ def inside(scene: Path, program: Path, count: int) -> None:
         session.step()
         wall.append(1000 * (perf_counter() - started))
         busy.append(1000 * (process_time() - used))
-        if not outcome.ok or outcome.line == "nothing has changed":
+        if not outcome.is_successful or outcome.line == "nothing has changed":
             sys.exit(f"an edit was not taken: {[d.message for d in outcome.report.errors]}")
         session.step()
     print("| agents | edits | median, ms | worst, ms | of it at work, median, ms |")

@@ -245,13 +245,13 @@ def test_mistakes_within_the_file_are_reported_at_their_place_in_it(folder: Path
 
 
 def test_a_preview_takes_the_changed_body_over(folder: Path) -> None:
-    from antdsl.preview.compiling import Compiler
+    from antdsl.preview.compiling import SceneCompiler
 
     scene = written(folder)
-    compiling = Compiler(scene)
+    compiling = SceneCompiler(scene)
     shot, report = compiling.open()
     assert shot is not None, str(report)
-    assert {folder / "walker.json", folder / "parts.glb"} <= {Path(path) for path in compiling.files()}
+    assert {folder / "walker.json", folder / "parts.glb"} <= {Path(path) for path in compiling.get_watched_files()}
     world = bind(shot.plan, shot.setting)
     for _ in range(5):
         step(world)

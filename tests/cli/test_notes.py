@@ -60,9 +60,9 @@ def test_sweeps_print_notes_once(walkers: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_the_preview_prints_notes_once_immediately(walkers: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("websockets")
-    from antdsl.preview import Session
+    from antdsl.preview import PreviewSession
 
-    session, report = Session.open(walkers / "walkers" / "scene.yaml")
+    session, report = PreviewSession.open(walkers / "walkers" / "scene.yaml")
     assert session is not None, report
     notes, said = BackendMessageObserver(), []
     for _ in range(4):

@@ -20,7 +20,7 @@ from fuzz.oracle import Feed, Violation
 from preview_served import Noted
 
 from antdsl.preview import live as live_module
-from antdsl.preview.live import Live
+from antdsl.preview.live import LiveSimulation
 from antdsl.preview.serving.addresses import ListeningSockets
 from antdsl.preview.serving.guard import RequestGuard
 from antdsl.preview.serving.page_files import load_pages
@@ -160,11 +160,11 @@ class _Page:
     def __init__(self) -> None:
         self.messages: list[dict[str, Any]] = []
 
-    def tell(self, message: dict[str, Any]) -> None:
+    def send_message(self, message: dict[str, Any]) -> None:
         json.dumps(message, allow_nan=False)
         self.messages.append(message)
 
-    def show(self, slot: str, packet: bytes) -> None:
+    def show_packet(self, slot: str, packet: bytes) -> None:
         self.messages.append({"op": "packet", "slot": slot, "bytes": len(packet)})
 
 
@@ -184,12 +184,12 @@ def feed_page(folder: Path) -> Feed:
         ticks = (0.002 * k for k in range(1 << 40))
         page, errors = _Page(), io.StringIO()
         with redirect_stderr(errors):
-            live = Live.open(folder / "scene.yaml", None, Options(backend="numpy"), watch=False)
+            live = LiveSimulation.open_scene(folder / "scene.yaml", None, Options(backend="numpy"), watch=False)
             live._process_item("join", page)
             for line in data.split(b"\n")[:MESSAGES]:
                 request = read_request(line.decode("utf-8", "replace"))
                 if isinstance(request, RefusedRequest):
-                    page.tell(request.make_message())
+                    page.send_message(request.make_message())
                     continue
                 live._process_item(request, page)
                 for _ in range(3):
@@ -199,7 +199,10 @@ def feed_page(folder: Path) -> Feed:
             raise Violation("bug", _last_line(errors.getvalue()) + "\n" + errors.getvalue())
         messages = [each for each in page.messages if each.get("op") in ("refused", "outcome", "explained", "breaks")]
         return "\n".join(
-            [*(json.dumps(each, sort_keys=True)[:300] for each in messages), f"frame {live.session.frame} {live.session.hash}"]
+            [
+                *(json.dumps(each, sort_keys=True)[:300] for each in messages),
+                f"frame {live.session.frame} {live.session.state_hash}",
+            ]
         )
 
     return feed

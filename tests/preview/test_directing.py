@@ -15,7 +15,7 @@ from sampling import sampled
 
 from antdsl.outputs.edits.verb_table import VERB_BY_WORD
 from antdsl.pipeline import open_scene
-from antdsl.preview import Live, Session
+from antdsl.preview import LiveSimulation, PreviewSession
 from antdsl.preview.directing.hand_notes import HandNote
 from antdsl.preview.directing.note_forms import draft_note
 from antdsl.preview.directing.verb_forms import find_form, list_edit_forms, list_note_forms
@@ -38,7 +38,7 @@ def scene(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def page(scene: Path) -> Iterator[Page]:
-    live = Live.open(scene)
+    live = LiveSimulation.open_scene(scene)
     live.start()
     opened = Page(live)
     opened.ask("step", count=LAST - 1)
@@ -59,15 +59,15 @@ def listed(page: Page) -> list[tuple[str, bool]]:
     return [(note["line"], note["on"]) for note in message["lines"]] if message else []
 
 
-def opened(scene: Path, frames: int = LAST) -> Session:
-    session, report = Session.open(scene, checkpoint_interval=10)
+def opened(scene: Path, frames: int = LAST) -> PreviewSession:
+    session, report = PreviewSession.open(scene, checkpoint_interval=10)
     assert session is not None, [d.message for d in report.errors]
     while session.frame < frames:
         session.step()
     return session
 
 
-def note(session: Session, verb: str, agents: str, values: dict[str, str], key: int = 0) -> HandNote:
+def note(session: PreviewSession, verb: str, agents: str, values: dict[str, str], key: int = 0) -> HandNote:
     form = find_form("notes", verb)
     assert form is not None
     draft, read = draft_note(session.shot, form, agents, values)
@@ -75,11 +75,11 @@ def note(session: Session, verb: str, agents: str, values: dict[str, str], key: 
     return HandNote(key, draft.text, read)
 
 
-def direct(session: Session, *notes: HandNote) -> int:
+def direct(session: PreviewSession, *notes: HandNote) -> int:
     """Apply these notes, and return to the frame. The result is the frame from which the run was simulated again."""
     frame = session.frame
     outcome = session.replace_notes(notes, "notes")
-    assert outcome.ok, [d.message for d in outcome.report.errors]
+    assert outcome.is_successful, [d.message for d in outcome.report.errors]
     first = session.frame
     while session.frame < frame:
         session.step()
@@ -186,9 +186,9 @@ def test_removing_a_note_restores_the_bits_of_the_run(scene: Path, plain: Track,
     added = note(session, verb, agents, values)
     first = direct(session, added)
     assert first == (1 if verb in ("reach", "without") else 29 if verb == "change" else 21)
-    assert session.hash != plain.hashes[-1]
+    assert session.state_hash != plain.hashes[-1]
     direct(session)
-    assert session.hash == plain.hashes[-1] and not session.edited
+    assert session.state_hash == plain.hashes[-1] and not session.is_edited
 
 
 def test_several_notes_go_on_and_off_in_any_order(scene: Path, plain: Track, tmp_path: Path) -> None:
@@ -201,21 +201,21 @@ def test_several_notes_go_on_and_off_in_any_order(scene: Path, plain: Track, tmp
     assert direct(session, one, other) == 23
     assert direct(session, one, other, future) == LAST
     assert direct(session, one, other, future, absence) == 1
-    all_hash = session.hash
+    all_hash = session.state_hash
     written = open_directed(tmp_path / "written", one.text, other.text, future.text, absence.text, count=30)
     assert all_hash == follow(written, LAST).hashes[-1]
     assert len(session.world) == 25
     direct(session, other, absence)
     direct(session, other)
     direct(session, one, other, future, absence)
-    assert session.hash == all_hash
+    assert session.state_hash == all_hash
     session.seek(10)  # before the later ones begin
-    assert session.set("ant.nothing", "1").report.errors
+    assert session.set_value("ant.nothing", "1").report.errors
     assert [each.text for each in session.notes] == [one.text, other.text, future.text, absence.text]
     direct(session)
     while session.frame < LAST:
         session.step()
-    assert session.hash == plain.hashes[-1]
+    assert session.state_hash == plain.hashes[-1]
 
 
 def test_an_edit_before_a_note_does_not_lose_it(scene: Path) -> None:
@@ -226,13 +226,13 @@ def test_an_edit_before_a_note_does_not_lose_it(scene: Path) -> None:
     assert session.reload().line == "nothing has changed" and session.last_frame == LAST
     program = scene.with_name("a.ant")
     program.write_text(program.read_text().replace("max_speed 30 mm/s", "max_speed 40 mm/s"))
-    assert session.reload().ok
+    assert session.reload().is_successful
     while session.frame < LAST:
         session.step()
     population = session.world.populations["ant"]
     row = population.find_rows(np.array([7]))[0]
     assert np.abs(population.read_vector("velocity")[row]).max() == 0
-    assert session.restart().ok and not session.edited
+    assert session.restart().is_successful and not session.is_edited
     shot, _ = open_scene(scene, session.choices)
     assert shot is not None and shot.scene.model.notes == (held.note,)
 
@@ -244,11 +244,11 @@ def test_a_note_that_is_written_into_the_scene_is_no_longer_added(scene: Path) -
         note(session, "hold", "guards.7", {}, 1),
     )
     direct(session, slow, held)
-    first_hash = session.hash
+    first_hash = session.state_hash
     scene.write_text(f"{scene.read_text()}notes:\n  - {slow.text}\n")
     outcome = session.reload()
-    assert outcome.ok and f"`{slow.text}` is now in the scene" in outcome.line
-    assert session.notes == (held,) and session.hash == first_hash
+    assert outcome.is_successful and f"`{slow.text}` is now in the scene" in outcome.line
+    assert session.notes == (held,) and session.state_hash == first_hash
 
 
 def test_a_note_that_no_longer_fits_is_switched_off(scene: Path) -> None:
@@ -258,13 +258,13 @@ def test_a_note_that_no_longer_fits_is_switched_off(scene: Path) -> None:
     direct(session, held, at_leaf)
     scene.write_text(scene.read_text().replace("leaf:", "blade:"))
     outcome = session.reload()
-    assert outcome.ok and f"`{at_leaf.text}` no longer fits" in outcome.line
+    assert outcome.is_successful and f"`{at_leaf.text}` no longer fits" in outcome.line
     assert [each.is_on for each in session.notes] == [True, False] and "leaf" in session.notes[1].problem
 
 
 @pytest.mark.parametrize("case", sampled(list(CASES), list(CASES)[:1]))
 def test_notes_are_possible_where_no_agent_is_there(tmp_path: Path, case: str) -> None:
-    live = Live.open(empty_scene(tmp_path / "scene", case))
+    live = LiveSimulation.open_scene(empty_scene(tmp_path / "scene", case))
     live.start()
     try:
         page = Page(live)

@@ -19,7 +19,7 @@ from sampling import sampled
 
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.edits.edited_cache import load_edits
-from antdsl.preview import Live
+from antdsl.preview import LiveSimulation
 from antdsl.preview.binary_packets import unpack_arrays
 from antdsl.preview.directing.recorded_frames import RecordedFrames
 from antdsl.runtime import Options
@@ -42,7 +42,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def page(scene: Path) -> Iterator[Page]:
-    live = Live.open(scene, None, Options(feet=True), checkpoint_interval=10)
+    live = LiveSimulation.open_scene(scene, None, Options(feet=True), checkpoint_interval=10)
     live.start()
     opened = Page(live)
     opened.ask("step", count=LAST - 1)
@@ -96,7 +96,7 @@ def test_frames_of_a_session_are_those_of_a_cache(page: Page, scene: Path) -> No
 def test_pages_get_how_much_agents_lean_and_feet_after_going_back(tmp_path: Path) -> None:
     program = PROGRAM.replace("play walk; when mood", "play walk(left: run, right: run); when mood")
     open_directed(tmp_path, count=8, last=20, program=program)
-    live = Live.open(tmp_path / "scene.yaml", None, Options(feet=True), checkpoint_interval=10)
+    live = LiveSimulation.open_scene(tmp_path / "scene.yaml", None, Options(feet=True), checkpoint_interval=10)
     live.start()
     try:
         page = Page(live)
@@ -302,7 +302,7 @@ def test_edits_follow_an_edited_program_and_frames_that_are_simulated_later(page
 
 @pytest.mark.parametrize("case", sampled(list(CASES), list(CASES)[:1]))
 def test_edits_are_possible_where_no_agent_is_there(tmp_path: Path, case: str) -> None:
-    live = Live.open(empty_scene(tmp_path / "scene", case))
+    live = LiveSimulation.open_scene(empty_scene(tmp_path / "scene", case))
     live.start()
     try:
         page = Page(live)

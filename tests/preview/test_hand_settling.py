@@ -14,7 +14,7 @@ from live_client import Message, Page, agent_positions
 
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.edits.edited_cache import open_edited_cache
-from antdsl.preview import Live
+from antdsl.preview import LiveSimulation
 from antdsl.runtime import Options
 
 LAST, COUNT = 30, 24
@@ -31,7 +31,7 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def page(original: Path, tmp_path: Path) -> Iterator[Page]:
     shutil.copytree(original, tmp_path / "shot")
-    live = Live.open(tmp_path / "shot" / "scene.yaml", None, Options(feet=True), checkpoint_interval=10)
+    live = LiveSimulation.open_scene(tmp_path / "shot" / "scene.yaml", None, Options(feet=True), checkpoint_interval=10)
     live.start()
     opened = Page(live)
     opened.ask("step", count=LAST - 1)

@@ -10,8 +10,8 @@ import pytest
 from live_client import Page
 from preview_page import few
 
-from antdsl.preview import Live, Session
-from antdsl.preview.breaking import Breakpoints
+from antdsl.preview import LiveSimulation, PreviewSession
+from antdsl.preview.breaking import BreakpointObserver
 from antdsl.preview.breaking.conditions import compile_break_condition
 from antdsl.preview.breaking.model import BreakpointError
 from antdsl.preview.observing import spec_judgement
@@ -76,13 +76,13 @@ class Driver:
     """Plays a session as the preview does, with all that looks on."""
 
     def __init__(self, scene: Path, *breaks: AnyBreak, **how: Any) -> None:
-        session, report = Session.open(scene, **how)
+        session, report = PreviewSession.open(scene, **how)
         assert session is not None, [each.message for each in report.errors]
         self.session = session
         self.messages: list[dict[str, Any]] = []
         self.told: list[dict[str, Any]] = []
         self.specs = SpecObserver(self.messages.append)
-        self.breaks = Breakpoints(self.specs, self.told.append)
+        self.breaks = BreakpointObserver(self.specs, self.told.append)
         self.set(*breaks)
 
     @property
@@ -90,7 +90,7 @@ class Driver:
         return [(each["message"], each["help"]) for each in self.told if each["op"] == "refused"]
 
     def set(self, *breaks: AnyBreak) -> None:
-        self.breaks.set(self.session, breaks)
+        self.breaks.set_breakpoints(self.session, breaks)
 
     def step(self) -> PauseReason | None:
         stop = None
@@ -177,7 +177,7 @@ def test_simultaneous_stops_are_reported_together(scene: Path) -> None:
     ],
 )
 def test_a_condition_that_is_none_is_refused_in_words(scene: Path, text: str, message: str, help: str) -> None:
-    session, _ = Session.open(scene)
+    session, _ = PreviewSession.open(scene)
     assert session is not None
     with pytest.raises(BreakpointError) as error_info:
         compile_break_condition(session.shot, text)
@@ -211,11 +211,11 @@ def test_a_breakpoint_fits_again_when_the_program_does(scene: Path) -> None:
     driver = Driver(scene, state("rest"))
     assert len(driver.play(10)) == 1
     edit(scene, "rest", "pause")
-    assert driver.session.reload().ok
+    assert driver.session.reload().is_successful
     assert driver.play(20) == {}
     assert driver.misfits == [("walker enters rest: there is no state of `walker` `rest`", "there is `stroll`, `pause`")]
     edit(scene, "pause", "rest")
-    assert driver.session.reload().ok
+    assert driver.session.reload().is_successful
     stops = driver.play(20)
     assert len(stops) == 1
     assert len(driver.misfits) == 1
@@ -256,7 +256,7 @@ def test_after_an_edit_a_spec_counts_from_that_frame_on(scene: Path) -> None:
     assert driver.spec("nobody rests")["holds"] is False
     driver.session.seek(4)
     edit(scene, "after 0.25 s", "after 5 s")
-    assert driver.session.reload().ok
+    assert driver.session.reload().is_successful
     driver.play(10)
     judged = driver.spec("nobody rests")
     assert (judged["holds"], judged["since"]) == (True, 4)
@@ -291,7 +291,7 @@ def test_it_stops_at_a_fault(scene: Path, on_fault: Any) -> None:
 def test_looking_on_changes_nothing(name: str, tmp_path: Path) -> None:
     """Breakpoints, specs, explanations and the profiler on, and gone back and forth: the hashes are those of a run without."""
     scene = few(tmp_path, 60) if name == "foraging" else EXAMPLES / name / "scene.yaml"
-    plain, _ = Session.open(scene)
+    plain, _ = PreviewSession.open(scene)
     assert plain is not None
     species = next(iter(plain.shot.plan.species))
     machine = plain.shot.plan.species[species].machines[0]
@@ -301,17 +301,17 @@ def test_looking_on_changes_nothing(name: str, tmp_path: Path) -> None:
     driver = Driver(scene, *breaks, *conditions, *specs, FaultBreak(kind="fault"), checkpoint_interval=6)
     assert driver.misfits == []
     explainer = Explainer(driver.session)
-    driver.session.measure(True)
+    driver.session.set_measuring(True)
     for _ in range(14):
         plain.step()
         driver.step()
         explainer.make_message(species, 3, driver.session.frame)
-        assert driver.session.hash == plain.hash
+        assert driver.session.state_hash == plain.state_hash
     driver.session.seek(5)
     driver.play(12)
     plain.step()
     plain.step()
-    assert driver.session.hash == plain.hash
+    assert driver.session.state_hash == plain.state_hash
 
 
 def test_a_breakpoint_that_is_wrong_is_not_added(scene: Path) -> None:
@@ -319,23 +319,23 @@ def test_a_breakpoint_that_is_wrong_is_not_added(scene: Path) -> None:
     initial_message = driver.breaks.make_message()
     wrong = ConditionBreak(kind="condition", text="count(state == rset) > 1")
     with pytest.raises(BreakpointError, match="rset"):
-        driver.breaks.set(driver.session, [each.request for each in driver.breaks.breakpoints], wrong)
+        driver.breaks.set_breakpoints(driver.session, [each.request for each in driver.breaks.breakpoints], wrong)
     assert driver.breaks.make_message() == initial_message
     good = ConditionBreak(kind="condition", text="count(state == rest) > 2")
-    driver.breaks.set(driver.session, [each.request for each in driver.breaks.breakpoints], good)
+    driver.breaks.set_breakpoints(driver.session, [each.request for each in driver.breaks.breakpoints], good)
     assert [each.request for each in driver.breaks.breakpoints][-1] == good
     edit(scene, "rest", "sleep")
     driver.session.reload()
     driver.step()
     misfits = len(driver.misfits)
     assert misfits == 3
-    driver.breaks.set(driver.session, [each.request for each in driver.breaks.breakpoints], state("sleep"))
+    driver.breaks.set_breakpoints(driver.session, [each.request for each in driver.breaks.breakpoints], state("sleep"))
     assert len(driver.misfits) == misfits, "what waits is not told of again"
 
 
 def test_play_stops_at_the_scenes_last_frame_and_is_marked_for_all(scene: Path) -> None:
     scene.write_text(scene.read_text().replace("frames: 1..60", "frames: 1..9"))
-    live = Live.open(scene)
+    live = LiveSimulation.open_scene(scene)
     live.start()
     try:
         page = Page(live)
@@ -359,7 +359,7 @@ def test_play_stops_at_the_scenes_last_frame_and_is_marked_for_all(scene: Path) 
 
 
 def test_a_page_sets_breakpoints_and_hears_of_them(scene: Path) -> None:
-    live = Live.open(scene)
+    live = LiveSimulation.open_scene(scene)
     live.start()
     try:
         page = Page(live)
@@ -415,7 +415,7 @@ def test_specs_stand_as_the_tests_find_them(scene: Path) -> None:
 
 
 def test_steps_on_end_stop_as_well(scene: Path) -> None:
-    live = Live.open(scene)
+    live = LiveSimulation.open_scene(scene)
     live.start()
     try:
         page = Page(live)
@@ -439,6 +439,6 @@ def test_behind_a_fault_it_is_explained_as_it_went_on(scene: Path, on_fault: Any
     assert driver.session.world.faults.count > 0
     message = Explainer(driver.session).make_message("walker", 1, driver.session.frame)
     if on_fault == "stop":
-        assert (message["message"], message["explanation"]["hash"]) == ("", driver.session.hash)
+        assert (message["message"], message["explanation"]["hash"]) == ("", driver.session.state_hash)
     else:
         assert message["message"].startswith("walker 1 is quarantined after a fault")

@@ -11,7 +11,7 @@ from empty_scenes import CASES, FIRST, LAST
 from live_client import Page, hashes
 from sampling import sampled
 
-from antdsl.preview import Live, Session
+from antdsl.preview import LiveSimulation, PreviewSession
 
 LOOK = {
     "columns": ({"species": "person", "name": "load"}, {"species": "ant", "name": "soil"}),
@@ -33,7 +33,7 @@ BREAKS = (
 @pytest.mark.parametrize("case", CASES)
 def test_a_page_is_shown_frames_without_agents(tmp_path: Path, case: str) -> None:
     scene = empty_scenes.scene(tmp_path / "scene", case)
-    live = Live.open(scene)
+    live = LiveSimulation.open_scene(scene)
     live.start()
     try:
         page = Page(live)
@@ -62,7 +62,7 @@ def test_a_page_is_shown_frames_without_agents(tmp_path: Path, case: str) -> Non
 @pytest.mark.parametrize("case", sampled(CASES, ["not_in_the_middle"]))
 def test_a_program_is_reloaded_from_and_into_nothing(tmp_path: Path, case: str) -> None:
     scene = empty_scenes.scene(tmp_path / "scene", case)
-    session, report = Session.open(scene, checkpoint_interval=2)
+    session, report = PreviewSession.open(scene, checkpoint_interval=2)
     assert session is not None, [each.message for each in report.errors]
     program = scene.with_name("crowd.ant")
     known_hashes = {}
@@ -72,9 +72,9 @@ def test_a_program_is_reloaded_from_and_into_nothing(tmp_path: Path, case: str) 
             text = program.read_text()
             new = text.replace("load = 0\n", f"load = 0\n  more_{number} = {number}\n")
             program.write_text(new.replace("max_speed 3 m/s", f"max_speed {3 + number} m/s"))
-            assert session.reload().ok
-        known_hashes[session.frame] = session.hash
+            assert session.reload().is_successful
+        known_hashes[session.frame] = session.state_hash
     for frame in (FIRST + 2, FIRST + 7, FIRST + 4):
         session.seek(frame)
-        assert session.hash == known_hashes[frame]
+        assert session.state_hash == known_hashes[frame]
     assert all(np.isfinite(p.position).all() for p in session.world.populations.values())

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from live_client import EXAMPLES, Page
 
-from antdsl.preview import Live, Session
+from antdsl.preview import LiveSimulation, PreviewSession
 from antdsl.preview.binary_packets import unpack_arrays
 
 
@@ -28,8 +28,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def open_lives() -> Iterator[list[Live]]:
-    lives: list[Live] = []
+def open_lives() -> Iterator[list[LiveSimulation]]:
+    lives: list[LiveSimulation] = []
     yield lives
     for each in lives:
         each.stop()
@@ -41,8 +41,8 @@ def edit(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new))
 
 
-def started(open_lives: list[Live], scene: Path) -> Page:
-    open_lives.append(Live.open(scene))
+def started(open_lives: list[LiveSimulation], scene: Path) -> Page:
+    open_lives.append(LiveSimulation.open_scene(scene))
     open_lives[-1].start()
     return Page(open_lives[-1])
 
@@ -64,7 +64,7 @@ NO_FILES: dict[str, Callable[[Path], None]] = {
 @pytest.mark.parametrize("kind", NO_FILES)
 @pytest.mark.parametrize("name", ["scene.yaml", "base.yaml", "walker.ant", "ground.ply"])
 def test_it_waits_for_a_file_where_something_else_is_and_goes_on_by_itself(
-    folder: Path, open_lives: list[Live], name: str, kind: str
+    folder: Path, open_lives: list[LiveSimulation], name: str, kind: str
 ) -> None:
     good = (folder / name).read_bytes()
     (folder / name).unlink()
@@ -89,7 +89,7 @@ def test_it_waits_for_a_file_where_something_else_is_and_goes_on_by_itself(
 
 
 def test_a_page_is_not_shown_what_a_link_in_the_scenes_folder_leads_to(
-    folder: Path, open_lives: list[Live], tmp_path: Path
+    folder: Path, open_lives: list[LiveSimulation], tmp_path: Path
 ) -> None:
     (tmp_path / "secret.ant").write_text("ant 1 # nobody's business\n")
     (folder / "walker.ant").unlink()
@@ -102,7 +102,7 @@ def test_a_page_is_not_shown_what_a_link_in_the_scenes_folder_leads_to(
 
 @pytest.mark.parametrize("name", ["base.yaml", "walker.ant", "ground.ply"])
 @pytest.mark.parametrize("broken", [False, True])
-def test_it_opens_once_a_file_is_mended_or_comes(folder: Path, open_lives: list[Live], name: str, broken: bool) -> None:
+def test_it_opens_once_a_file_is_mended_or_comes(folder: Path, open_lives: list[LiveSimulation], name: str, broken: bool) -> None:
     good = (folder / name).read_bytes()
     if broken:
         (folder / name).write_text("{")
@@ -114,7 +114,7 @@ def test_it_opens_once_a_file_is_mended_or_comes(folder: Path, open_lives: list[
     page.status(frame=1, agents=50)
 
 
-def test_a_file_that_an_edit_names_may_come_later(folder: Path, open_lives: list[Live]) -> None:
+def test_a_file_that_an_edit_names_may_come_later(folder: Path, open_lives: list[LiveSimulation]) -> None:
     page = started(open_lives, folder / "scene.yaml")
     page.status(frame=1)
     edit(folder / "base.yaml", "ground.ply", "soil.ply")
@@ -124,38 +124,38 @@ def test_a_file_that_an_edit_names_may_come_later(folder: Path, open_lives: list
 
 
 def test_an_edit_that_is_undone_at_an_earlier_frame_does_not_come_back(folder: Path) -> None:
-    session, _ = Session.open(folder / "scene.yaml")
+    session, _ = PreviewSession.open(folder / "scene.yaml")
     assert session is not None
     for _ in range(10):
         session.step()
     edit(folder / "walker.ant", "30 mm/s", "60 mm/s")
-    assert session.reload().ok
+    assert session.reload().is_successful
     session.step()
     session.seek(5)
     edit(folder / "walker.ant", "60 mm/s", "30 mm/s")
     assert session.reload().line.startswith("the files are again as they were")
-    fresh, _ = Session.open(folder / "scene.yaml")
+    fresh, _ = PreviewSession.open(folder / "scene.yaml")
     assert fresh is not None
     for _ in range(14):
         fresh.step()
     while session.frame < fresh.frame:
         session.step()
-    assert session.hash == fresh.hash
+    assert session.state_hash == fresh.state_hash
     assert session.reload().line == "nothing has changed"
 
 
 def test_what_is_set_by_hand_ahead_is_no_edit_of_files(folder: Path) -> None:
-    session, _ = Session.open(EXAMPLES / "foraging" / "scene.yaml")
+    session, _ = PreviewSession.open(EXAMPLES / "foraging" / "scene.yaml")
     assert session is not None
     session.step()
-    assert session.switch_field("trail", is_on=False).ok
+    assert session.switch_field("trail", is_on=False).is_successful
     session.step()
     session.seek(1)
     assert session.reload().line == "nothing has changed"
     assert session.last_frame == 3
 
 
-def test_a_mesh_that_is_gone_is_taken_away(folder: Path, open_lives: list[Live]) -> None:
+def test_a_mesh_that_is_gone_is_taken_away(folder: Path, open_lives: list[LiveSimulation]) -> None:
     page = started(open_lives, folder / "scene.yaml")
     page.until(lambda: "mesh:stones" in page.make_packets)
     stones = unpack_arrays(page.make_packets["mesh:stones"])[1]
@@ -174,7 +174,7 @@ def test_a_mesh_that_is_gone_is_taken_away(folder: Path, open_lives: list[Live])
 
 
 @pytest.mark.skipif(os.name == "nt", reason="names are text there")
-def test_a_name_that_is_not_text_is_shown_as_closely_as_possible(folder: Path, open_lives: list[Live]) -> None:
+def test_a_name_that_is_not_text_is_shown_as_closely_as_possible(folder: Path, open_lives: list[LiveSimulation]) -> None:
     odd = Path(os.fsdecode(os.fsencode(folder) + b"/sc\xffne.yaml"))
     try:
         (folder / "scene.yaml").rename(odd)
@@ -187,7 +187,7 @@ def test_a_name_that_is_not_text_is_shown_as_closely_as_possible(folder: Path, o
     assert "\\udc" not in ascii(page.told)
 
 
-def test_a_fault_tells_the_page_no_path_of_this_machine(folder: Path, open_lives: list[Live]) -> None:
+def test_a_fault_tells_the_page_no_path_of_this_machine(folder: Path, open_lives: list[LiveSimulation]) -> None:
     edit(folder / "walker.ant", "max_speed 30 mm/s", "max_speed 30 mm/s\n  load = 0")
     edit(folder / "walker.ant", "wander()", "wander() * (1 / load)")
     page = started(open_lives, folder / "scene.yaml")
@@ -197,7 +197,7 @@ def test_a_fault_tells_the_page_no_path_of_this_machine(folder: Path, open_lives
     assert str(folder) not in str([each for each in page.told if each["op"] == "status"])
 
 
-def test_a_missing_scene_is_reported_by_its_name(folder: Path, open_lives: list[Live]) -> None:
+def test_a_missing_scene_is_reported_by_its_name(folder: Path, open_lives: list[LiveSimulation]) -> None:
     page = started(open_lives, folder / "scene.yaml")
     page.status(frame=1)
     (folder / "scene.yaml").unlink()

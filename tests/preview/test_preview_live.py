@@ -14,7 +14,7 @@ from live_client import Page, hashes
 from preview_page import few
 
 from antdsl.pipeline import simulate
-from antdsl.preview import Compiler, Live, Outcome, QueueFull, Session
+from antdsl.preview import EditOutcome, LiveSimulation, PreviewSession, QueueFullError, SceneCompiler
 from antdsl.runtime import state_hash
 
 
@@ -25,14 +25,14 @@ def scene(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def live(scene: Path) -> Iterator[Live]:
-    live = Live.open(scene)
+def live(scene: Path) -> Iterator[LiveSimulation]:
+    live = LiveSimulation.open_scene(scene)
     live.start()
     yield live
     live.stop()
 
 
-def test_a_joining_page_receives_everything(live: Live) -> None:
+def test_a_joining_page_receives_everything(live: LiveSimulation) -> None:
     page = Page(live)
     page.frame_arrays(1)
     ops = [message["op"] for message in page.told[:6]]
@@ -46,7 +46,7 @@ def test_a_joining_page_receives_everything(live: Live) -> None:
     assert later.make_packets == page.make_packets
 
 
-def test_the_hash_is_that_of_a_run_despite_pages_and_scrubbing(live: Live, scene: Path) -> None:
+def test_the_hash_is_that_of_a_run_despite_pages_and_scrubbing(live: LiveSimulation, scene: Path) -> None:
     expected = hashes(scene, 40)
     page, other = Page(live), Page(live)
     page.ask("look", columns=({"species": "forager", "name": "zeal"},), fields=("trail",), solids=True,
@@ -61,7 +61,7 @@ def test_the_hash_is_that_of_a_run_despite_pages_and_scrubbing(live: Live, scene
     assert not page.last("status")["edited"]
 
 
-def test_it_plays_and_pauses_and_keeps_the_pace(live: Live) -> None:
+def test_it_plays_and_pauses_and_keeps_the_pace(live: LiveSimulation) -> None:
     page = Page(live)
     page.ask("step", count=20)  # the first ones prepare what the others find ready
     page.ask("speed", times=2.0)
@@ -74,7 +74,7 @@ def test_it_plays_and_pauses_and_keeps_the_pace(live: Live) -> None:
     assert [frame for frame, _ in page.frames] == sorted(frame for frame, _ in page.frames)
 
 
-def test_a_saved_edit_goes_on_with_the_ants_and_an_error_leaves_them_running(live: Live, scene: Path) -> None:
+def test_a_saved_edit_goes_on_with_the_ants_and_an_error_leaves_them_running(live: LiveSimulation, scene: Path) -> None:
     page = Page(live)
     page.ask("step", count=5)
     page.frame_arrays(6)
@@ -98,7 +98,7 @@ def test_a_saved_edit_goes_on_with_the_ants_and_an_error_leaves_them_running(liv
     assert page.message_after("problems", number)["problems"] == []
 
 
-def test_changes_by_hand_are_reported_with_their_line(live: Live) -> None:
+def test_changes_by_hand_are_reported_with_their_line(live: LiveSimulation) -> None:
     page = Page(live)
     page.frame_arrays(1)
     outcome = page.ask_and_wait("set", name="forager.smell", value="60 mm")
@@ -116,10 +116,12 @@ def test_changes_by_hand_are_reported_with_their_line(live: Live) -> None:
     assert not page.ask_and_wait("set", name="forager.smell", value="60 kg")["ok"]
 
 
-def test_a_bug_in_a_handler_ends_nothing(live: Live, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bug_in_a_handler_ends_nothing(
+    live: LiveSimulation, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     page = Page(live)
     page.frame_arrays(1)
-    monkeypatch.setattr(Session, "switch_layer", lambda *_: 1 / 0)
+    monkeypatch.setattr(PreviewSession, "switch_layer", lambda *_: 1 / 0)
     refused = page.ask_and_wait("layer", species="forager", layer="x", on=True)
     assert "bug in antdsl" in refused["message"]
     assert "ZeroDivisionError" in capsys.readouterr().err
@@ -131,7 +133,7 @@ def test_a_scene_with_errors_opens_once_they_are_mended(scene: Path) -> None:
     program = scene.with_name("forager.ant")
     good = program.read_text()
     program.write_text(good.replace("species forager", "species forager forager"))
-    live = Live.open(scene)
+    live = LiveSimulation.open_scene(scene)
     live.start()
     try:
         page = Page(live)
@@ -146,7 +148,7 @@ def test_a_scene_with_errors_opens_once_they_are_mended(scene: Path) -> None:
         live.stop()
 
 
-def test_costs_of_steps_are_sent_to_the_requesting_page_and_change_nothing(scene: Path, live: Live) -> None:
+def test_costs_of_steps_are_sent_to_the_requesting_page_and_change_nothing(scene: Path, live: LiveSimulation) -> None:
     page, other = Page(live), Page(live)
     other.frame_arrays(1)
     page.frame_arrays(1)
@@ -178,13 +180,13 @@ def test_costs_of_steps_are_sent_to_the_requesting_page_and_change_nothing(scene
     page.ask("profile", on=True)
     page.ask("step")
     page.until(lambda: page.last("profile")["frames"] == 1)
-    live.leave(page)
+    live.remove_client(page)
     other.ask("step")
     other.status(frame=frame + 3)
     other.until(lambda: live.session.meter is None)
 
 
-def test_steps_on_end_can_be_paused_and_a_newer_seek_goes_before_an_older_one(live: Live) -> None:
+def test_steps_on_end_can_be_paused_and_a_newer_seek_goes_before_an_older_one(live: LiveSimulation) -> None:
     page = Page(live)
     page.frame_arrays(1)
     page.ask("step", count=1000)
@@ -203,16 +205,16 @@ def test_steps_on_end_can_be_paused_and_a_newer_seek_goes_before_an_older_one(li
 
 
 def test_too_much_at_once_is_refused(scene: Path) -> None:
-    live = Live.open(scene)  # not started: nothing is done
+    live = LiveSimulation.open_scene(scene)  # not started: nothing is done
     page = Page(live)
-    with pytest.raises(QueueFull):
+    with pytest.raises(QueueFullError):
         for _ in range(1000):
             page.ask("pause")
-    live.leave(page)  # always possible
+    live.remove_client(page)  # always possible
 
 
 @pytest.mark.parametrize("count", [100, pytest.param(1000, marks=pytest.mark.slow)])
-def test_no_sequence_of_requests_breaks_anything(live: Live, scene: Path, count: int) -> None:
+def test_no_sequence_of_requests_breaks_anything(live: LiveSimulation, scene: Path, count: int) -> None:
     """Two pages, a saved file now and then, and in the end the run is that of a fresh one."""
     draw = np.random.Generator(np.random.Philox(5))
     program = scene.with_name("forager.ant")
@@ -244,12 +246,12 @@ def test_no_sequence_of_requests_breaks_anything(live: Live, scene: Path, count:
     for _ in range(count):
         op, what = asks[int(draw.integers(len(asks)))]()
         page = pages[int(draw.integers(2))]
-        with contextlib.suppress(QueueFull):
+        with contextlib.suppress(QueueFullError):
             page.ask(op, **what)
         if draw.random() < 0.1:
             program.write_text(texts[int(draw.integers(len(texts)))])
         if draw.random() < 0.05:
-            live.leave(pages[0])
+            live.remove_client(pages[0])
             pages[0] = Page(live)
         time.sleep(float(draw.random()) * 0.02)
     program.write_text(good)
@@ -258,7 +260,7 @@ def test_no_sequence_of_requests_breaks_anything(live: Live, scene: Path, count:
         try:
             page.ask("pause")
             break
-        except QueueFull:
+        except QueueFullError:
             time.sleep(0.05)
     page.until(lambda: page.last("problems") is not None and not page.last("problems")["problems"])
     for name in {param["name"] for param in page.last("scene")["params"]}:
@@ -271,17 +273,17 @@ def test_no_sequence_of_requests_breaks_anything(live: Live, scene: Path, count:
     assert page.hash_at(6) == _fresh(live, 6)
 
 
-def _fresh(live: Live, frame: int) -> str:
+def _fresh(live: LiveSimulation, frame: int) -> str:
     """The hash of a frame in a run of the files with what was set by hand."""
     session = live.session  # it stands still
-    compiler = Compiler(live.compiler.scene)
+    compiler = SceneCompiler(live.compiler.scene)
     compiler.replacement_texts = dict(session.compiler.replacement_texts)
     shot, report = compiler.open(session.choices)
     assert shot is not None, [d.message for d in report.errors]
     return next(state_hash(world) for world in simulate(shot) if world.frame == frame)
 
 
-def test_a_faulty_value_pauses_and_is_reported(live: Live, scene: Path) -> None:
+def test_a_faulty_value_pauses_and_is_reported(live: LiveSimulation, scene: Path) -> None:
     page = Page(live)
     page.frame_arrays(1)
     number = len(page.told)
@@ -293,18 +295,18 @@ def test_a_faulty_value_pauses_and_is_reported(live: Live, scene: Path) -> None:
     assert "zeal" in fault and not page.last("status")["playing"] and page.last("status")["frame"] == 2
 
 
-def test_endless_requests_do_not_hold_up_the_ants(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_endless_requests_do_not_hold_up_the_ants(live: LiveSimulation, monkeypatch: pytest.MonkeyPatch) -> None:
     page, eager = Page(live), Page(live)
     page.ask("speed", times=0.0)
     page.ask("play")
     page.until(lambda: page.frames and page.frames[-1][0] > 5)
-    slow = Session.switch_field
+    slow = PreviewSession.switch_field
 
-    def slower(session: Session, name: str, on: bool) -> Outcome:
+    def slower(session: PreviewSession, name: str, on: bool) -> EditOutcome:
         time.sleep(0.02)
         return slow(session, name, on)
 
-    monkeypatch.setattr(Session, "switch_field", slower)
+    monkeypatch.setattr(PreviewSession, "switch_field", slower)
     frame = page.frames[-1][0]
     for _ in range(200):
         eager.ask("field", name="no", on=True)

@@ -32,7 +32,7 @@ async def drained(mailbox: ClientMailbox) -> list[Any]:
     items: list[Any] = []
     try:
         while True:
-            got = await asyncio.wait_for(mailbox.receive(), 0.02)
+            got = await asyncio.wait_for(mailbox.receive_next(), 0.02)
             items.append(got if isinstance(got, bytes) else json.loads(got)["op"])
     except TimeoutError:
         return items
@@ -40,14 +40,14 @@ async def drained(mailbox: ClientMailbox) -> list[Any]:
 
 def test_the_latest_of_a_slot_takes_the_place_of_the_one_before() -> None:
     async def test(mailbox: ClientMailbox, full: list[str]) -> None:
-        mailbox.show("mesh", b"mesh")
-        mailbox.show("frame", b"1")
-        mailbox.tell({"op": "status"})
-        mailbox.show("field", b"field")
+        mailbox.show_packet("mesh", b"mesh")
+        mailbox.show_packet("frame", b"1")
+        mailbox.send_message({"op": "status"})
+        mailbox.show_packet("field", b"field")
         for number in b"23456789":
-            mailbox.show("frame", bytes([number]))
+            mailbox.show_packet("frame", bytes([number]))
         assert await drained(mailbox) == [b"mesh", b"9", "status", b"field"]
-        mailbox.show("frame", b"10")
+        mailbox.show_packet("frame", b"10")
         assert await drained(mailbox) == [b"10"] and not full
 
     with_mailbox(test)
@@ -55,11 +55,11 @@ def test_the_latest_of_a_slot_takes_the_place_of_the_one_before() -> None:
 
 def test_a_packet_after_a_scene_arrives_after_it() -> None:
     async def test(mailbox: ClientMailbox, full: list[str]) -> None:
-        mailbox.show("frame", b"old")
-        mailbox.show("mesh", b"mesh")
-        mailbox.tell({"op": "scene"})
-        mailbox.show("frame", b"new")
-        mailbox.show("frame", b"newer")
+        mailbox.show_packet("frame", b"old")
+        mailbox.show_packet("mesh", b"mesh")
+        mailbox.send_message({"op": "scene"})
+        mailbox.show_packet("frame", b"new")
+        mailbox.show_packet("frame", b"newer")
         assert await drained(mailbox) == [b"mesh", "scene", b"newer"]
 
     with_mailbox(test)
@@ -68,8 +68,8 @@ def test_a_packet_after_a_scene_arrives_after_it() -> None:
 def test_hello_names_the_current_page() -> None:
     async def test(mailbox: ClientMailbox, full: list[str]) -> None:
         message = {"op": "hello", "build": ""}
-        mailbox.tell(message)
-        assert json.loads(await mailbox.receive()) == {"op": "hello", "build": "now"}
+        mailbox.send_message(message)
+        assert json.loads(await mailbox.receive_next()) == {"op": "hello", "build": "now"}
         assert message["build"] == ""
 
     with_mailbox(test)
@@ -79,15 +79,15 @@ def test_hello_names_the_current_page() -> None:
 def test_more_than_the_budget_is_not_stored(what: str) -> None:
     async def test(mailbox: ClientMailbox, full: list[str]) -> None:
         for _ in range(100):
-            mailbox.show("one", bytes(900))  # the same slot: never more than one of them
+            mailbox.show_packet("one", bytes(900))  # the same slot: never more than one of them
         await asyncio.sleep(0)
         assert not full
         for number in range(3):
             if what == "words":
-                mailbox.tell({"op": "texts", "text": "x" * 500})
+                mailbox.send_message({"op": "texts", "text": "x" * 500})
             else:
-                mailbox.show(f"solid:{number}", bytes(500))
-        mailbox.show("one", b"late")
+                mailbox.show_packet(f"solid:{number}", bytes(500))
+        mailbox.show_packet("one", b"late")
         await asyncio.sleep(0)
         assert full == ["full"] and await drained(mailbox) == []
 
@@ -97,7 +97,7 @@ def test_more_than_the_budget_is_not_stored(what: str) -> None:
 def test_what_a_page_cannot_read_is_never_sent() -> None:
     async def test(mailbox: ClientMailbox, full: list[str]) -> None:
         with pytest.raises(ValueError):
-            mailbox.tell({"op": "curves", "values": [float("nan")]})
+            mailbox.send_message({"op": "curves", "values": [float("nan")]})
         assert await drained(mailbox) == []
 
     with_mailbox(test)
@@ -109,17 +109,17 @@ def test_nothing_is_lost_or_turned_round_between_two_threads() -> None:
             chance = random.Random(5)
             for number in range(3000):
                 if chance.random() < 0.3:
-                    mailbox.tell({"op": "status", "frame": number})
+                    mailbox.send_message({"op": "status", "frame": number})
                 else:
-                    mailbox.show(chance.choice("abc"), number.to_bytes(4, "little"))
-            mailbox.tell({"op": "end"})
+                    mailbox.show_packet(chance.choice("abc"), number.to_bytes(4, "little"))
+            mailbox.send_message({"op": "end"})
 
         thread = Thread(target=fill)
         thread.start()
         frames: list[int] = []
         slots: list[int] = []
         while True:
-            got = await mailbox.receive()
+            got = await mailbox.receive_next()
             if isinstance(got, bytes):
                 slots.append(int.from_bytes(got, "little"))
             elif (message := json.loads(got))["op"] == "end":

@@ -12,11 +12,11 @@ import pytest
 from live_client import Page, agent_positions
 from preview_page import few
 
-from antdsl.preview import Live, Session, timeline
+from antdsl.preview import LiveSimulation, PreviewSession, timeline
 from antdsl.preview.binary_packets import unpack_arrays
 from antdsl.preview.observing.spec_judgement import SpecObserver
 from antdsl.preview.viewing.action_arrays import read_stored_poses, store_poses
-from antdsl.preview.viewing.curves import SentCurves
+from antdsl.preview.viewing.curves import SentCurveTracker
 from antdsl.preview.viewing.scene_message import BoundingBox
 
 
@@ -26,8 +26,8 @@ def scene(tmp_path: Path) -> Path:
     return few(tmp_path, 40)
 
 
-def opened(scene: Path, **how: int) -> Session:
-    session, report = Session.open(scene, **how)
+def opened(scene: Path, **how: int) -> PreviewSession:
+    session, report = PreviewSession.open(scene, **how)
     assert session is not None, [d.message for d in report.errors]
     return session
 
@@ -39,7 +39,7 @@ def test_full_memory_keeps_the_latest_reduced_frames_and_checkpoints_of_all_time
     hashes = {}
     for _ in range(120):
         session.step()
-        hashes[session.frame] = session.hash
+        hashes[session.frame] = session.state_hash
     history = session.timeline
     assert history.nbytes <= history.max_bytes
     assert list(history.reduced_frames)[-20:] == list(range(102, 122))
@@ -49,7 +49,7 @@ def test_full_memory_keeps_the_latest_reduced_frames_and_checkpoints_of_all_time
     assert max(gaps[:-1]) <= 4 * min(gaps[:-1])
     for frame in (60, 3, 121):
         session.seek(frame)
-        assert session.hash == hashes[frame]
+        assert session.state_hash == hashes[frame]
 
 
 def test_poses_are_stored_for_the_latest_frames_only(scene: Path) -> None:
@@ -71,13 +71,13 @@ def test_poses_are_stored_for_the_latest_frames_only(scene: Path) -> None:
 
 def test_curves_and_branches_do_not_grow_for_ever(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(timeline, "_MAX_CURVE_FRAMES", 30)
-    session, sent_curves = opened(scene, checkpoint_interval=4), SentCurves()
+    session, sent_curves = opened(scene, checkpoint_interval=4), SentCurveTracker()
     for number in range(12):
         for _ in range(4):
             session.step()
         session.seek(session.frame - 1)
-        assert session.set("forager.smell", f"{50 + number} mm").ok
-        message = sent_curves.take_new_values(session.timeline)
+        assert session.set_value("forager.smell", f"{50 + number} mm").is_successful
+        message = sent_curves.pop_new_values(session.timeline)
         assert message is not None and message["branches"][-1]["line"] == f"set: {{forager.smell: {50 + number} mm}}"
     assert [each.reason[-7:-4] for each in session.timeline.branches] == [f" {50 + k}" for k in range(4, 12)]
     assert len(session.timeline.curves) <= 30 and session.last_frame == session.frame
@@ -90,7 +90,7 @@ def test_curves_and_branches_do_not_grow_for_ever(scene: Path, monkeypatch: pyte
     for _ in range(60):
         session.step()
     session.seek(20)  # of which there is no curve any more
-    assert session.set("forager.smell", "40 mm").ok and (session.frame, session.last_frame) == (20, 20)
+    assert session.set_value("forager.smell", "40 mm").is_successful and (session.frame, session.last_frame) == (20, 20)
 
 
 def test_a_long_history_is_sent_in_few_points(scene: Path) -> None:
@@ -98,7 +98,7 @@ def test_a_long_history_is_sent_in_few_points(scene: Path) -> None:
     one = session.timeline.curves[1]
     session.timeline.curves = {frame: one for frame in range(1, 20_001)}
     session.timeline.branches = [timeline.TimelineBranch(1, "before", dict(session.timeline.curves)) for _ in range(8)]
-    assert len(json.dumps(SentCurves().take_full_history(session.timeline))) < 2_000_000
+    assert len(json.dumps(SentCurveTracker().take_full_history(session.timeline))) < 2_000_000
 
 
 def test_what_was_judged_at_an_edit_is_still_known_when_one_plays_through_it_again(scene: Path) -> None:
@@ -113,7 +113,7 @@ def test_what_was_judged_at_an_edit_is_still_known_when_one_plays_through_it_aga
     go(5)
     program = scene.with_name("forager.ant")
     program.write_text(program.read_text().replace("36 s", "35 s"))
-    assert session.reload().ok
+    assert session.reload().is_successful
     go(3)
     initial_curves = {frame: dict(values) for frame, values in session.timeline.curves.items()}
     assert any(name.startswith("spec: ") for name in initial_curves[6])
@@ -126,11 +126,11 @@ def test_a_layer_of_several_lines_becomes_as_many_comments(scene: Path) -> None:
     program = scene.with_name("forager.ant")
     program.write_text(program.read_text().replace("give_way(radius: 2.2 * size)", "give_way(\n      radius: 2.2 * size)"))
     outcome = opened(scene).switch_layer("forager", "give_way(\n      radius: 2.2 * size)", is_on=False)
-    assert outcome.ok and outcome.text == "# give_way(\n# radius: 2.2 * size)"
+    assert outcome.is_successful and outcome.text == "# give_way(\n# radius: 2.2 * size)"
 
 
 def test_a_field_that_is_set_to_other_values_is_not_off(scene: Path) -> None:
-    live = Live.open(scene, watch=False)
+    live = LiveSimulation.open_scene(scene, watch=False)
     live.start()
     page = Page(live)
     assert (
@@ -148,7 +148,7 @@ def test_a_field_that_is_set_to_other_values_is_not_off(scene: Path) -> None:
 
 
 def test_another_pace_holds_at_once(scene: Path) -> None:
-    live = Live.open(scene, watch=False)
+    live = LiveSimulation.open_scene(scene, watch=False)
     live.start()
     page = Page(live)
     page.ask("speed", times=1e-6)
@@ -163,7 +163,7 @@ def test_another_pace_holds_at_once(scene: Path) -> None:
 
 def test_frames_of_before_an_edit_are_shown_with_the_words_of_then(scene: Path) -> None:
     """Where an edit put a state before the others, their numbers are other ones."""
-    live = Live.open(scene, watch=False)
+    live = LiveSimulation.open_scene(scene, watch=False)
     live.start()
     page = Page(live)
 
@@ -199,7 +199,7 @@ def test_frames_of_before_an_edit_are_shown_with_the_words_of_then(scene: Path) 
 
 
 def test_sliders_return_to_their_values_at_the_selected_frame(scene: Path) -> None:
-    live = Live.open(scene, watch=False)
+    live = LiveSimulation.open_scene(scene, watch=False)
     live.start()
     page = Page(live)
 
@@ -227,12 +227,12 @@ def test_the_box_about_all_stays_while_agents_fly_out_of_it(scene: Path) -> None
     ants.position[0] = 1e5
     assert box.find_corners(session) == first and BoundingBox().find_corners(session)[1] == pytest.approx([1e5] * 3)
     scene.write_text(scene.read_text().replace("mesh: boulder.ply", "mesh: boulder.ply, at: [0, 900, 0]"))
-    assert session.reload().ok
+    assert session.reload().is_successful
     assert box.find_corners(session) != first
 
 
 def test_each_page_learns_which_agent_each_feeler_belongs_to(scene: Path) -> None:
-    live = Live.open(scene, watch=False)
+    live = LiveSimulation.open_scene(scene, watch=False)
     live.start()
     pages = [Page(live), Page(live)]
     for page, agent in zip(pages, (3, 7), strict=True):

@@ -18,7 +18,7 @@ from antdsl.bodies.agents.varied_bodies import VariationDraws, draw_colour_path_
 from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.pictures.light import encode_srgb_values
-from antdsl.preview import Live, Session
+from antdsl.preview import LiveSimulation, PreviewSession
 from antdsl.preview.binary_packets import unpack_arrays
 from antdsl.preview.viewing.action_arrays import NO_CLIP_CODE
 from antdsl.preview.viewing.body_packets import BodyOutfit, find_traits, make_rig_packet
@@ -37,18 +37,18 @@ def scene(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def live(scene: Path) -> Iterator[Live]:
-    live = Live.open(scene)
+def live(scene: Path) -> Iterator[LiveSimulation]:
+    live = LiveSimulation.open_scene(scene)
     live.start()
     yield live
     live.stop()
 
 
-def test_a_frame_tells_what_agents_play(live: Live, scene: Path) -> None:
+def test_a_frame_tells_what_agents_play(live: LiveSimulation, scene: Path) -> None:
     page = Page(live)
     page.ask("step", count=60)
     arrays = page.frame_arrays(61)
-    session, _ = Session.open(scene)
+    session, _ = PreviewSession.open(scene)
     assert session is not None
     for _ in range(60):
         session.step()
@@ -73,7 +73,7 @@ def test_a_frame_tells_what_agents_play(live: Live, scene: Path) -> None:
     assert dragged == {"walker/plays/legs", "walker/plays/arms"}, "frames that were stepped while a page was open are kept posed"
 
 
-def test_a_body_is_sent_once_and_again_when_it_is_another_one(live: Live, scene: Path) -> None:
+def test_a_body_is_sent_once_and_again_when_it_is_another_one(live: LiveSimulation, scene: Path) -> None:
     page = Page(live)
     page.until(lambda: "rig:walker" in page.make_packets)
     header, arrays = unpack_arrays(page.make_packets["rig:walker"])
@@ -112,7 +112,7 @@ def test_the_packet_of_a_body_has_the_natural_colours_of_pictures() -> None:
         assert (len(table), header["natural"] == []) == ((256, False) if body is varied else (1, True))
 
 
-def test_errors_in_a_body_are_located_and_the_old_body_stays(live: Live, scene: Path) -> None:
+def test_errors_in_a_body_are_located_and_the_old_body_stays(live: LiveSimulation, scene: Path) -> None:
     page = Page(live)
     page.until(lambda: "rig:walker" in page.make_packets)
     first = page.make_packets["rig:walker"]
@@ -132,7 +132,7 @@ def test_errors_in_a_body_are_located_and_the_old_body_stays(live: Live, scene: 
     page.status(frame=4)
 
 
-def test_a_species_that_loses_its_file_gets_a_body_of_the_library(live: Live, scene: Path) -> None:
+def test_a_species_that_loses_its_file_gets_a_body_of_the_library(live: LiveSimulation, scene: Path) -> None:
     page = Page(live)
     page.until(lambda: "rig:walker" in page.make_packets)
     program = scene.with_name("walker.ant")

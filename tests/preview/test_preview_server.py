@@ -466,9 +466,9 @@ def test_a_slow_page_gets_the_latest_packet_of_each_slot_and_every_message() -> 
             await client.recv()
             mailbox = server.live.clients[0]
             for number in range(300):
-                mailbox.show("frame", number.to_bytes(4, "little") * 250_000)
+                mailbox.show_packet("frame", number.to_bytes(4, "little") * 250_000)
                 if number % 10 == 0:
-                    mailbox.tell({"op": "status", "frame": number})
+                    mailbox.send_message({"op": "status", "frame": number})
                 await asyncio.sleep(0.001)
             packets, messages = [], []
             while not packets or packets[-1] != 299 or len(messages) < 30:
@@ -494,7 +494,7 @@ def test_a_page_that_takes_nothing_is_let_go_and_may_come_back(monkeypatch: pyte
         mailbox = server.live.clients[0]
         text = "x" * (1 << 20)
         for _ in range(60):
-            mailbox.tell({"op": "texts", "text": text})
+            mailbox.send_message({"op": "texts", "text": text})
             await asyncio.sleep(0.001)
         while server.live.clients:
             await asyncio.sleep(0.01)
@@ -513,7 +513,7 @@ def test_a_page_that_sleeps_is_given_up_and_keeps_no_server_from_ending(monkeypa
         client.transport.pause_reading()
         while not server.live.clients:
             await asyncio.sleep(0.01)
-        server.live.clients[0].show("mesh", bytes(20 << 20))
+        server.live.clients[0].show_packet("mesh", bytes(20 << 20))
         await asyncio.sleep(0.05)
         while seconds == "_SEND_TIMEOUT_SECONDS" and server.live.clients:
             await asyncio.sleep(0.01)

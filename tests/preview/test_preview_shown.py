@@ -12,7 +12,7 @@ from digging_shots import folder as digging
 from live_client import EXAMPLES, Page, agent_positions, hashes
 from preview_page import few
 
-from antdsl.preview import Live, Session
+from antdsl.preview import LiveSimulation, PreviewSession
 from antdsl.preview.binary_packets import unpack_arrays
 from antdsl.preview.viewing.agent_packets import make_feeler_arrays
 from antdsl.scene.looks import SURFACE_KINDS
@@ -25,19 +25,19 @@ def scene(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def live(scene: Path) -> Iterator[Live]:
-    live = Live.open(scene)
+def live(scene: Path) -> Iterator[LiveSimulation]:
+    live = LiveSimulation.open_scene(scene)
     live.start()
     yield live
     live.stop()
 
 
-def test_a_frame_shows_what_the_session_holds(live: Live, scene: Path) -> None:
+def test_a_frame_shows_what_the_session_holds(live: LiveSimulation, scene: Path) -> None:
     page = Page(live)
     page.ask("look", columns=({"species": "forager", "name": "max_speed"},), fields=("trail",), follow=None)
     page.ask("step", count=20)
     arrays = page.frame_arrays(21)
-    session, _ = Session.open(scene)
+    session, _ = PreviewSession.open(scene)
     assert session is not None
     for _ in range(20):
         session.step()
@@ -53,7 +53,7 @@ def test_a_frame_shows_what_the_session_holds(live: Live, scene: Path) -> None:
     assert {"fieldmesh:trail", "field:trail"} <= page.make_packets.keys()
 
 
-def test_items_have_the_shape_and_colour_of_their_look_also_after_a_change(live: Live, scene: Path) -> None:
+def test_items_have_the_shape_and_colour_of_their_look_also_after_a_change(live: LiveSimulation, scene: Path) -> None:
     def read_body(name: str) -> tuple[str, object, list[float]]:
         header, arrays = unpack_arrays(page.make_packets[f"item:food:{name}"])
         return header["shape"], header.get("look"), [round(float(x), 3) for x in arrays.get("colour", np.zeros(0))[:3]]
@@ -74,7 +74,7 @@ def test_items_have_the_shape_and_colour_of_their_look_also_after_a_change(live:
         assert read_body("donut") == donut
 
 
-def test_a_reduced_frame_shows_turned_bodies_and_simulates_nothing(live: Live) -> None:
+def test_a_reduced_frame_shows_turned_bodies_and_simulates_nothing(live: LiveSimulation) -> None:
     page = Page(live)
     page.ask("step", count=9)
     exact = page.frame_arrays(10)
@@ -94,7 +94,7 @@ def test_a_reduced_frame_shows_turned_bodies_and_simulates_nothing(live: Live) -
 
 def test_solids_come_in_pieces_and_are_whole_again_after_going_back(tmp_path: Path) -> None:
     scene = digging(tmp_path)
-    live = Live.open(scene)
+    live = LiveSimulation.open_scene(scene)
     live.start()
     try:
         page = Page(live)
@@ -146,7 +146,7 @@ def changed(old_pieces: dict[str, Shape], now: dict[str, Shape]) -> set[str]:
     }
 
 
-def test_a_field_is_shown_on_its_ground(live: Live) -> None:
+def test_a_field_is_shown_on_its_ground(live: LiveSimulation) -> None:
     page = Page(live)
     page.ask("look", columns=(), fields=("trail",), flows=(), solids=True, follow=None)
     page.ask("step", count=60)
@@ -174,7 +174,7 @@ def test_a_field_is_shown_on_its_ground(live: Live) -> None:
     assert page.make_packets["field:trail"] == packet, "the same frame is the same picture"
 
 
-def test_curves_grow_and_a_branch_is_stored_beside_them(live: Live, scene: Path) -> None:
+def test_curves_grow_and_a_branch_is_stored_beside_them(live: LiveSimulation, scene: Path) -> None:
     page = Page(live)
     page.ask("step", count=30)
     page.status(frame=31)
@@ -211,7 +211,7 @@ def joined_curves(page: Page) -> tuple[list[int], dict[str, list[float]], list[d
     return frames, {name: [rows[frame].get(name) for frame in frames] for name in rows[frames[0]]}, branches
 
 
-def test_what_moves_is_shown_where_it_is(live: Live, scene: Path) -> None:
+def test_what_moves_is_shown_where_it_is(live: LiveSimulation, scene: Path) -> None:
     scene.write_text(scene.read_text().replace(
         "stones:  {mesh: stones.ply}",
         "stones:  {mesh: stones.ply, keys: {1: {at: [0, 0, 0]}, 11: {at: [50, 0, 0]}}}",
@@ -232,7 +232,7 @@ def test_what_moves_is_shown_where_it_is(live: Live, scene: Path) -> None:
     assert page.make_packets["mesh:ground"] is ground, "what stands still is not sent again"
 
 
-def test_a_mesh_that_an_edit_takes_away_is_gone(live: Live, scene: Path) -> None:
+def test_a_mesh_that_an_edit_takes_away_is_gone(live: LiveSimulation, scene: Path) -> None:
     page = Page(live)
     page.until(lambda: "mesh:boulder" in page.make_packets)
     program = scene.parent / "forager.ant"
@@ -246,7 +246,7 @@ def test_a_mesh_that_an_edit_takes_away_is_gone(live: Live, scene: Path) -> None
     assert "mesh:boulder" not in later.make_packets or not unpack_arrays(later.make_packets["mesh:boulder"])[1]["face"].size
 
 
-def test_feelers_of_who_is_followed_end_where_they_hit(live: Live) -> None:
+def test_feelers_of_who_is_followed_end_where_they_hit(live: LiveSimulation) -> None:
     page = Page(live)
     page.ask("look", columns=[], fields=[], flows=[], follow={"species": "forager", "agent": 3})
     page.ask("step", count=3)
@@ -267,7 +267,7 @@ def test_feelers_of_who_is_followed_end_where_they_hit(live: Live) -> None:
     assert (lengths[feelers["feelers/hit"] == 1] < 1.5 * arrays["forager/size"][row]).all()
 
 
-def test_a_field_goes_with_ground_that_moves(live: Live, scene: Path) -> None:
+def test_a_field_goes_with_ground_that_moves(live: LiveSimulation, scene: Path) -> None:
     scene.write_text(scene.read_text().replace(
         "boulder: {mesh: boulder.ply}",
         "boulder: {mesh: boulder.ply, keys: {1: {at: [0, 0, 0]}, 11: {at: [0, 50, 0], rotate: [0, 90, 0]}}}",
@@ -288,7 +288,7 @@ def test_a_field_goes_with_ground_that_moves(live: Live, scene: Path) -> None:
     "example", ["thesis/base.yaml", "tunnel/led.yaml", "minimal/scene.yaml", "alarm/scene.yaml", "flow/scene.yaml"]
 )
 def test_everything_in_a_scene_is_sent_and_shown(example: str) -> None:
-    live = Live.open(EXAMPLES / example, watch=False)
+    live = LiveSimulation.open_scene(EXAMPLES / example, watch=False)
     live.start()
     try:
         page = Page(live)

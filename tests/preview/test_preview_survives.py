@@ -22,7 +22,7 @@ from preview_served import Served
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed
 
-from antdsl.preview import Live
+from antdsl.preview import LiveSimulation
 from antdsl.preview.binary_packets import unpack_arrays
 from antdsl.preview.serving.addresses import open_listening_sockets
 from antdsl.preview.serving.guard import RequestGuard
@@ -41,8 +41,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def live(folder: Path) -> Iterator[Live]:
-    opened_live = Live.open(folder / "scene.yaml")
+def live(folder: Path) -> Iterator[LiveSimulation]:
+    opened_live = LiveSimulation.open_scene(folder / "scene.yaml")
     opened_live.start()
     yield opened_live
     opened_live.stop()
@@ -75,7 +75,7 @@ DAMAGE: dict[str, bytes] = {
 
 
 @pytest.mark.parametrize("name", sampled(["scene.yaml", "walker.ant", "ground.ply"], ["walker.ant"]))
-def test_whatever_is_saved_the_last_good_program_runs_on(live: Live, folder: Path, name: str) -> None:
+def test_whatever_is_saved_the_last_good_program_runs_on(live: LiveSimulation, folder: Path, name: str) -> None:
     page = Page(live)
     frame = page.status(frame=1)["frame"]
     good = (folder / name).read_bytes()
@@ -101,7 +101,7 @@ def test_whatever_is_saved_the_last_good_program_runs_on(live: Live, folder: Pat
     assert not (folder / "pwned").exists()
 
 
-def test_a_scene_continues_when_its_folder_returns(live: Live, folder: Path) -> None:
+def test_a_scene_continues_when_its_folder_returns(live: LiveSimulation, folder: Path) -> None:
     page = Page(live)
     page.status(frame=1)
     folder.rename(folder.with_name("elsewhere"))
@@ -114,7 +114,7 @@ def test_a_scene_continues_when_its_folder_returns(live: Live, folder: Path) -> 
     page.status(frame=5)
 
 
-def with_live(live: Live, test: Callable[[Served], Awaitable[None]]) -> None:
+def with_live(live: LiveSimulation, test: Callable[[Served], Awaitable[None]]) -> None:
     @asynccontextmanager
     async def served():  # type: ignore[no-untyped-def]
         listening = open_listening_sockets(port=0)
@@ -156,7 +156,7 @@ async def looks_on(server: Served) -> list[int]:
         return frame_numbers
 
 
-def test_after_a_flood_pages_come_back_and_the_ants_go_on(live: Live) -> None:
+def test_after_a_flood_pages_come_back_and_the_ants_go_on(live: LiveSimulation) -> None:
     async def flood(server: Served) -> None:
         async with server.connect(max_size=None, max_queue=None) as client:
             with suppress(ConnectionClosed):
@@ -180,7 +180,7 @@ def test_after_a_flood_pages_come_back_and_the_ants_go_on(live: Live) -> None:
     with_live(live, test)
 
 
-def test_pages_that_read_nothing_do_not_hold_up_others_and_may_return(live: Live) -> None:
+def test_pages_that_read_nothing_do_not_hold_up_others_and_may_return(live: LiveSimulation) -> None:
     async def test(server: Served) -> None:
         asleep = [await server.connect(max_size=None, max_queue=1, ping_interval=None) for _ in range(8)]
         for client in asleep:

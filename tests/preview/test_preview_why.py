@@ -12,10 +12,10 @@ from explained_live import Notes, session_of
 from live_client import Page
 from preview_page import few
 
-from antdsl.preview import Live, Session
+from antdsl.preview import LiveSimulation, PreviewSession
 
 
-def first_layer(session: Session) -> tuple[str, str]:
+def first_layer(session: PreviewSession) -> tuple[str, str]:
     """The species and the text of a layer that can be switched off: a small edit that any example takes."""
     name = next(iter(session.shot.plan.species))
     return name, session.shot.program.species[name].layers.layers[0].span.text
@@ -31,15 +31,15 @@ def watched(name: str, frames: int, each: int, folder: Path, monkeypatch: pytest
     part = frames // 5
     notes.go(part)
     layer = first_layer(session)
-    assert session.switch_layer(*layer, False).ok
+    assert session.switch_layer(*layer, False).is_successful
     notes.go(part)
     session.seek(session.frame - part // 2)
     if name in PARAM:
-        assert session.set(*PARAM[name]).ok
+        assert session.set_value(*PARAM[name]).is_successful
     notes.go(2 * part)
     session.seek(session.first_frame + part // 2)
     session.seek(session.last_frame)
-    assert session.switch_layer(*layer, True).ok
+    assert session.switch_layer(*layer, True).is_successful
     notes.go(frames - part * 7 // 2)
     return notes
 
@@ -49,30 +49,30 @@ def test_what_is_explained_is_what_happened_however_it_was_edited(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     notes = watched(name, 20, 4, tmp_path, monkeypatch)
-    initial_hash = notes.session.hash
+    initial_hash = notes.session.state_hash
     assert len(notes.session.timeline.stretches) == 3
     assert notes.explained_otherwise(20) == {}
-    assert notes.session.hash == initial_hash
+    assert notes.session.state_hash == initial_hash
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["foraging", "flocking", "moods", "alarm"])
 def test_explanations_agree_with_runs_a_thousand_times(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notes = watched(name, 100, 5, tmp_path, monkeypatch)
-    initial_hash = notes.session.hash
+    initial_hash = notes.session.state_hash
     assert notes.explained_otherwise(250) == {}
-    assert notes.session.hash == initial_hash
+    assert notes.session.state_hash == initial_hash
 
 
 @pytest.fixture
-def live(tmp_path: Path) -> Iterator[Live]:
-    live = Live.open(few(tmp_path, 40))
+def live(tmp_path: Path) -> Iterator[LiveSimulation]:
+    live = LiveSimulation.open_scene(few(tmp_path, 40))
     live.start()
     yield live
     live.stop()
 
 
-def test_a_page_that_asks_receives_the_reason(live: Live, tmp_path: Path) -> None:
+def test_a_page_that_asks_receives_the_reason(live: LiveSimulation, tmp_path: Path) -> None:
     page = Page(live)
     page.ask("step", count=8)
     hash = page.status(frame=9, playing=False)["hash"]
@@ -101,7 +101,7 @@ def test_a_page_that_asks_receives_the_reason(live: Live, tmp_path: Path) -> Non
         ({"species": "forager", "agent": 500, "frame": 3}, "no forager 500 at frame 2: there are 40, from 0 to 39"),
     ],
 )
-def test_unexplainable_requests_are_errors(live: Live, ask: dict[str, Any], message: str) -> None:
+def test_unexplainable_requests_are_errors(live: LiveSimulation, ask: dict[str, Any], message: str) -> None:
     page = Page(live)
     page.ask("step", count=3)
     page.status(frame=4, playing=False)

@@ -54,7 +54,7 @@ def collect_changes(watch: FileWatch, clock: Clock, seconds: float) -> list[Path
     changes: list[Path] = []
     for _ in range(round(seconds * 100)):
         clock.now += 0.01
-        changes += watch.poll()
+        changes += watch.find_changed_files()
     return changes
 
 
@@ -166,7 +166,7 @@ def test_a_pipe_is_not_even_opened(file: Path) -> None:
     """A writer would take the opening for a reader, and the closing for a broken pipe."""
     file.unlink()
     os.mkfifo(file)
-    FileWatch(lambda: [file]).poll()
+    FileWatch(lambda: [file]).find_changed_files()
     with pytest.raises(OSError, match="No such device or address"):  # no reader
         os.open(file, os.O_WRONLY | os.O_NONBLOCK)
 
@@ -188,7 +188,7 @@ def test_how_much_is_read_without_a_sign_of_change_is_bounded(tmp_path: Path) ->
     for _ in range(100):
         clock.now += 0.05
         initial_count = len(read)
-        watch.poll()
+        watch.find_changed_files()
         assert len(read) - initial_count <= 11, "a mebibyte and a part"
     assert set(read) == set(files), "each has its turn"
 
@@ -206,27 +206,27 @@ def test_waiting_for_changes_ends_at_the_stop_event(file: Path) -> None:
 def test_a_changing_file_stirs_once_before_it_is_reported(file: Path) -> None:
     clock = Clock()
     watch = FileWatch(lambda: [file], clock=clock)
-    assert watch.poll() == () and not watch.is_being_written()
+    assert watch.find_changed_files() == () and not watch.is_any_file_being_written()
     file.write_text("two")
-    assert watch.poll() == () and watch.is_being_written() and not watch.is_being_written()
+    assert watch.find_changed_files() == () and watch.is_any_file_being_written() and not watch.is_any_file_being_written()
     file.write_text("two, and more")
-    assert watch.poll() == () and watch.is_being_written(), "it goes on"
+    assert watch.find_changed_files() == () and watch.is_any_file_being_written(), "it goes on"
     clock.now += 0.05
-    assert watch.poll() == (file,) and not watch.is_being_written()
+    assert watch.find_changed_files() == (file,) and not watch.is_any_file_being_written()
     file.write_text("")
-    assert watch.poll() == () and not watch.is_being_written(), "half of a save"
+    assert watch.find_changed_files() == () and not watch.is_any_file_being_written(), "half of a save"
 
 
 def test_a_change_that_was_read_is_reported_though_it_is_undone(file: Path) -> None:
     clock = Clock()
     watch = FileWatch(lambda: [file], clock=clock)
-    watch.recheck_changing()
+    watch.recheck_unstable_files()
     assert collect_changes(watch, clock, 1.2) == [], "nobody was changing it"
     file.write_text("two")
-    watch.recheck_changing()
+    watch.recheck_unstable_files()
     file.write_text("one")
     assert collect_changes(watch, clock, 0.1) == [file]
     file.write_text("two")
-    watch.poll()
+    watch.find_changed_files()
     file.write_text("one")
     assert collect_changes(watch, clock, 2.0) == [], "nobody has read it meanwhile"

@@ -12,7 +12,7 @@ from test_program import checked
 
 from antdsl import limits
 from antdsl.pipeline import open_scene
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 from antdsl.runtime import LimitStop, Options, World, bind, state_hash, step
 from antdsl.senses.neighbours import CellGrid, TooManyNeighboursError
 
@@ -51,15 +51,15 @@ def test_a_radius_with_the_whole_crowd_in_it_stops_at_its_line(tmp_path: Path) -
 
 
 def test_a_preview_is_whole_again_after_such_a_step(tmp_path: Path) -> None:
-    session, report = Session.open(crowd(tmp_path, "3 mm"))
+    session, report = PreviewSession.open(crowd(tmp_path, "3 mm"))
     assert session is not None, report.errors
     session.step()
-    initial_hash, frame = session.hash, session.frame
-    session.set("walker.sight", "900 mm")
+    initial_hash, frame = session.state_hash, session.frame
+    session.set_value("walker.sight", "900 mm")
     session.step()
     assert session.fault_text is not None and "8,192" in session.fault_text and session.frame == frame and not session.playing
-    session.set("walker.sight", "3 mm")
-    assert session.hash == initial_hash
+    session.set_value("walker.sight", "3 mm")
+    assert session.state_hash == initial_hash
     session.step()
     assert session.fault_text is None and session.frame == frame + 1
 

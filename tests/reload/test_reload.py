@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from edited_programs import Herd, Project, broken, edited, first_project, state_or_start, survivors, value_after_edit
 
-from antdsl.preview import Session
+from antdsl.preview import PreviewSession
 from antdsl.runtime import World
 
 
@@ -93,9 +93,9 @@ def save(folder: Path, name: str, text: str | None) -> None:
         (folder / name).write_text(text)
 
 
-def opened(folder: Path, project: Project) -> Session:
+def opened(folder: Path, project: Project) -> PreviewSession:
     project.save(folder)
-    session, report = Session.open(folder / "scene.yaml", checkpoint_interval=16, budget=8_000_000)
+    session, report = PreviewSession.open(folder / "scene.yaml", checkpoint_interval=16, budget=8_000_000)
     assert session is not None, [d.message for d in report.errors]
     return session
 
@@ -113,12 +113,12 @@ def chaos(folder: Path, edits: int, seed: int) -> Counter[str]:
             wrong = broken(project, rng)
             for name, text in wrong.items():
                 save(folder, name, text)
-            state, world = session.hash, session.world
+            state, world = session.state_hash, session.world
             outcome = session.reload()
-            assert not outcome.ok, wrong
+            assert not outcome.is_successful, wrong
             assert outcome.report.errors
             assert session.world is world
-            assert session.hash == state
+            assert session.state_hash == state
             session.step()  # and runs on
             counts["broken"] += 1
             project.save(folder)
@@ -140,7 +140,7 @@ def chaos(folder: Path, edits: int, seed: int) -> Counter[str]:
             session.precompile()
             counts["foreseen"] += 1
         outcome = session.reload()
-        assert outcome.ok, [d.message for d in outcome.report.errors]
+        assert outcome.is_successful, [d.message for d in outcome.report.errors]
         assert session.frame == frame
         check_migration(old, new, old_herds, session.world)
         for name, load in new.items.items():

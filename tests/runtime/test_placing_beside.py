@@ -13,7 +13,7 @@ from test_placing_apart import world
 from test_scene_files import SCENE, folder, opened  # noqa: F401
 
 from antdsl.outputs.surface_error import measure_surface_error
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 from antdsl.runtime import bind
 from antdsl.scene.setting import CrowdData, MeshData, PlacementData, SolidData, WorldSetting
 from antdsl.scene.staging.item_placement import is_away_from_surfaces
@@ -77,13 +77,13 @@ def test_a_hole_in_the_ground_is_beside_it() -> None:
 def test_a_restart_tells_of_a_ball_that_meets_nothing(tmp_path: Path) -> None:
     shutil.copytree(MINIMAL, tmp_path, dirs_exist_ok=True)
     scene = tmp_path / "scene.yaml"
-    session, report = Session.open(scene)
+    session, report = PreviewSession.open(scene)
     assert session is not None, report.errors
     text = scene.read_text()
     scene.write_text(text.replace("{on: ground,", "{on: ground, around: [0, 900, 0], by: area,"))
     assert scene.read_text() != text
     outcome = session.restart()
-    assert [d.code for d in outcome.report.diagnostics] == ["off-surface"] and outcome.ok
+    assert [d.code for d in outcome.report.diagnostics] == ["off-surface"] and outcome.is_successful
     session.step()
 
 

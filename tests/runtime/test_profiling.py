@@ -20,7 +20,7 @@ from sampling import sampled
 from antdsl.cli.printing.profile_table import MAX_LISTED_LINES, print_profile
 from antdsl.machine_code import llvm_compiler
 from antdsl.pipeline import RunChoices, Shot, open_scene
-from antdsl.preview import Session
+from antdsl.preview import PreviewSession
 from antdsl.runtime import Options, World, bind, phases, state_hash, step
 from antdsl.runtime.backends import metering, numpy_backend, numpy_calls
 from antdsl.runtime.backends.native import block_runner, compile_queue, programs
@@ -223,10 +223,10 @@ def test_the_reference_backend_tells_of_phases(shot: Shot) -> None:
 
 
 def test_a_session_is_measured_across_edits_and_back_in_time(shot: Shot) -> None:
-    session, _ = Session.open(Path(shot.scene.source.path))
-    plain, _ = Session.open(Path(shot.scene.source.path))
+    session, _ = PreviewSession.open(Path(shot.scene.source.path))
+    plain, _ = PreviewSession.open(Path(shot.scene.source.path))
     assert session is not None and plain is not None
-    session.measure(True)
+    session.set_measuring(True)
     assert session.meter is not None
     session.meter = StepMeter(None)  # however slow the machine is
     for _ in range(3):
@@ -234,19 +234,19 @@ def test_a_session_is_measured_across_edits_and_back_in_time(shot: Shot) -> None
     assert session.meter.profile().frames == 3
     program = Path(shot.scene.source.path).with_name("life.ant")
     program.write_text(PROGRAM.replace("steer wander()", "steer wander() * 0.5"))
-    assert session.reload().ok
+    assert session.reload().is_successful
     session.step()
     profile = session.meter.profile()
     assert profile.frames == 1, "what was measured of the old program is forgotten"
     assert any(each.text == "steer wander() * 0.5" for each in profile.lines)
     session.seek(2)
-    session.measure(False)
+    session.set_measuring(False)
     assert session.meter is None
     for _ in range(2):
         plain.step()
     assert plain.reload().ok is True
     plain.seek(2)
-    assert plain.hash == session.hash
+    assert plain.state_hash == session.state_hash
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from antdsl.cli.printing.messages import print_note
 
 if TYPE_CHECKING:
     from antdsl.pipeline import RunChoices
-    from antdsl.preview.live import Live
+    from antdsl.preview.live import LiveSimulation
     from antdsl.preview.serving.addresses import ListeningSockets
 
 
@@ -84,15 +84,15 @@ def _open_sockets(host: str | None, port: int | None, let_others_in: bool) -> Li
         ) from None
 
 
-def _create_live(scene: Path, choices: RunChoices, threads: int) -> Live:
+def _create_live(scene: Path, choices: RunChoices, threads: int) -> LiveSimulation:
     """Return the live simulation of a scene. Errors in the files are reported; the simulation begins as soon as the user has
     corrected them."""
     from antdsl.cli.commands.run import choose_threads
     from antdsl.cli.printing.reports import choose_exit_code, print_report
-    from antdsl.preview.live import Live
+    from antdsl.preview.live import LiveSimulation
     from antdsl.runtime import Options
 
-    live = Live.open(scene, choices, Options(threads=choose_threads(threads), feet=True))
+    live = LiveSimulation.open_scene(scene, choices, Options(threads=choose_threads(threads), feet=True))
     print_report(live.report, to_stderr=True)
     if choose_exit_code(live.report) is ExitCode.INPUT_OUTPUT:
         raise CommandError(ExitCode.INPUT_OUTPUT)
@@ -101,7 +101,7 @@ def _create_live(scene: Path, choices: RunChoices, threads: int) -> Live:
     return live
 
 
-def _depends_on_params(choices: RunChoices, live: Live) -> bool:
+def _depends_on_params(choices: RunChoices, live: LiveSimulation) -> bool:
     """Return whether the values from the command line cause the errors: whether the files have none without these values."""
     from dataclasses import replace
 
@@ -112,7 +112,13 @@ def _depends_on_params(choices: RunChoices, live: Live) -> bool:
 
 
 def _serve_preview(
-    live: Live, scene: Path, listening: ListeningSockets, *, opens_browser: bool, allows_others: bool, allows_reconnect: bool
+    live: LiveSimulation,
+    scene: Path,
+    listening: ListeningSockets,
+    *,
+    opens_browser: bool,
+    allows_others: bool,
+    allows_reconnect: bool,
 ) -> None:
     """Serve the preview until it is stopped.
 

@@ -13,11 +13,11 @@ from antdsl.preview.breaking.watchers import FaultWatcher, SpecWatcher, StateWat
 from antdsl.preview.observing.observer import PauseReason
 from antdsl.preview.observing.spec_judgement import SpecObserver
 from antdsl.preview.requests import AnyBreak, ConditionBreak, FaultBreak, SpecBreak, StateBreak
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 from antdsl.runtime import World
 
 # A watcher is made for the session's current program. The maker raises BreakpointError if the breakpoint does not fit it.
-WATCHER_BY_BREAK_KIND: Mapping[type, Callable[[Session, Any, SpecObserver], BreakpointWatcher]] = {
+WATCHER_BY_BREAK_KIND: Mapping[type, Callable[[PreviewSession, Any, SpecObserver], BreakpointWatcher]] = {
     StateBreak: lambda session, request, specs: StateWatcher(session, request),
     ConditionBreak: lambda session, request, specs: ConditionWatcher(session, request),
     SpecBreak: SpecWatcher,
@@ -49,7 +49,7 @@ def describe_breakpoint(request: AnyBreak) -> str:
     return "a value at fault"
 
 
-class Breakpoints:
+class BreakpointObserver:
     """Checks the breakpoints after each played step.
 
     `send_message`: receives a message for each breakpoint that does not match the program. When breakpoints are built again, it
@@ -61,7 +61,7 @@ class Breakpoints:
         self._shot: Shot | None = None  # the shot for which the watchers are made
         self._last_seen: tuple[World, int] | None = None  # the last world and frame that the watchers received
 
-    def set(self, session: Session, requests: Sequence[AnyBreak], candidate: AnyBreak | None = None) -> None:
+    def set_breakpoints(self, session: PreviewSession, requests: Sequence[AnyBreak], candidate: AnyBreak | None = None) -> None:
         """Replace all breakpoints. `candidate`: an additional one. Raises BreakpointError if `candidate` does not match the
         program; then nothing changes."""
         if candidate is not None and candidate not in requests:
@@ -77,12 +77,12 @@ class Breakpoints:
         reasons = [(each.request.model_dump(), _describe_reason(each.error)) for each in self.breakpoints]
         return {"op": "breaks", "breaks": [{"made": ask_fields, "why": why} for ask_fields, why in reasons]}
 
-    def on_new_world(self, session: Session) -> None:
+    def on_new_world(self, session: PreviewSession) -> None:
         """Build the breakpoints again for another program, so that those that do not match are reported at once."""
         if self.breakpoints and session.shot is not self._shot and session.frame == session.last_frame:
             self._make_watchers(session)
 
-    def before_step(self, session: Session) -> None:
+    def before_step(self, session: PreviewSession) -> None:
         """Let the watchers record the current frame if they have not received it yet."""
         if self.breakpoints and not self._has_seen_frame(session):
             if session.shot is not self._shot:
@@ -92,7 +92,7 @@ class Breakpoints:
                     each.watcher.begin(session)
             self._last_seen = session.world, session.frame
 
-    def after_step(self, session: Session) -> PauseReason | None:
+    def after_step(self, session: PreviewSession) -> PauseReason | None:
         """Return the reasons of all breakpoints that were hit, joined, or None."""
         if not self.breakpoints or self._last_seen is None or session.world is not self._last_seen[0]:
             return None  # there are no watchers, or the step led into another program, which is checked before the next step
@@ -104,11 +104,11 @@ class Breakpoints:
         first_stop = next((stop for stop in stops if stop.agents), stops[0])
         return replace(first_stop, line=" · ".join(stop.line for stop in stops))
 
-    def _has_seen_frame(self, session: Session) -> bool:
+    def _has_seen_frame(self, session: PreviewSession) -> bool:
         """Return whether the watchers have received the session's current frame."""
         return self._last_seen is not None and self._last_seen[0] is session.world and self._last_seen[1] == session.frame
 
-    def _make_watchers(self, session: Session) -> None:
+    def _make_watchers(self, session: PreviewSession) -> None:
         """Build the watchers for the session's program, and report breakpoints that do not match it."""
         self._shot, self._last_seen = session.shot, None
         for each in self.breakpoints:

@@ -15,7 +15,7 @@ from antdsl.preview.breaking.model import BreakpointError
 from antdsl.preview.breaking.watchers import MAX_SELECTED_AGENTS, format_agents
 from antdsl.preview.observing.observer import PauseReason
 from antdsl.preview.requests import ConditionBreak
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 from antdsl.runtime import World
 from antdsl.specs.value_text import format_value
 
@@ -25,7 +25,7 @@ class ConditionWatcher:
 
     A condition about each agent is evaluated per agent, and the hit names the agents."""
 
-    def __init__(self, session: Session, request: ConditionBreak) -> None:
+    def __init__(self, session: PreviewSession, request: ConditionBreak) -> None:
         self.text = " ".join(request.text.split())
         self.plan = compile_break_condition(session.shot, request.text)
         [self.line] = self.plan.judgements
@@ -33,11 +33,11 @@ class ConditionWatcher:
         # ids for which the condition held; a single 0 for a condition about the complete world
         self.previous_ids: NDArray[np.int64] = np.zeros(0, np.int64)
 
-    def begin(self, session: Session) -> None:
+    def begin(self, session: PreviewSession) -> None:
         self.evaluator = RunEvaluator(self.plan, session.world)
         self.previous_ids = self._find_matching_ids(self.evaluator, session.world)
 
-    def check_frame(self, session: Session) -> PauseReason | None:
+    def check_frame(self, session: PreviewSession) -> PauseReason | None:
         if self.evaluator is None:
             self.begin(session)
             return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from antdsl.preview.observing.observer import PauseReason
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 
 
 class BreakpointError(Exception):
@@ -19,9 +19,9 @@ class BreakpointError(Exception):
 class BreakpointWatcher(Protocol):
     """An active breakpoint of one program. Its checks change nothing."""
 
-    def begin(self, session: Session) -> None:
+    def begin(self, session: PreviewSession) -> None:
         """Record whether the condition holds at this frame. Only a later change from false to true is a hit."""
 
-    def check_frame(self, session: Session) -> PauseReason | None:
+    def check_frame(self, session: PreviewSession) -> PauseReason | None:
         """Return the reason to pause at this frame, or None. Frames arrive in order: each directly follows the frame of the
         previous call."""

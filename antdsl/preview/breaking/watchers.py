@@ -10,7 +10,7 @@ from antdsl.preview.breaking.model import BreakpointError
 from antdsl.preview.observing.observer import PauseReason
 from antdsl.preview.observing.spec_judgement import CURVE_NAME_PREFIX, SpecObserver
 from antdsl.preview.requests import FaultBreak, SpecBreak, StateBreak
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 
 _MAX_NAMED_AGENTS = 3  # maximum number of agents named in a message
 MAX_SELECTED_AGENTS = 500  # maximum number of agents that a page selects
@@ -21,7 +21,7 @@ class StateWatcher:
 
     Birth in the state and a change from the state to itself do not count."""
 
-    def __init__(self, session: Session, request: StateBreak) -> None:
+    def __init__(self, session: PreviewSession, request: StateBreak) -> None:
         plan = session.shot.plan.species.get(request.species)
         if plan is None:
             raise _make_unknown_name_error("species", request.species, list(session.shot.plan.species))
@@ -35,11 +35,11 @@ class StateWatcher:
         self.ask, self.state = request, machine.states.index(request.state)
         self.ids_in_other_states: NDArray[np.int64] = np.zeros(0, np.int64)  # ids of agents in other states
 
-    def begin(self, session: Session) -> None:
+    def begin(self, session: PreviewSession) -> None:
         population = session.world.populations[self.ask.species]
         self.ids_in_other_states = population.ids[population.now[f"{self.ask.machine}.state"] != self.state]
 
-    def check_frame(self, session: Session) -> PauseReason | None:
+    def check_frame(self, session: PreviewSession) -> PauseReason | None:
         population = session.world.populations[self.ask.species]
         ids_in_state = population.ids[population.now[f"{self.ask.machine}.state"] == self.state]
         entered = np.intersect1d(ids_in_state, self.ids_in_other_states)
@@ -66,7 +66,7 @@ def _make_unknown_name_error(noun: str, name: str, known_names: list[str]) -> Br
 class SpecWatcher:
     """A breakpoint that is hit at the first frame at which a spec fails."""
 
-    def __init__(self, session: Session, request: SpecBreak, specs: SpecObserver) -> None:
+    def __init__(self, session: PreviewSession, request: SpecBreak, specs: SpecObserver) -> None:
         known = dict(specs.plan_specs(session.shot, session.compiler.scene))
         if request.spec not in known:
             near = find_nearest_name(request.spec, known)
@@ -79,14 +79,14 @@ class SpecWatcher:
             )
         self.ask, self.specs = request, specs
 
-    def begin(self, session: Session) -> None:
+    def begin(self, session: PreviewSession) -> None:
         """Do nothing: the curve of the spec has its earlier results."""
 
-    def check_frame(self, session: Session) -> PauseReason | None:
+    def check_frame(self, session: PreviewSession) -> PauseReason | None:
         frame, curves, key = session.frame, session.timeline.curves, CURVE_NAME_PREFIX + self.ask.spec
         if curves.get(frame, {}).get(key) != 0.0 or curves.get(frame - 1, {}).get(key) == 0.0:
             return None
-        judged = next((each.as_json() for each in self.specs.statuses if each.name == self.ask.spec), None)
+        judged = next((each.make_json_entry() for each in self.specs.statuses if each.name == self.ask.spec), None)
         if judged is None or judged["frame"] != frame:  # judged before an edit: the frame will be simulated and judged again
             return PauseReason(f"`{self.ask.spec}` fails at frame {frame}")
         return PauseReason(
@@ -97,12 +97,12 @@ class SpecWatcher:
 class FaultWatcher:
     """A breakpoint that is hit when an agent has a fault, even if the run would only quarantine the agent."""
 
-    def __init__(self, session: Session, request: FaultBreak) -> None:
+    def __init__(self, session: PreviewSession, request: FaultBreak) -> None:
         self.ask = request
 
-    def begin(self, session: Session) -> None:
+    def begin(self, session: PreviewSession) -> None:
         """Do nothing: each step has its own faults."""
 
-    def check_frame(self, session: Session) -> PauseReason | None:
+    def check_frame(self, session: PreviewSession) -> PauseReason | None:
         fault = session.world.faults.fault_of_step
         return None if fault is None else PauseReason(fault.brief_text, fault.species, (fault.agent,))

@@ -27,12 +27,12 @@ from antdsl.pipeline import Shot
 from antdsl.preview.directing.line_drafts import EDIT_SOURCE, LineDraft, write_draft
 from antdsl.preview.directing.recorded_frames import RecordedFrames, list_attributes
 from antdsl.preview.directing.verb_forms import VerbForm
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 from antdsl.preview.timeline import Timeline
 from antdsl.scene.document import MappingNode, SequenceNode
 
 EDITS_FILE = "edits.yaml"  # where users write edits
-_PREFIX = f"{EDITS_KEY}:\n  - "
+_EDITS_TEXT_PREFIX = f"{EDITS_KEY}:\n  - "
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,12 +63,12 @@ class _ViewKey(NamedTuple):
     settled: SettledFrames | None
 
 
-class EditedRun:
+class EditedRunView:
     """The simulated frames of a session with edits. `version` increases when the displayed frames may have changed.
 
     `problem`: the reason why the last frame could not be displayed with edits."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: PreviewSession) -> None:
         self.session = session
         self.edits: HandEdits = ()
         self.version = 0
@@ -142,7 +142,7 @@ class EditedRun:
         frames = replace(recorded, last=self.session.last_frame)
         return self._apply_edits(self.edits, frames), self._find_next_ids(), list_attributes(recorded.shot)
 
-    def settle(self, inputs: object, settled: SettledFrames | None) -> None:
+    def store_settled_frames(self, inputs: object, settled: SettledFrames | None) -> None:
         """Show agents that were simulated again, as long as the frames have these inputs (`describe_inputs`)."""
         self._settled = None if settled is None else (inputs, settled)
 
@@ -241,4 +241,4 @@ class EditedRun:
 
 
 def _read_line(text: str, manifest: Manifest) -> tuple[EditList | None, Report]:
-    return read_edits(f"{_PREFIX}{text}".encode("utf-8", "replace"), EDIT_SOURCE, manifest)
+    return read_edits(f"{_EDITS_TEXT_PREFIX}{text}".encode("utf-8", "replace"), EDIT_SOURCE, manifest)

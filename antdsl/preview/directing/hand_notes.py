@@ -55,7 +55,7 @@ def switch_off_failed_notes(notes: HandNotes, report: Report) -> HandNotes:
     return tuple(replace(each, is_on=False, problem=failed[each.key]) if each.key in failed else each for each in notes)
 
 
-def name_switched_notes(old: Sequence[HandNote], new: Sequence[HandNote]) -> list[str]:
+def describe_switched_notes(old: Sequence[HandNote], new: Sequence[HandNote]) -> list[str]:
     """Return a text for each note that was active in `old` and is inactive or missing in `new`."""
     later = {note.key: note for note in new}
     texts = []

@@ -10,7 +10,7 @@ from antdsl.explain import ExplainError
 from antdsl.outputs.cache.cache_reader import CacheError
 from antdsl.outputs.edits.edit_layer import NotEditable
 from antdsl.outputs.edits.side_effects import SideEffects
-from antdsl.preview.directing.hand_edits import EditedRun
+from antdsl.preview.directing.hand_edits import EditedRunView
 from antdsl.preview.observing.explainer import StretchHistory
 from antdsl.settling.resimulation import NOTHING_TO_SETTLE, EditSettling, SettlingError
 
@@ -23,7 +23,7 @@ class HandSettling:
 
     `is_running`: whether there is work to do. `report`: the progress or the result, for pages, line by line."""
 
-    def __init__(self, edited: EditedRun) -> None:
+    def __init__(self, edited: EditedRunView) -> None:
         self.edited = edited
         self._report: tuple[str, ...] = ()
         self._work: Iterator[str] | None = None
@@ -46,7 +46,7 @@ class HandSettling:
 
     def stop(self) -> None:
         """Stop, and remove the result."""
-        self.edited.settle(None, None)
+        self.edited.store_settled_frames(None, None)
         self._work, self._report = None, ()
 
     def advance(self) -> None:
@@ -71,7 +71,7 @@ class HandSettling:
         settling = EditSettling(frames, self._open_history, next_ids, attributes)
         yield from settling.run_rounds()
         settlement = settling.settlement
-        self.edited.settle(self._inputs, None if settlement is None else settlement.frames)
+        self.edited.store_settled_frames(self._inputs, None if settlement is None else settlement.frames)
         side_effects = SideEffects(self.edited.find_view() or frames)
         for number in side_effects.examine():
             yield f"frame {number} is examined"

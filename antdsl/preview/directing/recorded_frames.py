@@ -12,8 +12,8 @@ from antdsl.outputs.cache.frame_maker import FrameMaker, make_static_arrays
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.shot_manifest import make_shot_manifest
 from antdsl.pipeline import Shot
-from antdsl.preview.session import Session
-from antdsl.preview.timeline import SimulationStretch, Timeline, find_nearest_checkpoint
+from antdsl.preview.session import PreviewSession
+from antdsl.preview.timeline import SimulationSegment, Timeline, find_nearest_checkpoint
 from antdsl.runtime import FaultStop, LimitStop, World, step
 from antdsl.scene.crowds.crowd_model import collect_body_weights
 
@@ -22,7 +22,7 @@ _MAX_STORED_BYTES = 1 << 27
 
 
 @dataclass(slots=True, eq=False)
-class _Store:
+class _RecordedFrameStore:
     """Frames in memory, and the world that simulates further frames.
 
     `history`: the timeline and its version to which the frames belong."""
@@ -31,10 +31,10 @@ class _Store:
     nbytes: int = 0
     history: tuple[Timeline, int] | None = None
     world: World | None = None
-    stretch: SimulationStretch | None = None
+    stretch: SimulationSegment | None = None
     shots: list[Shot] = field(default_factory=list)  # with the species and bodies of the manifest
 
-    def clear(self, history: tuple[Timeline, int]) -> None:
+    def clear_for_history(self, history: tuple[Timeline, int]) -> None:
         self.frames, self.nbytes, self.history, self.world, self.stretch = OrderedDict(), 0, history, None, None
 
     def put_frame(self, number: int, arrays: Arrays) -> None:
@@ -50,14 +50,14 @@ class RecordedFrames(Cache):
 
     `shot`: the shot of the manifest. `static`: the arrays of `static.npz`. `last`: the last frame; None for all that exist."""
 
-    session: Session
+    session: PreviewSession
     shot: Shot
     static: Arrays
     last: int | None = None
-    _store: _Store = field(default_factory=_Store)
+    _store: _RecordedFrameStore = field(default_factory=_RecordedFrameStore)
 
     @classmethod
-    def of(cls, session: Session) -> RecordedFrames:
+    def of(cls, session: PreviewSession) -> RecordedFrames:
         """Return the frames of a session, with the names of species and states of its current programs."""
         shot, world = session.shot, session.world
         bodies = StoredBodies.from_definitions(shot.bodies, collect_body_weights(shot.scene.model.crowd))
@@ -81,7 +81,7 @@ class RecordedFrames(Cache):
             raise CacheError(f"frame {number} is not among those simulated, {session.first_frame} to {session.last_frame}")
         history = session.timeline, session.timeline.version
         if store.history != history:
-            store.clear(history)
+            store.clear_for_history(history)
         if number in store.frames:
             store.frames.move_to_end(number)
         elif session.frame == number:

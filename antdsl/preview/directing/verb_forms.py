@@ -67,15 +67,15 @@ class VerbForm(NamedTuple):
         return next((key for key in self.keys if key.name == name), None)
 
 
-_AGENTS = KeyKind("agents", "", "guards.17", "a crowd line, a species, or a selector")
-_CACHE = KeyKind("cache", "", "other_cache", "the folder of a cache, in the folder of the scene or below it")
-_TEXT = KeyKind("text")  # of keys without a kind: pages show a plain field
-_CLIP = KeyKind("clip", "", "walk", "a clip of the body")
-_STATE = KeyKind("state", "", "rest", "a state of the program")
-_MAP = KeyKind("map", "", "damp", "a painted map of the world")
-_THING = KeyKind("thing", "", "foot", "a mesh, an item, items, a camera or agents")
-_CAMERA = KeyKind("camera", "", "shot", "a camera of the scene")
-_LOOKS = KeyKind(
+_AGENTS_KIND = KeyKind("agents", "", "guards.17", "a crowd line, a species, or a selector")
+_CACHE_KIND = KeyKind("cache", "", "other_cache", "the folder of a cache, in the folder of the scene or below it")
+_TEXT_KIND = KeyKind("text")  # of keys without a kind: pages show a plain field
+_CLIP_KIND = KeyKind("clip", "", "walk", "a clip of the body")
+_STATE_KIND = KeyKind("state", "", "rest", "a state of the program")
+_MAP_KIND = KeyKind("map", "", "damp", "a painted map of the world")
+_THING_KIND = KeyKind("thing", "", "foot", "a mesh, an item, items, a camera or agents")
+_CAMERA_KIND = KeyKind("camera", "", "shot", "a camera of the scene")
+_LOOKS_KIND = KeyKind(
     "looks", "", "{head: leaf}", "a part of the body, and a point, item, agent, camera, mesh or `{direction: [0, 1, 0]}`"
 )
 _KINDS: tuple[tuple[Any, KeyKind], ...] = (
@@ -92,9 +92,9 @@ _KINDS: tuple[tuple[Any, KeyKind], ...] = (
     (SelectorRegion, KeyKind("region", "", "{around: [0, 0, 0], radius: 50 mm}", "a box, a ball or a view")),
     (Region, KeyKind("region", "", "{around: [0, 0, 0], radius: 50 mm}", "a box or a ball")),
     (CurveOrPoints, KeyKind("path", "", "[[0, 0, 0], [50, 0, 0]]", "a curve of the world, or points")),
-    (LookTargets, _LOOKS),
+    (LookTargets, _LOOKS_KIND),
     (StaggerValue, KeyKind("stagger", "", "{from: [0, 0, 0], speed: 40 mm/s}", "how much later the frames of each agent are")),
-    (SceneWord, _STATE),
+    (SceneWord, _STATE_KIND),
     (PointValue, KeyKind("displacement", "", "[40 mm, 0, 0]", "a displacement along the scene's axes")),
     (PointOrName, KeyKind("place", "", "[0, 0, 0]", "a point or an item")),
     (tuple[PointValue, ...], KeyKind("points", "", "[[0, 0, 0], [80 mm, 0, 0]]", "the points of a curve")),
@@ -118,10 +118,10 @@ _KIND_BY_ONLY_KEY: Mapping[str, KeyKind] = {  # of keys that only one verb has
     "axis": KeyKind("axis", "", "x", "the axis across the plane"),
 }
 _KIND_BY_KEY: Mapping[str, KeyKind] = {
-    "play": _CLIP, "clip": _CLIP, "painted": _MAP, "for": _THING, "in_view": _CAMERA,
-    "to": KeyKind("values", "", "{size: 6 mm}", "attributes with their values"), "at": _LOOKS,
+    "play": _CLIP_KIND, "clip": _CLIP_KIND, "painted": _MAP_KIND, "for": _THING_KIND, "in_view": _CAMERA_KIND,
+    "to": KeyKind("values", "", "{size: 6 mm}", "attributes with their values"), "at": _LOOKS_KIND,
     "share": KeyKind("share", "", "30 %"), "seed": KeyKind("count", "", "4", "the number from which `share` draws"),
-    "without": _AGENTS, "most": KeyKind("count", "", "3"), "farthest": KeyKind("count", "", "3"),
+    "without": _AGENTS_KIND, "most": KeyKind("count", "", "3"), "farthest": KeyKind("count", "", "3"),
 }  # fmt: skip
 _FIRST_KEYS, _LAST_KEYS = ("frames",), ("ease",)  # of the keys that are not required
 _UNFILLED_KEYS = frozenset(("off",))  # the page has a place for it
@@ -162,7 +162,7 @@ def _make_form(verb: str, model: type[ScenePart]) -> VerbForm:
     )
     is_about_agents = "agents" in model.model_fields
     help = _shorten_text(_HELP_PATTERN.sub("", model.__doc__ or ""))
-    return VerbForm(verb, help, tuple(keys), _AGENTS if is_about_agents else _CACHE)
+    return VerbForm(verb, help, tuple(keys), _AGENTS_KIND if is_about_agents else _CACHE_KIND)
 
 
 def _make_key(
@@ -184,7 +184,7 @@ def _find_kind(key: str, value_type: Any) -> KeyKind:
     for known, kind in _KINDS:
         if known in (own, *get_args(own)[:1]):  # the type, or one with further checks
             return kind
-    return _KIND_BY_KEY.get(key, _TEXT)
+    return _KIND_BY_KEY.get(key, _TEXT_KIND)
 
 
 def _format_default(value: Any, kind: KeyKind) -> str:

@@ -14,34 +14,34 @@ from antdsl.preview.directing.hand_notes import HandNote, HandNotes
 from antdsl.preview.directing.line_drafts import LineDraft
 from antdsl.preview.directing.note_forms import draft_note
 from antdsl.preview.directing.verb_forms import VerbForm, find_form
-from antdsl.preview.outcomes import Outcome
-from antdsl.preview.requests import RequestRefused
+from antdsl.preview.outcomes import EditOutcome
+from antdsl.preview.requests import RequestRefusedError
 from antdsl.preview.viewing.messages import find_scene_name, make_outcome_message
 
 if TYPE_CHECKING:
-    from antdsl.preview.live import Client, Live
+    from antdsl.preview.live import Client, LiveSimulation
 
-_DONE_BY_ACTION = {"on": "is on again", "off": "is off", "remove": "is removed"}
+_RESULT_PHRASE_BY_ACTION = {"on": "is on again", "off": "is off", "remove": "is removed"}
 _WORD_BY_LIST = {"notes": "note", "edits": "edit"}
 Line = TypeVar("Line", HandNote, HandEdit)
 
 
-def draft_line(live: Live, request: requests.DraftLine, client: Client) -> None:
+def handle_draft_line(live: LiveSimulation, request: requests.DraftLine, client: Client) -> None:
     """Check a line, and add it to the run if that is requested. Send the line and what is wrong with it to the page."""
     form = find_form(request.list, request.verb)
     if form is None:
-        raise RequestRefused(f"`{request.verb}` is not a verb of {request.list}")
+        raise RequestRefusedError(f"`{request.verb}` is not a verb of {request.list}")
     draft, is_valid, findings, is_applied = (_draft_note if request.list == "notes" else _draft_edit)(live, request, form)
     problems = [{**each, "message": live.screen.names.shorten_paths(each["message"])} for each in draft.list_problems(findings)]
     choices = {"joint": live.screen.edited.list_joints(request.agents)} if form.find_key("joint") and request.agents else {}
     answer = {"line": draft.text, "ok": is_valid, "applied": is_applied, "problems": problems, "choices": choices}
-    client.tell({"op": "directed", "list": request.list, **answer})
+    client.send_message({"op": "directed", "list": request.list, **answer})
 
 
 _DraftResult = tuple[LineDraft, bool, list[Diagnostic], bool]  # the line, whether it is valid, findings, whether it was added
 
 
-def _draft_note(live: Live, request: requests.DraftLine, form: VerbForm) -> _DraftResult:
+def _draft_note(live: LiveSimulation, request: requests.DraftLine, form: VerbForm) -> _DraftResult:
     """Check a note, and add it if the request says so. Return the draft, whether it is valid, the findings, and whether it was
     added."""
     notes = live.session.notes
@@ -51,10 +51,10 @@ def _draft_note(live: Live, request: requests.DraftLine, form: VerbForm) -> _Dra
     _check_new_line(notes, draft.text, "note")
     added = HandNote(_find_free_key(notes), draft.text, note)
     result = _change_notes(live, (*notes, added), f"note `{draft.text}`", draft.text)
-    return draft, True, result.report.diagnostics, result.ok
+    return draft, True, result.report.diagnostics, result.is_successful
 
 
-def _draft_edit(live: Live, request: requests.DraftLine, form: VerbForm) -> _DraftResult:
+def _draft_edit(live: LiveSimulation, request: requests.DraftLine, form: VerbForm) -> _DraftResult:
     """Check an edit, and add it if the request says so. Return the draft, whether it is valid, the findings, and whether it was
     added."""
     edits = live.screen.edited.edits
@@ -69,35 +69,37 @@ def _draft_edit(live: Live, request: requests.DraftLine, form: VerbForm) -> _Dra
 
 
 def _check_new_line(lines: Iterable[HandNote] | Iterable[HandEdit], text: str, what: str) -> None:
-    """Raise RequestRefused for a line that exists already, or if there are too many lines. `what`: the kind of line."""
+    """Raise RequestRefusedError for a line that exists already, or if there are too many lines. `what`: the kind of line."""
     texts = [line.text for line in lines]
     if text in texts:
-        raise RequestRefused(f"the run has this {what} already", f"change a value, or switch the {what} on in the list")
+        raise RequestRefusedError(f"the run has this {what} already", f"change a value, or switch the {what} on in the list")
     if len(texts) >= limits.MAX_PREVIEW_LINES:
-        raise RequestRefused(f"a preview holds at most {len(texts)} {what}s", "write them into a file")
+        raise RequestRefusedError(f"a preview holds at most {len(texts)} {what}s", "write them into a file")
 
 
 def _find_free_key(lines: Iterable[HandNote] | Iterable[HandEdit]) -> int:
     return max((line.key for line in lines), default=-1) + 1
 
 
-def switch_line(live: Live, request: requests.SwitchLine, client: Client) -> None:
+def handle_switch_line(live: LiveSimulation, request: requests.SwitchLine, client: Client) -> None:
     """Switch a line on or off, or remove it, and send the outcome to all pages."""
     if request.list == "notes":
         notes, did = _switch_line(live.session.notes, request)
         result = _change_notes(live, notes, did)
-        problem, help = ("", "") if result.ok else (result.report.errors[0].message, result.report.errors[0].help or "")
+        problem, help = (
+            ("", "") if result.is_successful else (result.report.errors[0].message, result.report.errors[0].help or "")
+        )
     else:
         edits, did = _switch_line(live.screen.edited.edits, request)
         problem, help = _change_edits(live, edits, did), ""
     if problem:
-        raise RequestRefused(live.screen.names.shorten_paths(problem), help)
+        raise RequestRefusedError(live.screen.names.shorten_paths(problem), help)
 
 
-def settle(live: Live, request: requests.Settle, client: Client) -> None:
+def handle_settle(live: LiveSimulation, request: requests.Settle, client: Client) -> None:
     """Begin to settle the simulated frames with edits, or stop and remove the result."""
     if request.on and not any(edit.is_on for edit in live.screen.edited.edits):
-        raise RequestRefused("there are no edits to settle", "add an edit, or switch one on")
+        raise RequestRefusedError("there are no edits to settle", "add an edit, or switch one on")
     if request.on:
         live.show_exact_frame()
         live.screen.settling.start()
@@ -110,21 +112,21 @@ def _switch_line(lines: tuple[Line, ...], request: requests.SwitchLine) -> tuple
     what = _WORD_BY_LIST[request.list]
     line = next((each for each in lines if each.key == request.key), None)
     if line is None:
-        raise RequestRefused(f"this {what} no longer exists")
+        raise RequestRefusedError(f"this {what} no longer exists")
     switched = tuple(
         replace(each, is_on=request.action == "on", problem="") if each is line else each
         for each in lines
         if each is not line or request.action != "remove"
     )
-    return switched, f"{what} `{line.text}` {_DONE_BY_ACTION[request.action]}"
+    return switched, f"{what} `{line.text}` {_RESULT_PHRASE_BY_ACTION[request.action]}"
 
 
-def _change_notes(live: Live, notes: HandNotes, description: str, text: str = "") -> Outcome:
+def _change_notes(live: LiveSimulation, notes: HandNotes, description: str, text: str = "") -> EditOutcome:
     """Replace the notes of the run, and bring it to the displayed frame again."""
     live.show_exact_frame()
     frame = live.session.frame
     result = live.session.replace_notes(notes, description, text)
-    if result.ok:
+    if result.is_successful:
         live.send_to_all(make_outcome_message(live, "note", result, find_scene_name(live) if text else ""))
         live.screen.on_edit(files_changed=False)
         if live.session.frame < frame:
@@ -132,12 +134,12 @@ def _change_notes(live: Live, notes: HandNotes, description: str, text: str = ""
     return result
 
 
-def _change_edits(live: Live, edits: HandEdits, description: str, text: str = "") -> str:
+def _change_edits(live: LiveSimulation, edits: HandEdits, description: str, text: str = "") -> str:
     """Replace the edits that are displayed. Return the reason why they cannot be applied; empty on success."""
     live.show_exact_frame()
     problem = live.screen.edited.replace_edits(edits, live.session.frame)
     if not problem:
-        outcome = Outcome(Report(), "the simulated frames are shown with it" if text else "", text, description)
+        outcome = EditOutcome(Report(), "the simulated frames are shown with it" if text else "", text, description)
         live.send_to_all(make_outcome_message(live, "edit", outcome, EDITS_FILE if text else ""))
         live.screen.on_edit(files_changed=False)
     return problem

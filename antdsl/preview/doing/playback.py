@@ -8,44 +8,44 @@ from antdsl.preview import requests
 from antdsl.preview.viewing.messages import make_outcome_message
 
 if TYPE_CHECKING:
-    from antdsl.preview.live import Client, Live
+    from antdsl.preview.live import Client, LiveSimulation
 
 
-def play(live: Live, request: requests.Play, client: Client) -> None:
+def handle_play(live: LiveSimulation, request: requests.Play, client: Client) -> None:
     """Play from the displayed frame on."""
     live.show_exact_frame()
     live.play()
 
 
-def pause(live: Live, request: requests.Pause, client: Client) -> None:
+def handle_pause(live: LiveSimulation, request: requests.Pause, client: Client) -> None:
     """Pause."""
     live.pause()
 
 
-def step(live: Live, request: requests.Step, client: Client) -> None:
+def handle_step(live: LiveSimulation, request: requests.Step, client: Client) -> None:
     """Start the requested number of steps. An event such as a breakpoint may stop them early."""
     live.pause()
     live.show_exact_frame()
     live.start_steps(request.count)
 
 
-def set_speed(live: Live, request: requests.SetSpeed, client: Client) -> None:
+def handle_set_speed(live: LiveSimulation, request: requests.SetSpeed, client: Client) -> None:
     """Set the speed of play."""
-    live.set_pace(request.times)
+    live.set_speed(request.times)
 
 
-def seek(live: Live, request: requests.Seek, client: Client) -> None:
+def handle_seek(live: LiveSimulation, request: requests.Seek, client: Client) -> None:
     """Go to a frame, or display the nearest stored one."""
     live.pause()
     session = live.session
     frame = min(max(request.frame, session.first_frame), session.last_frame)
     if request.exact:
-        live.go_to(frame)
+        live.seek_frame(frame)
     else:
         live.show_stored_frame(frame)
 
 
-def restart(live: Live, request: requests.Restart, client: Client) -> None:
+def handle_restart(live: LiveSimulation, request: requests.Restart, client: Client) -> None:
     """Simulate the current files again from the first frame."""
     live.pause()
     live.show_stored_frame(live.session.frame)

@@ -6,12 +6,12 @@ from math import inf
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 from antdsl.preview.viewing.file_names import FileNames
 from antdsl.runtime.profiling import StepProfile
 
 if TYPE_CHECKING:
-    from antdsl.preview.live import Client, Live
+    from antdsl.preview.live import Client, LiveSimulation
     from antdsl.preview.observing.observer import PauseReason
 
 _MESSAGE_INTERVAL_SECONDS = 0.25  # interval between two messages
@@ -21,7 +21,7 @@ _MIN_REPORTED_MS = 5e-4  # ms per frame; cheaper lines are not reported
 class CostReporter:
     """An observer that sends costs of steps. Used only by the live thread."""
 
-    def __init__(self, live: Live) -> None:
+    def __init__(self, live: LiveSimulation) -> None:
         self._live = live
         self._clients: set[Client] = set()
         self._last_sent_time = -inf
@@ -32,10 +32,10 @@ class CostReporter:
         self._last_sent_time = -inf
         self._switch_measuring(self._live.session)
 
-    def before_step(self, session: Session) -> None:
+    def before_step(self, session: PreviewSession) -> None:
         """Do nothing: the session's meter starts automatically."""
 
-    def after_step(self, session: Session) -> PauseReason | None:
+    def after_step(self, session: PreviewSession) -> PauseReason | None:
         """Send the costs if a page requests them and enough time has passed. Never pause."""
         if self._clients:
             self._clients &= self._live.clients.keys()  # drop clients that have disconnected
@@ -43,15 +43,15 @@ class CostReporter:
             self._send_costs(session)
         return None
 
-    def on_new_world(self, session: Session) -> None:
+    def on_new_world(self, session: PreviewSession) -> None:
         """Do nothing: the session moves its meter to the new world."""
 
-    def _switch_measuring(self, session: Session) -> None:
+    def _switch_measuring(self, session: PreviewSession) -> None:
         """Measure steps while any page requests the costs."""
         if bool(self._clients) != (session.meter is not None):
-            session.measure(bool(self._clients))
+            session.set_measuring(bool(self._clients))
 
-    def _send_costs(self, session: Session) -> None:
+    def _send_costs(self, session: PreviewSession) -> None:
         """Send the latest costs to the pages that request them."""
         now = monotonic()
         if session.meter is None or now - self._last_sent_time < _MESSAGE_INTERVAL_SECONDS:
@@ -61,7 +61,7 @@ class CostReporter:
             self._last_sent_time = now
             packet = make_profile_message(profile, self._live.screen.names)
             for client in self._clients:
-                client.tell(packet)
+                client.send_message(packet)
 
 
 def make_profile_message(profile: StepProfile, names: FileNames) -> dict[str, Any]:

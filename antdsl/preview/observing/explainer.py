@@ -25,8 +25,8 @@ from antdsl.explain import (
 from antdsl.explain.model import StateInterval as StateStretch
 from antdsl.pipeline import Shot
 from antdsl.preview.agent_columns import Arrays
-from antdsl.preview.session import Session
-from antdsl.preview.timeline import ParamChange, SimulationStretch
+from antdsl.preview.session import PreviewSession
+from antdsl.preview.timeline import ParamChange, SimulationSegment
 from antdsl.runtime import World, take_checkpoint
 
 _CACHED_STRETCHES = 2  # stretches with cached replays: before and after an edit
@@ -38,8 +38,8 @@ class StretchHistory:
 
     `extra_checkpoints`: one extra checkpoint, at the frame of the last replay."""
 
-    session: Session
-    stretch: SimulationStretch
+    session: PreviewSession
+    stretch: SimulationSegment
     extra_checkpoints: dict[int, Arrays] = field(default_factory=dict)
 
     @property
@@ -61,7 +61,11 @@ class StretchHistory:
 
         Also return None if a param was set at the frame, since its new value takes effect only in the next step."""
         is_current = self.session.timeline.find_stretch(frame) is self.stretch and self.session.frame == frame
-        return self.session.hash if is_current and all(change.frame != frame for change in self.stretch.param_changes) else None
+        return (
+            self.session.state_hash
+            if is_current and all(change.frame != frame for change in self.stretch.param_changes)
+            else None
+        )
 
     def apply_interventions(self, world: World) -> None:
         """Set the params that change at the world's frame."""
@@ -79,9 +83,9 @@ class StretchHistory:
 class Explainer:
     """Explains agents of one session. Replays of recent stretches of time are cached, so that further explanations are fast."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: PreviewSession) -> None:
         self.session = session
-        self._cached_replays: list[tuple[SimulationStretch, tuple[ParamChange, ...], StepReplay]] = []
+        self._cached_replays: list[tuple[SimulationSegment, tuple[ParamChange, ...], StepReplay]] = []
 
     def explain(self, agents: Sequence[tuple[str, int]], frame: int) -> list[LocatedExplanation | None]:
         """Return an explanation for each agent (species, id) of its decisions in the step to a frame, with its states over time.

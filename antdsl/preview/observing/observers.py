@@ -8,33 +8,33 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from antdsl.preview.breaking import Breakpoints
+from antdsl.preview.breaking import BreakpointObserver
 from antdsl.preview.observing.cost_reporter import CostReporter
 from antdsl.preview.observing.observer import Observer
 from antdsl.preview.observing.spec_judgement import SpecObserver
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 
 if TYPE_CHECKING:
-    from antdsl.preview.live import Live
+    from antdsl.preview.live import LiveSimulation
     from antdsl.preview.observing.observer import PauseReason
 
 
-def _make_spec_observer(live: Live) -> Observer:
+def _make_spec_observer(live: LiveSimulation) -> Observer:
     return SpecObserver(live.send_to_all)
 
 
-def _make_breakpoints(live: Live) -> Observer:
-    return Breakpoints(live.find_observer(SpecObserver), live.send_to_all)
+def _make_breakpoints(live: LiveSimulation) -> Observer:
+    return BreakpointObserver(live.find_observer(SpecObserver), live.send_to_all)
 
 
-def _make_message_observer(live: Live) -> Observer:
+def _make_message_observer(live: LiveSimulation) -> Observer:
     return BackendMessageObserver()
 
 
 # Observers that each Live creates, in this order. A handler gets one by `live.find_observer(Kind)`. Specs come before
 # breakpoints,
 # which check whether a spec failed.
-OBSERVER_MAKERS: tuple[Callable[[Live], Observer], ...] = (
+OBSERVER_MAKERS: tuple[Callable[[LiveSimulation], Observer], ...] = (
     CostReporter,
     _make_message_observer,
     _make_spec_observer,
@@ -48,10 +48,10 @@ class BackendMessageObserver:
     def __init__(self) -> None:
         self._printed_messages: set[str] = set()
 
-    def before_step(self, session: Session) -> None:
+    def before_step(self, session: PreviewSession) -> None:
         """Do nothing: messages are printed after the step."""
 
-    def after_step(self, session: Session) -> PauseReason | None:
+    def after_step(self, session: PreviewSession) -> PauseReason | None:
         """Print new messages of the backend. Never pause."""
         for sentence in session.world.backend.messages():
             if sentence not in self._printed_messages:
@@ -59,5 +59,5 @@ class BackendMessageObserver:
                 print(sentence, file=sys.stderr, flush=True)
         return None
 
-    def on_new_world(self, session: Session) -> None:
+    def on_new_world(self, session: PreviewSession) -> None:
         """Do nothing: a world without steps has no messages."""

@@ -16,8 +16,8 @@ from antdsl.pipeline import Shot
 from antdsl.plan.lowering.spec_blocks import lower_spec
 from antdsl.plan.lowering.spec_plans import SpecPlan
 from antdsl.preview.observing.observer import PauseReason
-from antdsl.preview.session import Session
-from antdsl.preview.timeline import SimulationStretch
+from antdsl.preview.session import PreviewSession
+from antdsl.preview.timeline import SimulationSegment
 from antdsl.program.expectations import Spec
 from antdsl.runtime import World
 from antdsl.scene.paths import PathRefused, Roots
@@ -50,7 +50,7 @@ class SpecStatus:
         """Return the first failure of the spec, or None."""
         return self.judge.failures[0] if self.judge is not None and self.judge.failures else None
 
-    def as_json(self) -> dict[str, Any]:
+    def make_json_entry(self) -> dict[str, Any]:
         """Return the status in the form of the message `specs`."""
         failed = self.failure
         return {
@@ -73,14 +73,14 @@ class SpecObserver:
         self.send_message, self.wanted = send_message, frozenset[str]()
         self.statuses: list[SpecStatus] = []
         self._cached_plans: tuple[Shot, list[tuple[str, SpecPlan | str]]] | None = None
-        self._stretch: SimulationStretch | None = None
+        self._stretch: SimulationSegment | None = None
         self._last_judged_frame = 0  # the last judged frame
         self._last_message: dict[str, Any] = {}
         self._step_start_time = 0.0
 
     def make_message(self) -> dict[str, Any]:
         """Return the message with the status of all specs."""
-        return {"op": "specs", "specs": [each.as_json() for each in self.statuses]}
+        return {"op": "specs", "specs": [each.make_json_entry() for each in self.statuses]}
 
     def require_specs(self, names: Collection[str]) -> None:
         """Judge these specs at any cost. Specs that were stopped are judged again from the next step on."""
@@ -92,15 +92,15 @@ class SpecObserver:
             self._cached_plans = shot, list(_plan_specs(shot, scene))
         return self._cached_plans[1]
 
-    def on_new_world(self, session: Session) -> None:
+    def on_new_world(self, session: PreviewSession) -> None:
         """Do nothing: the next step detects another world by its stretch."""
 
-    def before_step(self, session: Session) -> None:
+    def before_step(self, session: PreviewSession) -> None:
         """Judge the frame before the step if necessary, and start timing the step."""
         self._judge_frame(session)
         self._step_start_time = perf_counter()
 
-    def after_step(self, session: Session) -> PauseReason | None:
+    def after_step(self, session: PreviewSession) -> PauseReason | None:
         """Judge the new frame, and send the statuses if they changed. Never pause."""
         took = perf_counter() - self._step_start_time
         self._judge_frame(session)
@@ -112,7 +112,7 @@ class SpecObserver:
             self.send_message(message)
         return None
 
-    def _judge_frame(self, session: Session) -> None:
+    def _judge_frame(self, session: PreviewSession) -> None:
         """Judge the session's current frame if it is simulated for the first time."""
         frame, shot = session.frame, session.shot
         if frame != session.last_frame or frame < shot.frames.first:
@@ -132,7 +132,7 @@ class SpecObserver:
                 curve = 0.0 if each.failure is not None else 1.0
                 session.timeline.curves[frame].setdefault(CURVE_NAME_PREFIX + each.name, curve)
 
-    def _start_judging(self, session: Session, is_selected: Callable[[SpecStatus], bool]) -> list[SpecStatus]:
+    def _start_judging(self, session: PreviewSession, is_selected: Callable[[SpecStatus], bool]) -> list[SpecStatus]:
         """Start judging specs from this frame on, and return their statuses.
 
         They are the specs that `is_selected` selects, that are not judged yet, and that can be judged."""

@@ -42,7 +42,7 @@ class ConnectionGate:
         """Return whether an admitted connection used a code that is valid once."""
         return isinstance(connection, GatedConnection) and self._admitted.get(connection, False)
 
-    def add(self, connection: GatedConnection) -> None:
+    def add_connection(self, connection: GatedConnection) -> None:
         """Add a connection that is not admitted yet. Close the oldest such connections above the limit."""
         self._unadmitted[connection] = None
         if len(self._unadmitted) > limits.MAX_UNADMITTED_CONNECTIONS:
@@ -55,7 +55,7 @@ class ConnectionGate:
         for each in (*self._unadmitted, *self._admitted):
             each.transport.abort()
 
-    def remove(self, connection: GatedConnection) -> None:
+    def remove_connection(self, connection: GatedConnection) -> None:
         """Remove a closed connection."""
         self._unadmitted.pop(connection, None)
         self._admitted.pop(connection, None)
@@ -74,10 +74,10 @@ class GatedConnection(ServerConnection):
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
-        self._gate.add(self)
+        self._gate.add_connection(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._gate.remove(self)
+        self._gate.remove_connection(self)
         super().connection_lost(exc)
 
     def process_event(self, event: Any) -> None:

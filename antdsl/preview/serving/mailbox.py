@@ -46,7 +46,7 @@ class ClientMailbox:
         self._lock, self._item_ready = Lock(), asyncio.Event()
         self._is_woken = self._is_closed = False
 
-    def tell(self, message: dict[str, Any]) -> None:
+    def send_message(self, message: dict[str, Any]) -> None:
         """Append a message. A `hello` message also gets the build of the page, which only the server knows."""
         if message.get("op") == "hello":
             message = {**message, **self._hello_fields}
@@ -62,7 +62,7 @@ class ClientMailbox:
                 self._packet_by_slot.clear()
             self._wake_or_close()
 
-    def show(self, slot: str, packet: bytes) -> None:
+    def show_packet(self, slot: str, packet: bytes) -> None:
         """Replace the waiting packet of the same slot, or append the packet. So each slot waits at most once, and frequent
         packets of one slot do not delay another."""
         with self._lock:
@@ -81,7 +81,7 @@ class ClientMailbox:
                 self._queue.append(new_item)
             self._wake_or_close()
 
-    async def receive(self) -> str | bytes:
+    async def receive_next(self) -> str | bytes:
         """Return the next message or packet to send; wait if there is none. For one reader, on the event loop."""
         while True:
             with self._lock:

@@ -24,7 +24,7 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from antdsl import limits
-from antdsl.preview.live import Client, QueueFull
+from antdsl.preview.live import Client, QueueFullError
 from antdsl.preview.requests import REQUEST_ADAPTER, AnyRequest
 from antdsl.preview.serving.addresses import ListeningSockets
 from antdsl.preview.serving.connections import ConnectionGate, TokenBucket
@@ -104,13 +104,13 @@ _SILENT_LOGGER.propagate = False
 
 
 class SimulationHost(Protocol):
-    """The part of the simulation that the server uses. `antdsl.preview.live.Live` implements it.
+    """The part of the simulation that the server uses. `antdsl.preview.live.LiveSimulation` implements it.
 
     All methods are thread-safe and never block."""
 
-    def ask(self, request: AnyRequest, client: Client) -> None: ...
-    def join(self, client: Client) -> None: ...
-    def leave(self, client: Client) -> None: ...
+    def enqueue_request(self, request: AnyRequest, client: Client) -> None: ...
+    def add_client(self, client: Client) -> None: ...
+    def remove_client(self, client: Client) -> None: ...
 
 
 class PreviewServer:
@@ -190,12 +190,12 @@ class PreviewServer:
             hello["key"] = self._guard.returning_pages.key
         mailbox = ClientMailbox(asyncio.get_running_loop(), hello, lambda: self._drop_slow_client(connection))
         self._clients.add(connection)
-        self._live.join(mailbox)
+        self._live.add_client(mailbox)
         sender = asyncio.create_task(_send_messages(connection, mailbox))
         try:
             await self._read_requests(connection, mailbox)
         finally:
-            self._live.leave(mailbox)
+            self._live.remove_client(mailbox)
             self._clients.discard(connection)
             mailbox.close()
             sender.cancel()
@@ -230,22 +230,26 @@ class PreviewServer:
                     await _close_connection(connection, CloseCode.TRY_AGAIN_LATER, "too many requests")
                     return
                 elif tell.take_token():
-                    mailbox.tell(
+                    mailbox.send_message(
                         RefusedRequest("", "this page sends too many requests at once: the last one was ignored").make_message()
                     )
 
     def _forward_request(self, message: str, mailbox: ClientMailbox) -> None:
         request = read_request(message)
         if isinstance(request, RefusedRequest):
-            mailbox.tell(request.make_message())
+            mailbox.send_message(request.make_message())
             return
         try:
-            self._live.ask(request, mailbox)
-        except QueueFull:
-            mailbox.tell(RefusedRequest(request.op, "too many requests are pending", "try again in a moment").make_message())
+            self._live.enqueue_request(request, mailbox)
+        except QueueFullError:
+            mailbox.send_message(
+                RefusedRequest(request.op, "too many requests are pending", "try again in a moment").make_message()
+            )
         except Exception:
             traceback.print_exc(file=sys.stderr)
-            mailbox.tell(RefusedRequest(request.op, "this is a bug in antdsl: see the terminal for details").make_message())
+            mailbox.send_message(
+                RefusedRequest(request.op, "this is a bug in antdsl: see the terminal for details").make_message()
+            )
 
     def _drop_slow_client(self, connection: ServerConnection) -> None:
         closing = asyncio.create_task(
@@ -259,7 +263,7 @@ async def _send_messages(connection: ServerConnection, mailbox: ClientMailbox) -
     """Send the waiting messages one by one. The next is chosen only after the last was sent, so a slow client gets the latest."""
     try:
         while True:
-            item = await mailbox.receive()
+            item = await mailbox.receive_next()
             async with asyncio.timeout(_SEND_TIMEOUT_SECONDS):
                 await connection.send(item)
     except ConnectionClosed:

@@ -31,7 +31,7 @@ from antdsl.outputs.cache.pose_arrays import (
     read_machine_clips,
 )
 from antdsl.pipeline import Shot
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 from antdsl.preview.timeline import SpeciesPoses
 from antdsl.preview.viewing.body_packets import (
     BodyOutfit,
@@ -45,15 +45,15 @@ from antdsl.runtime import Population, World
 from antdsl.runtime.body_rows import find_body_numbers
 
 _STEPS_PER_BODY_LENGTH = 4096  # steps per body length
-_UNIT_INT16 = 32767
+_INT16_FULL_SCALE = 32767
 _MAX_FEET_BITS = 15  # feet that have a bit for standing
 Floats = NDArray[np.float32]
 NO_CLIP_CODE = 65535  # the number that means no clip
-_UNIT_UINT16 = 65535  # one turn of a clip, or a weight of 1
+_UINT16_FULL_SCALE = 65535  # one turn of a clip, or a weight of 1
 Arrays = dict[str, NDArray[Any]]
 
 
-def store_poses(session: Session) -> None:
+def store_poses(session: PreviewSession) -> None:
     """Store the poses of the session's frame with its reduced frame, unless they are stored already."""
     world, lights = session.world, session.read_reduced_frame(session.frame)
     if lights is not None and session.frame not in session.timeline.poses:
@@ -63,7 +63,7 @@ def store_poses(session: Session) -> None:
         session.timeline.poses.put_frame(session.frame, poses)
 
 
-def read_stored_poses(session: Session, frame: int) -> dict[str, Arrays]:
+def read_stored_poses(session: PreviewSession, frame: int) -> dict[str, Arrays]:
     """Return the stored actions of bodies at a frame, by species. Species that now have other bodies or clips are left out."""
     arrays_by_species = {}
     for name, then in session.timeline.poses.get(frame, {}).items():
@@ -73,8 +73,8 @@ def read_stored_poses(session: Session, frame: int) -> dict[str, Arrays]:
     return arrays_by_species
 
 
-def _make_species_poses(session: Session, population: Population, displayed: Arrays) -> SpeciesPoses:
-    actions = gather_actions(session.world, session.shot, population, displayed)
+def _make_species_poses(session: PreviewSession, population: Population, displayed: Arrays) -> SpeciesPoses:
+    actions = collect_actions(session.world, session.shot, population, displayed)
     return SpeciesPoses(actions.outfits, make_action_arrays(actions))
 
 
@@ -99,7 +99,7 @@ class SpeciesActions:
     stored_arrays: Mapping[str, NDArray[Any]]
     displayed_arrays: Arrays
 
-    def select(self, rows: NDArray[np.intp]) -> SpeciesActions:
+    def select_rows(self, rows: NDArray[np.intp]) -> SpeciesActions:
         """Return the actions of the agents in `rows`. The arrays of feet are not limited to them: their rows are bodies, not
         agents."""
         stored = {name: array if name.startswith("feet.") else array[rows] for name, array in self.stored_arrays.items()}
@@ -107,7 +107,7 @@ class SpeciesActions:
         return replace(self, stored_arrays=stored, displayed_arrays=displayed, body_numbers=self.body_numbers[rows])
 
 
-def gather_actions(world: World, shot: Shot, population: Population, displayed: Arrays) -> SpeciesActions:
+def collect_actions(world: World, shot: Shot, population: Population, displayed: Arrays) -> SpeciesActions:
     """Return the actions of the bodies of a species in the world's current frame.
 
     `displayed`: the reduced frame of the same agents, in order of id."""
@@ -146,7 +146,7 @@ def make_action_arrays(actions: SpeciesActions) -> Arrays:
         return _make_body_arrays(actions, key, worn)
     arrays = {f"{actions.species}/body": actions.body_numbers}
     for number, (key, worn) in enumerate(actions.outfits.items()):
-        arrays |= _make_body_arrays(actions.select(np.flatnonzero(actions.body_numbers == number)), key, worn)
+        arrays |= _make_body_arrays(actions.select_rows(np.flatnonzero(actions.body_numbers == number)), key, worn)
     return arrays
 
 
@@ -258,8 +258,8 @@ def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint
         exact = np.nan_to_num(turns.astype(np.float64))
         again = loops[np.where(known, clip, -1)]
         output[:, 0, place] = np.where(known, clip, NO_CLIP_CODE)
-        output[:, 1, place] = np.round(np.where(again, exact - np.floor(exact), np.clip(exact, 0, 1)) * _UNIT_UINT16)
-        output[:, 2, place] = np.round(np.clip(np.nan_to_num(weight), 0, 1) * _UNIT_UINT16)
+        output[:, 1, place] = np.round(np.where(again, exact - np.floor(exact), np.clip(exact, 0, 1)) * _UINT16_FULL_SCALE)
+        output[:, 2, place] = np.round(np.clip(np.nan_to_num(weight), 0, 1) * _UINT16_FULL_SCALE)
     return output
 
 
@@ -285,8 +285,8 @@ def make_stance_arrays(
     tilt /= np.maximum(np.linalg.norm(tilt, axis=1, keepdims=True), 1e-20)
     stance = np.empty((len(foot_weights), 6), np.int16)
     stance[:, 0] = _quantise_values(rise, _STEPS_PER_BODY_LENGTH)
-    stance[:, 1:4] = _quantise_values(tilt[:, :3], _UNIT_INT16)  # by less than half a turn, so that w is above 0
-    stance[:, 4] = _quantise_values(foot_weights, _UNIT_INT16)
+    stance[:, 1:4] = _quantise_values(tilt[:, :3], _INT16_FULL_SCALE)  # by less than half a turn, so that w is above 0
+    stance[:, 4] = _quantise_values(foot_weights, _INT16_FULL_SCALE)
     is_down = feet.is_on_ground[:, :_MAX_FEET_BITS].astype(np.int64)
     stance[:, 5] = (is_down << np.arange(is_down.shape[1])).sum(axis=1)
     away = np.moveaxis(feet.P - displayed["position"][:, None], 2, 0) / size[None, :, None]
@@ -298,7 +298,7 @@ def make_stance_arrays(
     if legs.has_flat_soles:
         normals = np.broadcast_to(np.array([0, 1, 0], np.float32), feet.P.shape) if feet.normals is None else feet.normals
         soles = _rotate_back(turn, np.moveaxis(normals, 2, 0))
-        arrays["sole"] = _quantise_values(soles.transpose(1, 2, 0), _UNIT_INT16)
+        arrays["sole"] = _quantise_values(soles.transpose(1, 2, 0), _INT16_FULL_SCALE)
     return arrays
 
 

@@ -13,7 +13,7 @@ from antdsl.outputs.feelers import compute_feeler_rays, list_feelers
 from antdsl.plan.ir import Plan
 from antdsl.preview.agent_columns import CURRENT_COLUMNS, make_packet_arrays, make_reduced_frame
 from antdsl.preview.binary_packets import pack_arrays
-from antdsl.preview.viewing.action_arrays import gather_actions, make_action_arrays, read_stored_poses, store_poses
+from antdsl.preview.viewing.action_arrays import collect_actions, make_action_arrays, read_stored_poses, store_poses
 from antdsl.preview.viewing.edited_packets import make_edited_arrays
 from antdsl.preview.viewing.page_units import choose_unit, find_unit_size
 from antdsl.preview.viewing.view_state import PageInterest, SlotPackets, ViewState
@@ -78,7 +78,7 @@ def _make_world_arrays(view_state: ViewState) -> Arrays:
         if name in poses:
             arrays |= poses[name]
         else:
-            arrays |= make_action_arrays(gather_actions(world, view_state.shot, population, then))
+            arrays |= make_action_arrays(collect_actions(world, view_state.shot, population, then))
     return arrays
 
 

@@ -12,7 +12,7 @@ from antdsl.preview.timeline import Timeline, TimelineBranch
 _MAX_HISTORY_POINTS, _MAX_BRANCH_POINTS = 4000, 1000
 
 
-class SentCurves:
+class SentCurveTracker:
     """The part of a session's curves that all pages have received."""
 
     def __init__(self) -> None:
@@ -26,7 +26,7 @@ class SentCurves:
         if self._last_sent_frame is not None and self._last_sent_frame >= frame:
             self._last_sent_frame = frame - 1
 
-    def take_new_values(self, timeline: Timeline) -> dict[str, Any] | None:
+    def pop_new_values(self, timeline: Timeline) -> dict[str, Any] | None:
         """Return the values that pages have not received yet, or None if there are none."""
         if timeline is not self._timeline or timeline.branches != self._sent_branches or self._last_sent_frame is None:
             return self.take_full_history(timeline)

@@ -10,7 +10,7 @@ from antdsl.outputs.cache.cache_reader import list_caches_below
 from antdsl.preview.directing.hand_edits import EDITS_FILE, HandEdit
 from antdsl.preview.directing.hand_notes import HandNote
 from antdsl.preview.directing.verb_forms import FORMS_BY_LIST, VerbForm, VerbKey
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 from antdsl.preview.viewing.body_packets import find_body_of_key
 from antdsl.program.tables.colours import COLOUR_BY_NAME
 from antdsl.scene.checks.scene_checks import list_selector_names
@@ -19,14 +19,14 @@ from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.notes.note_programs import remove_note_machines
 
 if TYPE_CHECKING:
-    from antdsl.preview.live import Live
+    from antdsl.preview.live import LiveSimulation
 
-Names = Mapping[str, list[str]]
-_USUAL_PART = "head"  # of bodies that look at something
+NamesByKind = Mapping[str, list[str]]
+_DEFAULT_BODY_PART = "head"  # of bodies that look at something
 _MAX_NAMES = 200  # of one kind
 
 
-def make_verbs_message(live: Live) -> dict[str, Any]:
+def make_verbs_message(live: LiveSimulation) -> dict[str, Any]:
     """Return the verbs of notes and edits with their keys, the named crowd lines, and the origin of positions on pages (mm)."""
     session = live.session
     names, world = _list_names(session), session.world
@@ -38,12 +38,12 @@ def make_verbs_message(live: Live) -> dict[str, Any]:
     return {"op": "verbs", **make_form_entries(names), "lines": lines, "origin": [float(x) for x in world.origin]}
 
 
-def make_form_entries(names: Names) -> dict[str, list[dict[str, Any]]]:
+def make_form_entries(names: NamesByKind) -> dict[str, list[dict[str, Any]]]:
     """Return the verbs of each list with their keys. `names`: as from `_list_names`."""
     return {listed: [_make_verb_entry(form, names) for form in make_forms()] for listed, make_forms in FORMS_BY_LIST.items()}
 
 
-def _make_verb_entry(form: VerbForm, names: Names) -> dict[str, Any]:
+def _make_verb_entry(form: VerbForm, names: NamesByKind) -> dict[str, Any]:
     """Return a verb for a page. `kind`, `example` and `choices` are about its own value."""
     return {
         "verb": form.verb, "help": form.help, "keys": [_make_key_entry(key, names) for key in form.keys],
@@ -51,13 +51,13 @@ def _make_verb_entry(form: VerbForm, names: Names) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def make_notes_message(live: Live) -> dict[str, Any]:
+def make_notes_message(live: LiveSimulation) -> dict[str, Any]:
     """Return the notes that pages added to the run."""
     lines = [_make_line_entry(note) for note in live.session.notes]
     return {"op": "notes", "lines": lines, "problem": "", "file": live.screen.names.get_short_name(live.compiler.scene)}
 
 
-def make_edits_message(live: Live) -> dict[str, Any]:
+def make_edits_message(live: LiveSimulation) -> dict[str, Any]:
     """Return the edits that pages added to the simulated frames, why the displayed frame lacks them, and what settling did."""
     settling = live.screen.settling
     lines = [_make_line_entry(edit) for edit in settling.edited.edits]
@@ -69,7 +69,7 @@ def _make_line_entry(line: HandNote | HandEdit) -> dict[str, Any]:
     return {"key": line.key, "line": line.text, "on": line.is_on, "problem": line.problem}
 
 
-def _make_key_entry(key: VerbKey, names: Names) -> dict[str, Any]:
+def _make_key_entry(key: VerbKey, names: NamesByKind) -> dict[str, Any]:
     """Return a key for a page. `names`: as from `_list_names`."""
     return {
         "name": key.name, "kind": key.kind.name, "unit": key.kind.unit, "required": key.is_required, "default": key.default,
@@ -78,7 +78,7 @@ def _make_key_entry(key: VerbKey, names: Names) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _make_example(key: VerbKey, names: Names) -> str:
+def _make_example(key: VerbKey, names: NamesByKind) -> str:
     """Return a value with names of the scene where there are any."""
     parts, own = names["part"], names.get(key.kind.name, [])
     if key.kind.name == "looks":
@@ -86,7 +86,7 @@ def _make_example(key: VerbKey, names: Names) -> str:
     return own[0] if own else key.kind.example
 
 
-def _list_names(session: Session) -> Names:
+def _list_names(session: PreviewSession) -> NamesByKind:
     """Return the names that values may use, by the kinds of keys. `part`: transform groups of the bodies."""
     shot, world = session.shot, session.world
     setting, program = world.setting, remove_note_machines(shot.program)
@@ -101,7 +101,7 @@ def _list_names(session: Session) -> Names:
         "camera": sorted(selectors.cameras), "map": sorted(setting.maps), "path": sorted(setting.curves),
         "thing": [*meshes, *items, *agents],
         "clip": sorted({clip for body in bodies for clip in body.clips}),
-        "part": sorted({group for body in bodies for group in body.groups}, key=lambda name: (name != _USUAL_PART, name)),
+        "part": sorted({group for body in bodies for group in body.groups}, key=lambda name: (name != _DEFAULT_BODY_PART, name)),
         "values": [f"{{{name}: }}" for name in attributes],
         "cache": list_caches_below(Path(shot.scene.source.path).parent),
         "place": items, "body": list(BODY_WORDS), "colour": list(COLOUR_BY_NAME), "ground": ["follow", "free"],

@@ -9,29 +9,29 @@ from typing import TYPE_CHECKING, Any
 from antdsl import __version__
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.render import choose_visible_diagnostics
-from antdsl.preview.outcomes import Outcome
+from antdsl.preview.outcomes import EditOutcome
 from antdsl.preview.viewing.file_names import is_library_file, read_file_text
 
 if TYPE_CHECKING:
-    from antdsl.preview.live import Live
+    from antdsl.preview.live import LiveSimulation
 
 JsonMessage = dict[str, Any]
 
 
-def make_hello(live: Live) -> JsonMessage:
+def make_hello(live: LiveSimulation) -> JsonMessage:
     """Return the message `hello`. `build` is empty here: the server fills it in."""
     return {"op": "hello", "version": __version__, "build": "", "scene": find_scene_name(live)}
 
 
-def find_scene_name(live: Live) -> str:
+def find_scene_name(live: LiveSimulation) -> str:
     """Return the name under which pages show the scene file."""
     return live.screen.names.get_short_name(live.compiler.scene)
 
 
-def make_texts_message(live: Live) -> JsonMessage:
+def make_texts_message(live: LiveSimulation) -> JsonMessage:
     """Return the message with all programs and scenes, as they are on the disk."""
     entries, known_paths = [], set()
-    for each in live.compiler.files():
+    for each in live.compiler.get_watched_files():
         path = Path(os.path.realpath(each))
         if path in known_paths or path.suffix not in (".ant", ".yaml", ".yml"):
             continue
@@ -42,12 +42,12 @@ def make_texts_message(live: Live) -> JsonMessage:
     return {"op": "texts", "texts": entries}
 
 
-def make_problems_message(live: Live) -> JsonMessage:
+def make_problems_message(live: LiveSimulation) -> JsonMessage:
     """Return the errors and warnings of the files from the last attempt to open them."""
     return {"op": "problems", "problems": _make_problem_messages(live, live.report)}
 
 
-def _make_problem_messages(live: Live, report: Report) -> list[JsonMessage]:
+def _make_problem_messages(live: LiveSimulation, report: Report) -> list[JsonMessage]:
     """Return the messages of as many findings as the limit allows, and one about the number of further findings."""
     selected = choose_visible_diagnostics(report)
     entries, omitted_count = (
@@ -61,20 +61,20 @@ def _make_problem_messages(live: Live, report: Report) -> list[JsonMessage]:
     return entries
 
 
-def make_outcome_message(live: Live, operation: str, result: Outcome, file: str = "") -> JsonMessage:
+def make_outcome_message(live: LiveSimulation, operation: str, result: EditOutcome, file: str = "") -> JsonMessage:
     """Return the message with the result of an edit. `operation`: the op of the request; `file`: the file to write the text
     into."""
     entries = _make_problem_messages(live, result.report)
     details = {"did": result.description, "line": result.line, "text": result.text, "file": file}
-    return {"op": "outcome", "of": operation, "ok": result.ok, **details, "problems": entries}
+    return {"op": "outcome", "of": operation, "ok": result.is_successful, **details, "problems": entries}
 
 
-def make_stops_message(live: Live) -> JsonMessage:
+def make_stops_message(live: LiveSimulation) -> JsonMessage:
     """Return the message with the frames at which play was stopped, and the reasons."""
     return {"op": "stops", "stops": [{"frame": frame, "line": why} for frame, why in live.session.timeline.stop_reasons.items()]}
 
 
-def make_status_message(live: Live, rate: float, hash: str | None) -> JsonMessage:
+def make_status_message(live: LiveSimulation, rate: float, hash: str | None) -> JsonMessage:
     """Return the state of the session. Its values are empty while the scene has errors."""
     fields: JsonMessage = {
         "op": "status", "frame": 0, "first": 0, "head": 0, "playing": False, "speed": live.speed, "rate": round(rate, 1),
@@ -87,7 +87,7 @@ def make_status_message(live: Live, rate: float, hash: str | None) -> JsonMessag
     fields |= {
         "frame": session.frame if live.displayed_frame is None else live.displayed_frame, "first": session.first_frame,
         "head": session.last_frame,
-        "playing": session.playing, "edited": session.edited, "fault": session.fault_text, "agents": len(session.world),
+        "playing": session.playing, "edited": session.is_edited, "fault": session.fault_text, "agents": len(session.world),
         "transitions": dict(session.world.transitions), "light": live.displayed_frame is not None,
     }  # fmt: skip
     if why is not None:

@@ -10,18 +10,18 @@ from math import inf
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from antdsl.preview.breaking import Breakpoints
-from antdsl.preview.directing.hand_edits import EditedRun
+from antdsl.preview.breaking import BreakpointObserver
+from antdsl.preview.directing.hand_edits import EditedRunView
 from antdsl.preview.directing.hand_settling import HandSettling
 from antdsl.preview.observing.spec_judgement import SpecObserver
 from antdsl.preview.requests import MAX_PLANNED_AGENTS
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 from antdsl.preview.viewing import messages
 from antdsl.preview.viewing.action_arrays import store_poses
 from antdsl.preview.viewing.agent_packets import AgentPackets
 from antdsl.preview.viewing.body_packets import ItemBodyPackets
 from antdsl.preview.viewing.charts import ChartMessages
-from antdsl.preview.viewing.curves import SentCurves
+from antdsl.preview.viewing.curves import SentCurveTracker
 from antdsl.preview.viewing.directing_messages import make_edits_message, make_notes_message, make_verbs_message
 from antdsl.preview.viewing.field_packets import FieldPackets
 from antdsl.preview.viewing.file_names import FileNames
@@ -32,7 +32,7 @@ from antdsl.preview.viewing.scene_message import BoundingBox, make_scene_message
 from antdsl.preview.viewing.view_state import PacketMaker, PageInterest, ViewState
 
 if TYPE_CHECKING:
-    from antdsl.preview.live import Client, Live
+    from antdsl.preview.live import Client, LiveSimulation
 
 # One of each is made; the ground comes first, what takes long to make last.
 PACKET_MAKERS: tuple[Callable[[], PacketMaker], ...] = (
@@ -51,15 +51,15 @@ _REPORT_INTERVAL_SECONDS = 0.1  # the same of status and curves while it plays
 _RATE_WINDOW_SECONDS = 1.0  # seconds of steps that the rate is measured over
 
 
-class PageScreen:
+class PageUpdates:
     """Sends updates to the pages. Used only by the live thread. `next_refresh_time`: the time at which `send_due_updates` has
     work again."""
 
-    def __init__(self, live: Live) -> None:
+    def __init__(self, live: LiveSimulation) -> None:
         self.live, self.names = live, FileNames(live.compiler.scene)
         self.next_refresh_time = inf
         self._packet_makers = [make() for make in PACKET_MAKERS]
-        self._charts, self._curves = ChartMessages(), SentCurves()
+        self._charts, self._curves = ChartMessages(), SentCurveTracker()
         self._bounding_box = BoundingBox()
         self._interest = PageInterest()
         self._packet_by_slot: dict[str, bytes] = {}  # the latest packet of each slot
@@ -75,7 +75,7 @@ class PageScreen:
         self._settling: HandSettling | None = None
 
     @property
-    def edited(self) -> EditedRun:
+    def edited(self) -> EditedRunView:
         """Return the simulated frames with the edits that pages added. Only if there is a session."""
         return self.settling.edited
 
@@ -83,7 +83,7 @@ class PageScreen:
     def settling(self) -> HandSettling:
         """Return what settles these frames. Only if there is a session."""
         if self._settling is None:
-            self._settling = HandSettling(EditedRun(self.live.session))
+            self._settling = HandSettling(EditedRunView(self.live.session))
         return self._settling
 
     @property
@@ -107,7 +107,7 @@ class PageScreen:
         if self.live.clients:
             store_poses(self.live.session)
 
-    def needs_look_ahead(self, session: Session) -> bool:
+    def needs_look_ahead(self, session: PreviewSession) -> bool:
         """Return whether any page displays planned paths."""
         return bool(self._interest.planned_agents) or (
             self._interest.plans_all_agents and len(session.world) <= MAX_PLANNED_AGENTS
@@ -147,34 +147,34 @@ class PageScreen:
     def send_complete_state(self, client: Client) -> None:
         """Send the complete state to one page."""
         self.on_display_change()
-        client.tell(messages.make_hello(self.live))
+        client.send_message(messages.make_hello(self.live))
         if len(self.live.clients) == 1:
             self._program_changed = self._files_changed = False  # there are no other clients
         if self.live.is_open:
             scene_message = self._make_scene_message()
             self._scene = self._scene if len(self.live.clients) > 1 else scene_message
-            client.tell(scene_message)
-        client.tell(messages.make_texts_message(self.live))
-        client.tell(messages.make_problems_message(self.live))
-        client.tell(messages.make_status_message(self.live, self._compute_step_rate(), self._find_current_hash()))
+            client.send_message(scene_message)
+        client.send_message(messages.make_texts_message(self.live))
+        client.send_message(messages.make_problems_message(self.live))
+        client.send_message(messages.make_status_message(self.live, self._compute_step_rate(), self._find_current_hash()))
         if self.live.is_open:
             timeline = self.live.session.timeline
-            news = self._curves.take_new_values(timeline)
+            news = self._curves.pop_new_values(timeline)
             for other in self.live.clients:
                 if other is client:
-                    client.tell(self._curves.take_full_history(timeline))
+                    client.send_message(self._curves.take_full_history(timeline))
                 elif news is not None:  # from now on all have the same
-                    other.tell(news)
-            client.tell(self.live.find_observer(SpecObserver).make_message())
-            client.tell(self.live.find_observer(Breakpoints).make_message())
-            client.tell(messages.make_stops_message(self.live))
-            client.tell(make_verbs_message(self.live))
-            client.tell(make_notes_message(self.live))
-            client.tell(make_edits_message(self.live))
+                    other.send_message(news)
+            client.send_message(self.live.find_observer(SpecObserver).make_message())
+            client.send_message(self.live.find_observer(BreakpointObserver).make_message())
+            client.send_message(messages.make_stops_message(self.live))
+            client.send_message(make_verbs_message(self.live))
+            client.send_message(make_notes_message(self.live))
+            client.send_message(make_edits_message(self.live))
             sent = self._send_packets(self.live.session, monotonic())
             for slot, packet in self._packet_by_slot.items():
                 if slot not in sent:
-                    client.show(slot, packet)
+                    client.show_packet(slot, packet)
 
     # --- telling -----------------------------------------------------------------------------------------------------
 
@@ -208,7 +208,7 @@ class PageScreen:
         if playing:
             self.next_refresh_time = min(self.next_refresh_time, self._last_report_time + _REPORT_INTERVAL_SECONDS)
 
-    def _send_packets(self, session: Session, time: float) -> set[str]:
+    def _send_packets(self, session: PreviewSession, time: float) -> set[str]:
         """Send the slots that changed to all pages, and return these slots."""
         self._last_packet_time = time
         going = session.playing or self.live.is_seeking
@@ -219,7 +219,7 @@ class PageScreen:
                 self._packet_by_slot[slot] = packet
                 sent.add(slot)
                 for client in self.live.clients:
-                    client.show(slot, packet)
+                    client.show_packet(slot, packet)
         if self.edited.edits:
             self._send_lines()  # a frame that cannot be shown with edits says why
         return sent
@@ -255,7 +255,7 @@ class PageScreen:
         charts = self._charts.list_charts(self.live.session.shot.program) if lays_out_charts else self._scene.get("charts", [])
         return make_scene_message(self.live, self._bounding_box, charts, self._charts.missing_package)
 
-    def _send_progress(self, session: Session | None) -> None:
+    def _send_progress(self, session: PreviewSession | None) -> None:
         status = messages.make_status_message(self.live, self._compute_step_rate(), self._find_current_hash())
         if status != self._status:
             self._status = status
@@ -265,7 +265,7 @@ class PageScreen:
             self.live.send_to_all(messages.make_stops_message(self.live))
         if self.is_settling:
             self._send_lines()
-        news = self._curves.take_new_values(session.timeline) if session is not None else None
+        news = self._curves.pop_new_values(session.timeline) if session is not None else None
         if news is not None:
             self.live.send_to_all(news)
 
@@ -287,5 +287,5 @@ class PageScreen:
             return None
         world = live.session.world
         if self._hash is None or self._hash[0] is not world or self._hash[1] != world.frame:
-            self._hash = world, world.frame, live.session.hash
+            self._hash = world, world.frame, live.session.state_hash
         return self._hash[2]

@@ -11,7 +11,7 @@ import numpy as np
 from antdsl.fields.vector_field import list_program_fields
 from antdsl.outputs.feelers import list_feelers
 from antdsl.preview.outcomes import make_silencing_settings
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 from antdsl.preview.viewing.body_packets import list_outfits
 from antdsl.preview.viewing.edited_packets import find_edited_outfits, list_added_species
 from antdsl.preview.viewing.field_packets import choose_full_value
@@ -24,12 +24,14 @@ from antdsl.scene.quantities import parse_quantity
 from antdsl.scene.setting import DEFAULT_FOCAL_MM
 
 if TYPE_CHECKING:
-    from antdsl.preview.live import Live
+    from antdsl.preview.live import LiveSimulation
 
 _SPECIES_COLOURS = ((0.98, 0.75, 0.24), (0.35, 0.75, 0.95), (0.62, 0.86, 0.42), (0.93, 0.47, 0.65), (0.70, 0.60, 0.96))
 
 
-def make_scene_message(live: Live, box: BoundingBox, charts: list[dict[str, Any]], missing_package: str) -> dict[str, Any]:
+def make_scene_message(
+    live: LiveSimulation, box: BoundingBox, charts: list[dict[str, Any]], missing_package: str
+) -> dict[str, Any]:
     """Return the scene message for the session's current program."""
     session, names = live.session, live.screen.names
     world, program = session.world, session.shot.program
@@ -59,7 +61,7 @@ class BoundingBox:
         self._input_key: tuple[list[list[float]], bool] = [], False
         self._box: tuple[list[float], list[float]] | None = None
 
-    def find_corners(self, session: Session) -> tuple[list[float], list[float]]:
+    def find_corners(self, session: PreviewSession) -> tuple[list[float], list[float]]:
         """Return the lowest and the highest corner of the box for a session, in mm."""
         world = session.world
         meshes = [mesh.vertices for mesh in (*world.setting.surfaces.values(), *world.setting.obstacles.values())]
@@ -75,7 +77,7 @@ class BoundingBox:
         return self._box
 
 
-def _make_camera_entry(session: Session) -> dict[str, Any] | None:
+def _make_camera_entry(session: PreviewSession) -> dict[str, Any] | None:
     """Return the scene's default camera in the first frame, relative to the world's origin."""
     camera, origin = session.world.setting.cameras.get(DEFAULT_CAMERA_NAME), session.world.origin
     if camera is None:
@@ -84,7 +86,7 @@ def _make_camera_entry(session: Session) -> dict[str, Any] | None:
     return {"at": at, "look_at": look_at, "focal": float(camera.focal[0]) or DEFAULT_FOCAL_MM}
 
 
-def _make_species_entry(live: Live, names: FileNames, population: Population) -> dict[str, Any]:
+def _make_species_entry(live: LiveSimulation, names: FileNames, population: Population) -> dict[str, Any]:
     session, view = live.session, live.screen.edited.find_view()
     world, shot, name = session.world, session.shot, population.name
     worn = list_outfits(world, shot, population) if view is None else find_edited_outfits(view, world, shot)[name]
@@ -106,7 +108,7 @@ def _make_species_entry(live: Live, names: FileNames, population: Population) ->
     }
 
 
-def _make_added_species_entries(live: Live) -> Iterator[dict[str, Any]]:
+def _make_added_species_entries(live: LiveSimulation) -> Iterator[dict[str, Any]]:
     """Yield the entries of species that edits add to the run. No program is known of them."""
     view, session = live.screen.edited.find_view(), live.session
     for entry in list_added_species(view):
@@ -119,7 +121,7 @@ def _make_added_species_entries(live: Live) -> Iterator[dict[str, Any]]:
         yield {"name": entry.name, "bodies": bodies, "attributes": [], "machines": machines, "layers": [], "feelers": []}
 
 
-def _list_layers(session: Session, names: FileNames, population: Population) -> list[dict[str, Any]]:
+def _list_layers(session: PreviewSession, names: FileNames, population: Population) -> list[dict[str, Any]]:
     """Return the active and the disabled layers, in the order of the text."""
     entries = []
     for layer in population.plan.layers:
@@ -135,7 +137,7 @@ def _list_layers(session: Session, names: FileNames, population: Population) -> 
     return sorted(entries, key=lambda entry: (entry["file"], entry["line"]))
 
 
-def _make_param_entry(session: Session, names: FileNames, name: str, param: Param) -> dict[str, Any]:
+def _make_param_entry(session: PreviewSession, names: FileNames, name: str, param: Param) -> dict[str, Any]:
     world, scene = session.world, session.shot.scene
     unit_mm, dt = world.setting.unit_mm, world.dt
     scene_value = scene.model.set.get(name)
@@ -154,7 +156,7 @@ def _make_param_entry(session: Session, names: FileNames, name: str, param: Para
     }  # fmt: skip
 
 
-def _list_fields(session: Session) -> list[dict[str, Any]]:
+def _list_fields(session: PreviewSession) -> list[dict[str, Any]]:
     chosen = session.choices.params
     return [
         {
@@ -166,7 +168,7 @@ def _list_fields(session: Session) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _list_items(session: Session) -> list[dict[str, Any]]:
+def _list_items(session: PreviewSession) -> list[dict[str, Any]]:
     things = session.shot.program.world
     return [
         {
@@ -180,7 +182,7 @@ def _list_items(session: Session) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _find_initial_amounts(session: Session, name: str, amount: ItemAttribute) -> list[float]:
+def _find_initial_amounts(session: PreviewSession, name: str, amount: ItemAttribute) -> list[float]:
     """Return the initial amount of each item, in the author's unit."""
     unit_mm, dt = session.world.setting.unit_mm, session.world.dt
     usual, one = convert_constant(amount.default, unit_mm, dt), find_unit_size(choose_unit(amount), unit_mm, dt)

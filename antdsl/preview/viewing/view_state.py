@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from antdsl.pipeline import Shot
-from antdsl.preview.directing.hand_edits import EditedRun
-from antdsl.preview.look_ahead import LookAhead
+from antdsl.preview.directing.hand_edits import EditedRunView
+from antdsl.preview.look_ahead import LookAheadSimulation
 from antdsl.preview.requests import AgentRef, SetDisplay
-from antdsl.preview.session import Session
+from antdsl.preview.session import PreviewSession
 from antdsl.runtime import World
 
 SlotPackets = Iterator[tuple[str, bytes]]
@@ -50,19 +50,19 @@ class ViewState:
     """A snapshot of the inputs of all views.
 
     `session`, `look_ahead`: the session, and its simulated future frames.
-    `edited`: the frames of the session with the edits that pages added.
+    `is_edited`: the frames of the session with the edits that pages added.
     `interest`: the data that pages display.
     `stored_frame`: the stored frame that is displayed instead of the session's own, or None.
     `time`: the time in seconds.
     `is_advancing`: whether the session plays or is on its way to a frame."""
 
-    session: Session
-    look_ahead: LookAhead
+    session: PreviewSession
+    look_ahead: LookAheadSimulation
     interest: PageInterest
     stored_frame: int | None
     time: float
     is_advancing: bool  # it plays, or is on its way: the next moment comes soon
-    edited: EditedRun
+    edited: EditedRunView
 
     @property
     def world(self) -> World:
