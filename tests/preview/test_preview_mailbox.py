@@ -150,8 +150,8 @@ def test_a_mailbox_accepts_messages_after_the_end_of_its_loop() -> None:
         mailboxes.append(mailbox)
 
     with_mailbox(test)
-    mailboxes[0].tell({"op": "status"})
-    mailboxes[0].show("frame", b"")
+    mailboxes[0].send_message({"op": "status"})
+    mailboxes[0].show_packet("frame", b"")
 
 
 def test_a_bucket_gives_what_it_holds_and_then_by_the_second() -> None:
