@@ -16,7 +16,8 @@ from antdsl.bodies.files.document_model import BodyForm, list_keys
 from antdsl.bodies.files.named_files import _HELP_BY_CLOSED_FORMAT
 from antdsl.bodies.files.reading import read_definition
 
-TEXT = (Path(__file__).resolve().parents[2] / "docs" / "bodies.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+TEXT = "".join((DOCS / name).read_text(encoding="utf-8") for name in ("bodies.md", "body_files.md"))
 BLOCKS = re.findall(r"^```(\w+) ?(\w*)(?: file=(\S+))?\n(.*?)^```", TEXT, flags=re.MULTILINE | re.DOTALL)
 
 

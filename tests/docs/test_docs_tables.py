@@ -9,7 +9,9 @@ from pathlib import Path
 
 import column_tables
 import pytest
+from scene_pages import SCENE_TEXT
 
+COMMAND_PAGES = ("commands.md", "commands_run.md", "commands_tests.md", "commands_results.md", "pictures.md", "farms.md")
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -70,13 +72,12 @@ def test_each_library_is_in_its_reference_as_it_is(library_name: str, page: str)
 def test_the_scene_page_has_all_the_keys() -> None:
     from antdsl.scene import scene_model, thing_models
 
-    text = (ROOT / "docs" / "scene.md").read_text(encoding="utf-8")
     defined = {**vars(scene_model), **vars(thing_models)}.values()
     kinds = [kind for kind in defined if isinstance(kind, type) and issubclass(kind, scene_model.ScenePart)]
     parts = [kind for kind in kinds if kind is not scene_model.ScenePart]
     keys = {field.alias or name for part in parts for name, field in part.model_fields.items()}
     assert len(parts) > 8
-    assert sorted(key for key in keys if f"`{key}`" not in text and f"`{key}:" not in text) == []
+    assert sorted(key for key in keys if f"`{key}`" not in SCENE_TEXT and f"`{key}:" not in SCENE_TEXT) == []
 
 
 def test_the_page_of_commands_has_all_commands_and_flags() -> None:
@@ -84,7 +85,7 @@ def test_the_page_of_commands_has_all_commands_and_flags() -> None:
 
     from antdsl.cli import app
 
-    text = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("commands.md", "pictures.md", "farms.md"))
+    text = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in COMMAND_PAGES)
     for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
         assert f"`antdsl {name}" in text
         flags = [flag for part in command.params for flag in part.opts if flag.startswith("--")]

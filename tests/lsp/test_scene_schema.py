@@ -10,6 +10,7 @@ from typing import Any
 import jsonschema
 import pytest
 import yaml
+from scene_pages import SCENE_TEXT
 
 from antdsl import resources
 from antdsl.lsp.scene_schema import SCHEMA_FILE_NAME, build_schema_text
@@ -17,7 +18,7 @@ from antdsl.lsp.scene_schema import SCHEMA_FILE_NAME, build_schema_text
 ROOT = Path(__file__).resolve().parents[2]
 SCHEMA = json.loads(build_schema_text())
 SCENES = sorted(path for path in ROOT.glob("examples/*/*.yaml") if "\nedits:" not in path.read_text(encoding="utf-8"))
-PAGE_SCENES = re.findall(r"```yaml scene\n(.*?)```", (ROOT / "docs" / "scene.md").read_text(encoding="utf-8"), re.DOTALL)
+PAGE_SCENES = re.findall(r"```yaml scene\n(.*?)```", SCENE_TEXT, re.DOTALL)
 
 
 class Yaml12Loader(yaml.SafeLoader):

@@ -119,7 +119,7 @@ AGENT_COLUMNS = (
     Column("v_ground", "derived", "f4", (3,), "velocity of the ground below each agent, if a surface moves. `v` is relative to "
            "it: use `v + v_ground` for motion blur", save_mode="always", exports=_SCENE_EXPORTS, interpolation="linear"),
     Column("unwrapped", "derived", "f4", (3,), "position without the jumps at the seam, in a "
-           "[periodic world](scene.md#periodic-worlds)", save_mode="always", interpolation="linear"),
+           "[periodic world](periodic.md)", save_mode="always", interpolation="linear"),
 )
 
 
@@ -166,7 +166,7 @@ OTHER_COLUMNS = (
          "linear"),
         ("looks.SPECIES.GROUP", "f4", (3,), "where a transform group [looks](clips.md#looking-at-something): ahead, up, right",
          "direction"),
-        ("joints.SPECIES.JOINT", "f4", (7,), "what an [edit](directing.md#edits) adds to a joint: shift ahead, up, right in body "
+        ("joints.SPECIES.JOINT", "f4", (7,), "what an [edit](edits.md) adds to a joint: shift ahead, up, right in body "
          "lengths, rotation x y z w"),
         ("leans.SPECIES", "f4", (2,), "how much it [turns left and climbs](clips.md#turns-and-slopes), from -1 to 1", "linear")),
     *_make_columns(
