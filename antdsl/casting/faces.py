@@ -19,7 +19,7 @@ Index = NDArray[np.int64]
 # Share of the largest coordinate: several times the float32 rounding error of a corner, a ray and their intersection
 TOLERANCE_PER_COORDINATE = 1e-6
 # Tolerances by which faces are widened for rays, so that rounded rays hit them even at an angle of 4 degrees
-TRIANGLE_WIDENING_IN_TOLERANCES = 16.0
+WIDENING_IN_TOLERANCES = 16.0
 _BORDER_WIDTH_IN_TOLERANCES = 20.0  # tolerances; nearer to a side than this, the faces at its end are also tested
 HIT_RETEST_DEPTH_IN_TOLERANCES = 40.0  # tolerances; another face up to this far behind a reported face may be the first hit
 _MAX_PRECOMPUTED_FACES = 200_000  # with more faces, the tables of each face are computed on demand
@@ -54,9 +54,7 @@ class TriangleFaces:
             moved_corners.append(
                 corner
                 + (one + two)
-                * (TRIANGLE_WIDENING_IN_TOLERANCES * self.tolerance / np.maximum(1.0 + dot(one, two), _SHARP_CORNER_LIMIT))[
-                    :, None
-                ]
+                * (WIDENING_IN_TOLERANCES * self.tolerance / np.maximum(1.0 + dot(one, two), _SHARP_CORNER_LIMIT))[:, None]
             )
         return np.stack(moved_corners, axis=1).reshape(-1, 3).astype(np.float32)
 

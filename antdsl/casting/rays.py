@@ -1,5 +1,4 @@
-"""Rays, occlusions, closest points and feelers against triangles, with Open3D or a grid. The bits of a result do not depend on
-batches or threads."""
+"""Rays, occlusions, closest points and feelers against triangles. Batches and threads do not change the bits of a result."""
 
 from __future__ import annotations
 
@@ -23,9 +22,8 @@ RayHits = tuple[Index, Vectors, Index, Vectors]
 
 _RAYS_PER_CHUNK = 1 << 16  # rays per chunk
 _MAX_RECASTS = 16  # maximum number of faces that a ray may miss by less than the tolerance
-_RECAST_NUDGE_IN_TOLERANCES = (
-    8.0  # tolerances; a point moved this far from its face is nearer to an equally near face on another side
-)
+# A point moved this far from its face is nearer to an equally near face on another side.
+_RECAST_NUDGE_IN_TOLERANCES = 8.0
 _MAX_RAYS_IN_ONE_CAST = 128  # for up to this number of rays, one cast to the end of the scene is faster than two queries
 _MAX_NEAREST_DISTANCE_MM = 1e15  # much farther away, Open3D reports no nearest face, because squares overflow in float32
 FAR_FROM_ORIGIN_MM = 2000.0  # mm; nearer to zero, float32 is exact to a ten-thousandth of a millimetre

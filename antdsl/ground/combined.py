@@ -14,12 +14,7 @@ from antdsl.ground.mesh.topology import classify_normal_directions
 from antdsl.ground.protocol import Floats, Footing, GroundMove, MeshSurfaces
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid import move_over_solid as walk_on
-from antdsl.ground.solid_queries import (
-    compute_solid_normals,
-    find_entry_fraction,
-    find_surface_points_below,
-    find_top_surface_points,
-)
+from antdsl.ground.solid_queries import compute_solid_normals, find_entry_fraction, find_points_below, find_top_points
 from antdsl.numerics.vector_rows import compute_unit_tangents, find_rows_in_box, length, make_columns_contiguous, take_rows
 from antdsl.numerics.vectors import rotate_between_normals
 
@@ -31,7 +26,7 @@ _EYE_HEIGHT_BODY_LENGTHS = 0.02  # body lengths above the path from which an age
 
 
 @dataclass(slots=True)
-class _CombinedWalkState:
+class _CombinedWalk:
     """Agents during a walk: footings, positions, orientations, and remaining displacements. Each component is contiguous."""
 
     footing: Footing
@@ -98,7 +93,7 @@ class CombinedGround:
             rows = np.arange(len(points)) if is_requested else np.flatnonzero(buried)
             if not rows.size:
                 continue
-            top, is_hit = find_top_surface_points(volume, points[rows], up[rows])
+            top, is_hit = find_top_points(volume, points[rows], up[rows])
             higher = is_hit & (((top - points[rows]) * up[rows]).sum(axis=1) > height[rows])
             higher |= is_hit & buried[rows]
             chosen = rows[higher]
@@ -188,7 +183,7 @@ class CombinedGround:
         remaining = make_columns_contiguous(displacement)
         np.nan_to_num(remaining, copy=False, posinf=0.0, neginf=0.0)
         ahead = make_columns_contiguous(heading)
-        walk = _CombinedWalkState(
+        walk = _CombinedWalk(
             footing.copy(),
             np.empty((3, n)).T,
             make_columns_contiguous(up),
@@ -211,7 +206,7 @@ class CombinedGround:
 
     # ---- parts of moving
 
-    def _walk_until_surface_change(self, walk: _CombinedWalkState, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
+    def _walk_until_surface_change(self, walk: _CombinedWalk, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
         """Walk `rows` on their current mesh or solid. Agents that reach another one are placed on its surface. Return the agents
         with distance left."""
         again = []
@@ -225,7 +220,7 @@ class CombinedGround:
                 again.append(self._walk_on_solid(walk, mine, k, volume, body, threads, is_last))
         return np.sort(np.concatenate(again))
 
-    def _walk_on_meshes(self, walk: _CombinedWalkState, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
+    def _walk_on_meshes(self, walk: _CombinedWalk, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
         """Walk `rows` over meshes, up to the first solid. Return the agents with distance left."""
         meshes = self.meshes
         assert meshes is not None
@@ -237,7 +232,7 @@ class CombinedGround:
         return self._step_onto_solid(walk, rows, entries, moved, body, threads, is_last)
 
     @staticmethod
-    def _finish_walks(walk: _CombinedWalkState, rows: Rows, unfinished_rows: Rows, move: GroundMove) -> None:
+    def _finish_walks(walk: _CombinedWalk, rows: Rows, unfinished_rows: Rows, move: GroundMove) -> None:
         """Store the results of all agents in `rows` that have finished their walk. The agents in `unfinished_rows` have not."""
         footing, vectors = move.footing, [move.position, move.up, move.heading, move.direction]
         travelled, blocked = move.travelled, move.is_blocked
@@ -279,14 +274,7 @@ class CombinedGround:
         return _SolidEntries(who, which[who], part[who], positions[who])
 
     def _step_onto_solid(
-        self,
-        walk: _CombinedWalkState,
-        rows: Rows,
-        entries: _SolidEntries,
-        move: GroundMove,
-        body: Floats,
-        threads: int,
-        is_last: bool,
+        self, walk: _CombinedWalk, rows: Rows, entries: _SolidEntries, move: GroundMove, body: Floats, threads: int, is_last: bool
     ) -> Rows:
         """Place the agents of `entries` on the surface of the solid that each entered. Return the agents with distance left."""
         again = [np.empty(0, np.intp)]
@@ -318,7 +306,7 @@ class CombinedGround:
         return np.concatenate(again)
 
     def _walk_on_solid(
-        self, walk: _CombinedWalkState, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, is_last: bool
+        self, walk: _CombinedWalk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, is_last: bool
     ) -> Rows:
         """Walk `rows` over solid number `k`, up to the first mesh. Return the agents with distance left."""
         previous_footing = walk.footing
@@ -358,7 +346,7 @@ class CombinedGround:
         walk.remaining_displacements[down] = walk.direction[down] * rest[:, None]
         return np.concatenate([again, down[rest > 0]])
 
-    def _project_to_ground(self, walk: _CombinedWalkState, rows: Rows) -> None:
+    def _project_to_ground(self, walk: _CombinedWalk, rows: Rows) -> None:
         """Move agents without a solid nearby down, along the scene's up axis, onto the ground below.
 
         If there is no ground below, move them to the nearest ground."""
@@ -369,7 +357,7 @@ class CombinedGround:
         least = np.full(len(rows), np.inf)
         for k, volume in enumerate(self._volumes):
             reach = length(np.maximum(np.abs(volume.high - start), np.abs(start - volume.low)))
-            place, is_hit = find_surface_points_below(volume, start, np.broadcast_to(self._up, start.shape), reach)
+            place, is_hit = find_points_below(volume, start, np.broadcast_to(self._up, start.shape), reach)
             drop = length(place - start)
             first = np.flatnonzero(is_hit & (drop < least))
             onto.write_rows(first, Footing.from_solids(self._count + k, place[first]))

@@ -37,17 +37,15 @@ def compute_solid_normals(volume: Volume, place: Floats) -> Floats:
     return normal
 
 
-def find_top_surface_points(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def find_top_points(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the first point of a solid that a ray from far above along -`up` hits, and whether there is such a point."""
     height = float(length((volume.high - volume.low)[None, :])[0])
     middle = (volume.low + volume.high) / 2
     start = points + up * (((middle - points) * up).sum(axis=1) + height)[:, None]
-    return find_surface_points_below(volume, start, up, 2 * height)
+    return find_points_below(volume, start, up, 2 * height)
 
 
-def find_surface_points_below(
-    volume: Volume, start: Floats, up: Floats, reach: Floats | float
-) -> tuple[Floats, NDArray[np.bool_]]:
+def find_points_below(volume: Volume, start: Floats, up: Floats, reach: Floats | float) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the first point of a solid that a ray along -`up` hits within `reach` (mm), and whether there is such a point."""
     hits = SolidProximityQueries(volume).cast_feelers(start.T, -up.T, reach)
     place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]

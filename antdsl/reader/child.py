@@ -50,18 +50,18 @@ def _answer_request(request: Any) -> tuple[dict[str, Any], dict[str, Any], bool]
     """Return the answer to a request, its arrays, and whether it is the last answer of the process."""
     from antdsl.packages import INSTALL_ADVICE, find_missing_distribution
     from antdsl.reader import READER_FUNCTIONS
-    from antdsl.reader.protocol import ReadRefusedError
+    from antdsl.reader.protocol import RefusalError
 
     try:
         module, function = READER_FUNCTIONS[request.document["kind"]]
         document, arrays = getattr(import_module(module), function)(request)
-    except ReadRefusedError as error:
+    except RefusalError as error:
         return {"refusal": error.make_document()}, {}, False
     except MemoryError:
         return {"failure": "memory"}, {}, True
     except ModuleNotFoundError as problem:
         distribution = find_missing_distribution(problem) or problem.name
-        refusal = ReadRefusedError("missing-extra", f"needs the package {distribution}, which is not installed", INSTALL_ADVICE)
+        refusal = RefusalError("missing-extra", f"needs the package {distribution}, which is not installed", INSTALL_ADVICE)
         return {"refusal": refusal.make_document()}, {}, False
     except Exception as problem:  # an exception of a library, with arbitrary text
         return {"failure": "exception", "name": type(problem).__name__[:80]}, {}, False

@@ -1,5 +1,4 @@
-"""The reader process of this process: it starts on demand, serves all requests, and is replaced if it dies, hangs or uses too
-much.
+"""The reader process: it starts on demand, serves all requests, and is replaced if it dies, hangs or uses too much.
 
 `send_request` is safe in any thread. A process that was forked from this one starts its own reader."""
 
@@ -24,15 +23,7 @@ from antdsl import cpu_budget, limits
 from antdsl.numerics.processor.host import get_address_space_limit
 from antdsl.reader import PRELOADED_MODULES, READER_FUNCTIONS, confinement
 from antdsl.reader.private_folder import PrivateFolder
-from antdsl.reader.protocol import (
-    Arrays,
-    PipeClosedError,
-    ProtocolError,
-    ReaderMessage,
-    ReadRefusedError,
-    read_message,
-    write_message,
-)
+from antdsl.reader.protocol import Arrays, PipeError, ProtocolError, ReaderMessage, RefusalError, read_message, write_message
 
 _CHILD_PROGRAM = Path(__file__).with_name("child.py")
 _MAX_STORED_FAILURES = 256  # failed requests that are not repeated
@@ -180,7 +171,7 @@ class FileReader:
                     if len(self._failures) > _MAX_STORED_FAILURES:
                         self._failures.popitem(last=False)
                 raise
-            except ReadRefusedError:
+            except RefusalError:
                 raise
             except BaseException:  # interrupted between a request and its answer, or out of memory or time
                 self._end_process(is_counted=False)
@@ -216,7 +207,7 @@ class FileReader:
                 running.read_greeting()
                 write_message(running.requests, request_document, arrays)
                 answer = read_message(running.answers, limits.MAX_READER_ARRAY_BYTES)
-        except (PipeClosedError, BrokenPipeError):
+        except (PipeError, BrokenPipeError):
             status = self._end_process()
             if status == _KILLED_STATUS and running is previous and not late.is_set():
                 # it may have been killed before the request reached it
@@ -242,7 +233,7 @@ class FileReader:
         if isinstance(document.get("answer"), dict):
             return ReaderMessage(document["answer"], answer.arrays)
         if "refusal" in document:
-            refusal = ReadRefusedError.from_document(document["refusal"], REFUSAL_CODES)
+            refusal = RefusalError.from_document(document["refusal"], REFUSAL_CODES)
             if refusal is not None:
                 raise refusal
         if document.get("failure") == "memory":
@@ -362,7 +353,7 @@ def send_request(
     - `request_digest`: a hash of all input of the request; a request that failed is not repeated
     - `files_digest`: a hash of the files alone; if a request uses too much, others about them fail until the next scene
 
-    Raises ReadRefusedError if the child reports why it does not read something, and ReaderFailureError if it gives no answer.
+    Raises RefusalError if the child reports why it does not read something, and ReaderFailureError if it gives no answer.
     Raises MemoryError if this process cannot grant enough, and CpuBudgetSpentError if the budget of a check is spent. No answer
     is trusted."""
     return _file_reader.send_request(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.reader import client
-from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusedError
+from antdsl.reader.protocol import ProtocolError, ReaderMessage, RefusalError
 
 # Modes of Pillow that can be requested: sample type, and channels (0: one, without a separate axis).
 SAMPLE_TYPE_BY_MODE = {
@@ -73,7 +73,7 @@ def read_image_file(data: bytes, format: str, modes: Collection[str], max_pixels
             files_digest=digest,
         )
         return _check_image_answer(answer, request_document["modes"], max_pixels)
-    except ReadRefusedError as error:
+    except RefusalError as error:
         if error.code == "missing-extra":
             raise ImageError(str(error), error.help) from None
         raise ImageError(f"cannot be read as {format} ({error})", "export the image again") from None

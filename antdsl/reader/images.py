@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.reader.protocol import ReadRefusedError
+from antdsl.reader.protocol import RefusalError
 
 if TYPE_CHECKING:
     from antdsl.reader.protocol import ReaderMessage
@@ -40,10 +40,10 @@ def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDA
                 mode = target or mode
             document = {"mode": mode, "columns": columns, "rows": rows, "pages": pages}
             return document | {"texts": _read_texts(image.info)}, arrays  # text entries may come after the samples
-    except (MemoryError, ReadRefusedError):
+    except (MemoryError, RefusalError):
         raise
     except Exception as problem:  # a library may raise any error for an untrusted file
-        raise ReadRefusedError("bad-image", type(problem).__name__) from problem
+        raise RefusalError("bad-image", type(problem).__name__) from problem
 
 
 def _require_complete_image(image: Any) -> None:
@@ -52,7 +52,7 @@ def _require_complete_image(image: Any) -> None:
     if boxes and all(boxes):
         covered_pixels = sum((right - left) * (bottom - top) for left, top, right, bottom in boxes)
         if covered_pixels < image.width * image.height:
-            raise ReadRefusedError("bad-image", "parts of the image are missing")
+            raise RefusalError("bad-image", "parts of the image are missing")
 
 
 def _read_texts(info: Mapping[Any, Any]) -> dict[str, str]:

@@ -34,7 +34,7 @@ class ProtocolError(Exception):
     """Error for bytes that are not a valid message."""
 
 
-class PipeClosedError(ProtocolError):
+class PipeError(ProtocolError):
     """Error if the other side closed the pipe before a message was complete."""
 
 
@@ -167,7 +167,7 @@ def _read_bytes(file: IO[bytes], size: int) -> NDArray[np.uint8]:
             buffer = np.concatenate([buffer, np.empty(min(size - filled, len(buffer)), np.uint8)])
         count = file.readinto(buffer[filled:].data)  # type: ignore[attr-defined]
         if not count:
-            raise PipeClosedError("a message ends early")
+            raise PipeError("a message ends early")
         filled += count
     return buffer
 
@@ -176,7 +176,7 @@ def _reject_json_constant(word: str) -> NoReturn:
     raise ValueError(word)
 
 
-class ReadRefusedError(Exception):
+class RefusalError(Exception):
     """The reader's reason for not reading something.
 
     - `code`: the code of a diagnostic; the text of the error is its message
@@ -195,7 +195,7 @@ class ReadRefusedError(Exception):
         return {"code": self.code, "message": str(self), "help": self.help, "key": self.key, "about": self.subject}
 
     @classmethod
-    def from_document(cls, document: Any, codes: Any) -> ReadRefusedError | None:
+    def from_document(cls, document: Any, codes: Any) -> RefusalError | None:
         """Return the refusal that a process sent. None if the document is not a refusal, or if its code is not in `codes`."""
         if not isinstance(document, dict):
             return None

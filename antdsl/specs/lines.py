@@ -70,7 +70,7 @@ class JudgementLine:
     """The state of judging one line of a spec over a run. Arrays are indexed by the agent's id.
 
     - `steps`, `held_steps`: the times of the line and of its `held`, in steps; None without one.
-    - `is_open`: whether the line is still judged. `failure_reason`: the reason of the last failure in words.
+    - `is_undecided`: whether the line is still judged. `failure_reason`: the reason of the last failure in words.
     - `is_fulfilled`: whether the agent has fulfilled the line.
     - `count`: the number of successive frames in which the condition has held.
     - `previous_start_condition`: whether the condition of the `when` held in the previous frame.

@@ -12,7 +12,7 @@ _MAX_SERIES_NUMBERS = 400_000  # of one run; longer runs store every second fram
 
 
 class MeasureSeries:
-    """Collects the measures of a run. `make_document`: lists of equal length by name; `frame` has the frames."""
+    """Collects the measures of a run. `document`: lists of equal length by name; `frame` has the frames."""
 
     def __init__(self, names: Sequence[str], frames: FrameRange) -> None:
         count = (frames.last - frames.first + 1) * (len(names) + 1)

@@ -16,7 +16,7 @@ from antdsl.reader.protocol import (
     MESSAGE_MAGIC,
     ProtocolError,
     ReaderMessage,
-    ReadRefusedError,
+    RefusalError,
     pack_texts,
     read_message,
     write_message,
@@ -113,9 +113,9 @@ def test_values_are_checked_when_they_are_used(use: Any) -> None:
 
 
 def test_a_refusal_has_a_known_code_and_printable_texts() -> None:
-    sent = ReadRefusedError("bad-usd", "a\x1b[31m" + "b" * 5000, None, "prim").make_document()
-    parsed_refusal = ReadRefusedError.from_document(sent, {"bad-usd"})
+    sent = RefusalError("bad-usd", "a\x1b[31m" + "b" * 5000, None, "prim").make_document()
+    parsed_refusal = RefusalError.from_document(sent, {"bad-usd"})
     assert parsed_refusal is not None and str(parsed_refusal).isprintable() and len(str(parsed_refusal)) <= 2000
-    assert ReadRefusedError.from_document(sent, {"bad-mesh"}) is None
+    assert RefusalError.from_document(sent, {"bad-mesh"}) is None
     for document in (None, [], {}, {**sent, "message": 3}, {**sent, "help": []}, {**sent, "key": None}):
-        assert ReadRefusedError.from_document(document, {"bad-usd"}) is None
+        assert RefusalError.from_document(document, {"bad-usd"}) is None

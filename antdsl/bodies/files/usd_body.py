@@ -23,7 +23,7 @@ from antdsl.bodies.agents.transforms import align_signs, compose_transforms, nor
 from antdsl.bodies.files.gltf.gltf_clips import EXTRAS_KEY, compute_even_times
 from antdsl.bodies.files.gltf.gltf_shapes import build_rigid_capture, make_unused_name
 from antdsl.bodies.files.usd_shapes import Skin, UsdBody, read_usd_shape
-from antdsl.reader.protocol import ReadRefusedError
+from antdsl.reader.protocol import RefusalError
 from antdsl.scene.geometry.matrices import has_inverse, invert_transforms
 from antdsl.scene.geometry.usd.child.guard import ReaderAnswer, wrap_refusals
 from antdsl.scene.geometry.usd.child.stage import OpenStage, open_stage
@@ -57,7 +57,7 @@ def read_body(request: ReaderMessage) -> ReaderAnswer:
     try:
         definition, body = _read_definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
     except BodyError as error:
-        raise ReadRefusedError(error.code, str(error), error.help, "prim", "body") from error
+        raise RefusalError(error.code, str(error), error.help, "prim", "body") from error
     return {"left_out": list(body.omissions), "settings": json.dumps(body.settings, default=str)}, pack_definition(definition)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.packed import ARRAY_NAMES, unpack_definition
 from antdsl.bodies.files.gltf.gltf_clips import apply_settings, read_settings
-from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusedError, clean_for_display
+from antdsl.reader.protocol import ProtocolError, ReaderMessage, RefusalError, clean_for_display
 from antdsl.scene.geometry.usd import UsdError, open_stage
 from antdsl.scene.paths import Roots
 
@@ -29,7 +29,7 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
             raise ProtocolError("a part of the body is missing")
     except UsdError:
         raise
-    except ReadRefusedError as error:
+    except RefusalError as error:
         raise BodyError(str(error), error.help, error.code) from None
     except ProtocolError as error:
         raise stage.make_answer_error(error) from None

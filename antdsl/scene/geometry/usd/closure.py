@@ -27,7 +27,7 @@ from typing import NoReturn
 
 from antdsl import limits
 from antdsl.reader import client
-from antdsl.reader.protocol import ProtocolError, ReadRefusedError, clean_for_display
+from antdsl.reader.protocol import ProtocolError, RefusalError, clean_for_display
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.paths import PathRefused, Roots
 
@@ -161,7 +161,7 @@ class UsdFileClosure:
     def _read_assets(self, document: dict[str, str], name: str, digest: str) -> list[str]:
         try:
             return client.send_request("usd-layer", document, file_bytes=self.size, request_digest=digest).require_texts("assets")
-        except ReadRefusedError as error:
+        except RefusalError as error:
             if error.subject == "exception":
                 raise UsdError("bad-usd", f"`{name}` cannot be read as USD: {error}", error.help, "usd") from None
             raise UsdError(error.code, str(error), error.help, "usd") from None

@@ -10,14 +10,14 @@ from functools import cache
 from typing import Any
 
 from antdsl.diagnostics.model import replace_unprintable
-from antdsl.reader.protocol import ReadRefusedError
+from antdsl.reader.protocol import RefusalError
 
 _OUT_OF_MEMORY_PHRASES = ("failed to map segment", "annot allocate memory")  # messages of library loaders that run out of memory
 _SESSION_LAYER_PATTERN = re.compile(r",@anon:0x[0-9a-fA-F]+:[^@]*-session\.\w+@")  # a layer that USD adds to each stage
 _MEMORY_ADDRESS_PATTERN = re.compile(r"(?:\banon:0x[0-9a-fA-F]+:?)|(?: ?<0x[0-9a-fA-F]+>)")
 
 
-class UsdError(ReadRefusedError):
+class UsdError(RefusalError):
     """An error about a key of the scene: `prim`, `usd` or `kind`."""
 
     def __init__(self, code: str, message: str, help: str | None = None, key: str = "prim") -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.reader import client, confinement
-from antdsl.reader.protocol import ProtocolError, ReaderMessage, ReadRefusedError
+from antdsl.reader.protocol import ProtocolError, ReaderMessage, RefusalError
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.usd.closure import UsdFileClosure
 from antdsl.scene.geometry.usd.errors import UsdError, make_missing_extra_error
@@ -40,7 +40,7 @@ class UsdStage:
     def send_request(self, kind: str, document: Mapping[str, Any] | None = None) -> ReaderMessage:
         """Return the reader's answer about this stage. The answer is not checked.
 
-        Raises UsdError, or MeshError for an invalid mesh. A ReadRefusedError about anything else passes to the caller."""
+        Raises UsdError, or MeshError for an invalid mesh. A RefusalError about anything else passes to the caller."""
         said = {
             "path": self.closure.path,
             "folder": self.closure.folder,
@@ -67,7 +67,7 @@ class UsdStage:
             )
         except client.ReaderFailureError as error:
             raise self.make_error(str(error), error.help) from None
-        except ReadRefusedError as error:
+        except RefusalError as error:
             if error.subject == "mesh":
                 raise MeshError(str(error), error.help) from None
             if error.subject == "exception":

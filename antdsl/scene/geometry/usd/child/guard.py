@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from antdsl.reader.protocol import ReadRefusedError
+from antdsl.reader.protocol import RefusalError
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.usd.errors import format_usd_error, import_pxr_module
 
@@ -19,9 +19,9 @@ ReaderAnswer = tuple[dict[str, Any], Mapping[str, Any]]
 
 
 def wrap_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[ReaderMessage], ReaderAnswer]:
-    """Return a reader like `read` that raises every problem of the file as a ReadRefusedError.
+    """Return a reader like `read` that raises every problem of the file as a RefusalError.
 
-    The `about` of the ReadRefusedError is `mesh` for unusable meshes, and `exception` for errors of USD."""
+    The `about` of the RefusalError is `mesh` for unusable meshes, and `exception` for errors of USD."""
 
     @wraps(read)
     def answer_request(request: ReaderMessage) -> ReaderAnswer:
@@ -29,13 +29,13 @@ def wrap_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[Re
             with np.errstate(all="ignore"):  # values that are not finite are reported by the code that uses them
                 return read(request)
         except MeshError as error:
-            raise ReadRefusedError("bad-mesh", str(error), error.help, "prim", "mesh") from error
+            raise RefusalError("bad-mesh", str(error), error.help, "prim", "mesh") from error
         except import_pxr_module("Tf").ErrorException as error:
-            raise ReadRefusedError(
+            raise RefusalError(
                 "bad-usd", format_usd_error(error, str(request.document["folder"])), None, "prim", "exception"
             ) from error
         except UnicodeDecodeError as error:  # USD does not validate names and texts of the file
-            raise ReadRefusedError(
+            raise RefusalError(
                 "bad-usd", "it has bytes that are not UTF-8 text", "export it again", "prim", "exception"
             ) from error
 
