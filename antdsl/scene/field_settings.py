@@ -41,7 +41,7 @@ def list_settable_names(program: Program) -> list[str]:
 def format_suggested_setting(name: str, value: Quantity) -> str:
     """Return a help text for an invalid value of a setting: the value to write instead. Empty if the value is valid."""
     word = name.partition(".")[2]
-    if word == "keeps" and (value.decimal_step != -1 or not 0 <= value.number <= 1):
+    if word == "keeps" and (value.step != -1 or not 0 <= value.number <= 1):
         return "write a share from `0 %/step` to `100 %/step`"
     above = word in ("half_life", "limit")
     if value.number < 0 or (above and value.number == 0):
@@ -64,7 +64,7 @@ def replace_field_settings(program: Program, scene: Scene, values: Mapping[str, 
             place,
             value.number,
             unit_power=value.length_exponent,
-            step=value.decimal_step,
+            step=value.step,
         )
         fields[field] = replace_field_setting(fields[field], word, const)
     return replace(program, fields=fields)

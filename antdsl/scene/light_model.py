@@ -35,7 +35,7 @@ DEFAULT_LIGHT = LightSettings()
 def _parse_strength(value: Any) -> float:
     """Return a strength such as `50 %` or `300 %` as a factor."""
     quantity = parse_any_quantity(value)
-    if quantity.dimension != Dimension() or not 0 <= quantity.number <= MAX_LIGHT_STRENGTH:
+    if quantity.dim != Dimension() or not 0 <= quantity.number <= MAX_LIGHT_STRENGTH:
         raise make_value_error(f"`{quantity.text}` is not a strength", f"write `50 %`, at most `{MAX_LIGHT_STRENGTH * 100:g} %`")
     return quantity.number
 

@@ -293,7 +293,7 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
     from antdsl.scene.camera_models import CAMERA_MODEL_BY_TYPE_TAG, CameraKey
     from antdsl.scene.crowds.casting_model import RANDOM_VALUE_MODELS
     from antdsl.scene.crowds.crowd_model import LayerChoice
-    from antdsl.scene.notes.note_regions import RegionBand
+    from antdsl.scene.notes.note_regions import Band
     from antdsl.scene.notes.notes_model import NOTE_MODELS, make_note_tag
     from antdsl.scene.notes.selectors import AgentConditions, Ball, Box, View
     from antdsl.scene.notes.stagger import Stagger
@@ -308,7 +308,7 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
         "mapping-selector": AgentConditions,
         "box-region": Box,
         "ball-region": Ball,
-        "band-region": RegionBand,
+        "band-region": Band,
         "view-region": View,
         "stagger": Stagger,
         **{f"{key}-draw": each for key, each in RANDOM_VALUE_MODELS.items()},

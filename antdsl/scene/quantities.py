@@ -32,14 +32,14 @@ class Quantity:
     """A number with a dimension.
 
     `number`: the value in base units (mm, s, g, rad) is `number` · (mm per scene unit) ** `length_exponent` · dt ** `step`.
-    `unit`: the unit as in the source."""
+    `unit`: the unit as in the source. States contain a hash of the text of notes, and so the names of these fields."""
 
     number: float
-    dimension: Dimension
+    dim: Dimension
     unit: str
     text: str
     length_exponent: float = 0
-    decimal_step: float = 0
+    step: float = 0
 
     @property
     def has_no_unit(self) -> bool:
@@ -48,7 +48,7 @@ class Quantity:
 
     def to_base_units(self, unit_mm: float, dt: float) -> float:
         """Return the value in base units."""
-        return float(self.number * unit_mm**self.length_exponent * dt**self.decimal_step)
+        return float(self.number * unit_mm**self.length_exponent * dt**self.step)
 
     def to_millimetres(self, unit_mm: float) -> float:
         """Return the length in millimetres. A number without a unit is in scene units.

@@ -98,7 +98,7 @@ def parse_quantity_of(dim: Dimension) -> Callable[[Any], Quantity]:
         quantity = parse_any_quantity(value)
         if quantity.has_no_unit and dim == ANGLE_DIMENSION:
             quantity = parse_quantity(f"{quantity.text} deg")
-        if quantity.dimension != dim and not quantity.has_no_unit:
+        if quantity.dim != dim and not quantity.has_no_unit:
             raise make_value_error(f"`{quantity.text}` is not {describe_dimension(dim)}", f"write `{format_with_unit(50, dim)}`")
         return _limit_quantity(quantity, LARGEST_BY_DIMENSION[dim], f" {BASE_UNIT_BY_DIMENSION[dim]}")
 
@@ -143,7 +143,7 @@ def parse_number_between(low: float, high: float) -> Callable[[Any], float]:
 def parse_share(value: Any) -> float:
     """Return a share from 0 to 1 of a text such as `30 %` or `0.3`."""
     quantity = parse_any_quantity(value)
-    if quantity.dimension != Dimension() or not 0 <= quantity.number <= 1:
+    if quantity.dim != Dimension() or not 0 <= quantity.number <= 1:
         raise make_value_error(f"`{quantity.text}` is not a share", "write a share from `0 %` to `100 %`")
     return quantity.number
 

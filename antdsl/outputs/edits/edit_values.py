@@ -26,7 +26,7 @@ def parse_factor(low: float) -> Callable[[Any], float]:
             quantity = parse_quantity(value) if isinstance(value, str) else Quantity(-1, Dimension(), "", "")
         except QuantityError as why:
             raise make_value_error(f"`{value[:60]}` {why}", why.help or "write `50 %`") from None
-        if quantity.dimension != Dimension() or not low <= quantity.number <= MAX_FACTOR:
+        if quantity.dim != Dimension() or not low <= quantity.number <= MAX_FACTOR:
             raise make_value_error(f"`{str(value)[:60]}` is not a factor", f"write `{100 * low:g} %` to `{100 * MAX_FACTOR:g} %`")
         return quantity.number
 

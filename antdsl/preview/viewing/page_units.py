@@ -19,7 +19,7 @@ def choose_unit(declaration: AttributeDecl | ItemAttribute) -> str:
         written = None
     return (
         written.unit
-        if written is not None and written.dimension == declaration.type.dimension
+        if written is not None and written.dim == declaration.type.dimension
         else choose_default_unit(declaration.type.dimension)
     )
 

@@ -13,7 +13,7 @@ from antdsl.runtime.notes.targets import NearestOnMesh, TargetPoints, find_centr
 from antdsl.runtime.notes.wishes import Floats
 from antdsl.runtime.sensing.sensed_camera import SensedCamera
 from antdsl.runtime.world import World
-from antdsl.scene.notes.note_regions import NoteRegion, RegionBand
+from antdsl.scene.notes.note_regions import Band, NoteRegion
 from antdsl.scene.notes.notes_model import ConfineNote, PassingNote, RegionNote
 from antdsl.scene.notes.selectors import AgentName, Box, View
 from antdsl.scene.thing_models import convert_point
@@ -35,7 +35,7 @@ def measure_region(world: World, region: NoteRegion, agents: NoteAgents) -> Regi
     if isinstance(region, View):
         return _measure_view(world, region, position)
     unit_mm = world.setting.unit_mm
-    if isinstance(region, RegionBand):
+    if isinstance(region, Band):
         curve = find_line(world, region.along)
         if curve is None:
             return RegionDistances(np.full(len(position), np.inf), np.zeros((len(position), 3)))

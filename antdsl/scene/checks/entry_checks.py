@@ -89,7 +89,7 @@ def check_attributes(entry: WorldEntryCheck, quantities: Mapping[str, Quantity],
 
 def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dimension, name: str, *path: PathKey) -> bool:
     """Return whether a value has a dimension; report an error otherwise."""
-    if value.dimension == dim:
+    if value.dim == dim:
         return True
     words, unit = f"`{name}` is {describe_dimension(dim)}", choose_default_unit(dim)
     if value.has_no_unit:
@@ -97,7 +97,7 @@ def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dimensio
         report.error("missing-unit", f"{words}, and `{value.text}` has no unit", scene.find_span(*path), help)
     else:
         help = f"write a value in `{unit}`" if unit else "write the number alone"
-        report.error("wrong-unit", f"{words}, not {describe_dimension(value.dimension)}", scene.find_span(*path), help)
+        report.error("wrong-unit", f"{words}, not {describe_dimension(value.dim)}", scene.find_span(*path), help)
     return False
 
 

@@ -37,7 +37,7 @@ def _parse_rate(value: Any) -> Quantity:
         quantity = parse_quantity(text)
     except QuantityError as error:
         raise make_value_error(f"{describe_value(text)} {error}", error.help or "write `20 /s`") from None
-    if quantity.dimension != Dimension(time=-1):
+    if quantity.dim != Dimension(time=-1):
         raise make_value_error(f"`{quantity.text}` is not a rate", f"write `{quantity.text.split()[0][:20]} /s`")
     if not 0 < quantity.number <= limits.MAX_SCENE_NUMBER:
         raise make_value_error(

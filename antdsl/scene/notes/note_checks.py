@@ -13,7 +13,7 @@ from antdsl.scene.crowds.initial_values import is_settable
 from antdsl.scene.document import PathKey
 from antdsl.scene.load import Scene
 from antdsl.scene.notes.note_programs import LOOK_MACHINE_PREFIX, PLAY_MACHINE_NAME
-from antdsl.scene.notes.note_regions import NoteBall, NoteRegion, RegionBand
+from antdsl.scene.notes.note_regions import Band, NoteBall, NoteRegion
 from antdsl.scene.notes.notes_model import (
     AttractNote,
     ChangeNote,
@@ -106,7 +106,7 @@ class _NoteCheck:
     def _find_region_problems(self) -> Iterator[SelectorProblem]:
         for key, region in self._iterate_regions():
             around = region.around if isinstance(region, NoteBall) else None
-            line = region.along if isinstance(region, RegionBand) and isinstance(region.along, tuple) else ()
+            line = region.along if isinstance(region, Band) and isinstance(region.along, tuple) else ()
             for number, target in enumerate(line):
                 if isinstance(target, AgentName):
                     yield from self._find_target_problems(target, (*self.path, key, "along", number))

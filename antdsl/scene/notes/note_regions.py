@@ -64,7 +64,7 @@ class NoteBall(ScenePart):
     radius: PositiveLength
 
 
-class RegionBand(ScenePart):
+class Band(ScenePart):
     """All points within half of `width` of a curve, or of the line through points, items, agents, cameras and meshes."""
 
     along: _CurveOrTargets
@@ -82,7 +82,7 @@ def _find_region_tag(value: Any) -> str:
 NoteRegion = Annotated[
     Annotated[Box, Tag("box-region")]
     | Annotated[NoteBall, Tag("ball-region")]
-    | Annotated[RegionBand, Tag("band-region")]
+    | Annotated[Band, Tag("band-region")]
     | Annotated[View, Tag("view-region")],
     Discriminator(_find_region_tag),
     BeforeValidator(require_region),

@@ -24,7 +24,7 @@ def _parse_share_up_to_all(excess: str, advice: str) -> Callable[[Any], float]:
 
     def parse(value: Any) -> float:
         quantity = parse_any_quantity(value)
-        if quantity.dimension == Dimension() and quantity.number > 1:
+        if quantity.dim == Dimension() and quantity.number > 1:
             raise make_value_error(f"`{quantity.text}` is {excess}", advice)
         return parse_share(value)
 

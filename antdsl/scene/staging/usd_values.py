@@ -52,7 +52,7 @@ def read_in_base_units(file: UsdFile, key: str, dim: Dimension) -> NDArray[np.fl
             help = error.help or f"write a number, or one with a unit: `{format_with_unit(1, dim)}`"
             report.error("bad-usd", f"{where} has `{text}`, which {error}", file.span, help)
             return column
-        if quantity.dimension != dim:
+        if quantity.dim != dim:
             words = f"{where} has `{text}`, but `{key}` is {describe_dimension(dim)}"
             report.error("wrong-unit", words, file.span, f"write it as `{format_with_unit(1, dim)}`")
             return column
