@@ -11,9 +11,18 @@ from sphinx.util.typing import ExtensionMetadata
 
 project = "antdsl"
 html_title = "antdsl"
-extensions = ["myst_parser"]
+extensions = ["myst_nb"]
+nb_execution_mode = "off"  # notebooks are stored with what they print; tests run them
 root_doc = "docs/index"
-include_patterns = ["docs/**.md", "grammar/README.md", "examples/*/README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md"]
+include_patterns = [
+    "docs/**.md",
+    "docs/notebooks/*.ipynb",
+    "grammar/README.md",
+    "examples/*/README.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+    "SECURITY.md",
+]
 exclude_patterns = ["docs/**/out"]
 html_theme = "furo"
 pygments_style, pygments_dark_style = "friendly", "native"
@@ -28,7 +37,7 @@ def add_contents(app: Sphinx, page: str, source: list[str]) -> None:
     if page.startswith("docs/codes/") and not page.endswith("README"):
         source[0] = f"---\norphan: true\n---\n{source[0]}"
     for group in source[0].split("\n## ")[1:] if page == root_doc else ():
-        links = re.findall(r"\[([^\]]+)\]\(([\w./]+)\.md\)", group)
+        links = re.findall(r"\[([^\]]+)\]\(([\w./]+)\.(?:md|ipynb)\)", group)
         entries = [f"{text[0].upper()}{text[1:]} </{posixpath.normpath(posixpath.join('docs', link))}>" for text, link in links]
         source[0] += "\n".join(["", "```{toctree}", ":hidden:", f":caption: {group.splitlines()[0]}", *entries, "```", ""])
 

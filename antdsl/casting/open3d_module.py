@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from functools import cache
 from importlib import import_module
@@ -34,6 +35,8 @@ def load_open3d() -> Any:
     Its plotting parts are not imported. They need a web server and an HTTP client (dash, requests), take half of the import time,
     and bind a socket."""
     if "open3d" not in sys.modules:
+        # In a notebook, Open3D would otherwise start its web viewer and print about it.
+        os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
         sys.modules.setdefault(_PLOTLY_MODULE, _DeferredModule(_PLOTLY_MODULE))
     try:
         import open3d

@@ -18,7 +18,7 @@ from antdsl.resources import documentation_folder
 from antdsl.user_folders import cache_folder, make_private_folder
 
 FIRST_PAGE = "docs/index.html"
-_PACKAGES = ("sphinx", "myst_parser", "furo")
+_PACKAGES = ("sphinx", "myst_parser", "myst_nb", "furo")
 
 
 def run_docs_command(
