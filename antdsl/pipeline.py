@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from antdsl import __version__
 from antdsl.diagnostics import Report
 from antdsl.loading import LoadedSources, ParsedFileCache, SharedParsedFiles
-from antdsl.numerics.processor.float_environment import standard_floats
+from antdsl.numerics.processor.float_environment import use_standard_floats
 from antdsl.safe_read import resolve_path
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def _check_loaded_sources(
     return program, report
 
 
-@standard_floats()
+@use_standard_floats()
 def open_scene(
     path: Path | str,
     choices: RunChoices | None = None,

@@ -18,5 +18,5 @@ def need_numba() -> None:
 
 def need_llvmlite() -> None:
     """Skip the test where machine code cannot be made."""
-    if why := llvm_compiler.unavailability_reason():
+    if why := llvm_compiler.find_unavailability_reason():
         pytest.skip(why)

@@ -52,7 +52,7 @@ def program(numbers: list[float]) -> str:
 
 def main() -> None:
     numbers = [1 + 1 / (3 + k) for k in range(400)]
-    code = llvm_compiler.compile_object(program(numbers), llvm_compiler.host_target())
+    code = llvm_compiler.compile_object(program(numbers), llvm_compiler.find_host_target())
     buffer = np.array([0.3])
     split()
     llvm_compiler.load_object(code).function("far")(buffer.ctypes.data, 0, 0)

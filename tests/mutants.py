@@ -133,7 +133,7 @@ def texts(file: Path) -> dict[str, str]:
             source_lines: list[str] = []
             source_key._describe_function(each.part, source_lines, {})
             if any(line.startswith(f"{module} ") for line in source_lines):
-                kernel_texts[f"{each.__module__}.{each.__name__}"] = each.text(llvm_compiler.host_target())
+                kernel_texts[f"{each.__module__}.{each.__name__}"] = each.text(llvm_compiler.find_host_target())
     return kernel_texts
 
 
@@ -147,7 +147,7 @@ def digests(file: Path, compiled: bool = False) -> dict[str, str] | None:
 def _print_digests(file: Path, compiled: bool) -> None:
     kernel_texts = texts(file)
     code = {
-        name: llvm_compiler.compile_object(text, llvm_compiler.host_target()) if compiled else text.encode()
+        name: llvm_compiler.compile_object(text, llvm_compiler.find_host_target()) if compiled else text.encode()
         for name, text in kernel_texts.items()
     }
     print(json.dumps({name: blake2b(each, digest_size=16).hexdigest() for name, each in code.items()}))

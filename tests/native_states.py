@@ -28,7 +28,7 @@ def states(plan: ir.Plan, setting: WorldSetting, backend: str) -> list[str]:
     for _ in range(FRAMES):
         step(world)
         hashes.append(state_hash(world))
-    assert backend == "numpy" or (world.backend.ready_code is None) == bool(llvm_compiler.unavailability_reason())  # type: ignore[attr-defined]
+    assert backend == "numpy" or (world.backend.ready_code is None) == bool(llvm_compiler.find_unavailability_reason())  # type: ignore[attr-defined]
     return hashes
 
 
@@ -47,8 +47,8 @@ def of_scene(scene: str, backend: str) -> list[str]:
 
 if __name__ == "__main__":
     if "--plain" in sys.argv:
-        llvm_compiler.host_target = lambda: PLAIN  # type: ignore[assignment]
-    print(llvm_compiler.unavailability_reason() or "as machine code")
+        llvm_compiler.find_host_target = lambda: PLAIN  # type: ignore[assignment]
+    print(llvm_compiler.find_unavailability_reason() or "as machine code")
     print(*of_plan("native"))
     for scene in sys.argv[1:]:
         if not scene.startswith("-"):

@@ -92,7 +92,7 @@ def main() -> int:
     parser.add_argument("--feet", action="store_true")
     options = parser.parse_args()
     if os.environ.get("COMPILED") == "oldest":
-        llvm_compiler.host_target = lambda: llvm_compiler.Target("x86_64-unknown-linux-gnu", "x86-64", "")
+        llvm_compiler.find_host_target = lambda: llvm_compiler.Target("x86_64-unknown-linux-gnu", "x86-64", "")
     if options.feet:
         return _feet(options.scenes, record=options.record)
     known = recorded() if RECORDED.exists() else {}

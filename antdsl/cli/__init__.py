@@ -262,9 +262,9 @@ def _run_command_line() -> int:
         if end is not None:
             print(end.message, end.hint, sep="\n", file=sys.stderr)
             return end.code
-        from antdsl.machine_code.llvm_compiler import MachineCodeUnavailable
+        from antdsl.machine_code.llvm_compiler import MachineCodeUnavailableError
 
-        if isinstance(problem, MachineCodeUnavailable):
+        if isinstance(problem, MachineCodeUnavailableError):
             print(f"error: simulation needs machine code: {problem}", file=sys.stderr)
             return ExitCode.INPUT_OUTPUT
         import traceback

@@ -35,7 +35,7 @@ def build_object_files(folder: Path, entries: Sequence[library.LibraryEntry], ta
     objects_by_target: dict[str, dict[str, bytes]] = {}
     for name in targets:
         target = shipped_objects.TARGET_BY_NAME[name]
-        stored = shipped_objects.ObjectFile(shipped_objects.objects_path(folder, name))
+        stored = shipped_objects.ObjectFile(shipped_objects.make_objects_path(folder, name))
         keys[name] = {
             _get_qualified_name(each): shipped_objects.compute_shipped_key(named, target)
             for each in entries
@@ -53,7 +53,7 @@ def build_object_files(folder: Path, entries: Sequence[library.LibraryEntry], ta
             objects_by_target[name][keys[name][place]] = code
     folder.mkdir(parents=True, exist_ok=True)
     for name, codes_by_key in objects_by_target.items():
-        write_atomically(shipped_objects.objects_path(folder, name), shipped_objects.pack_objects(codes_by_key))
+        write_atomically(shipped_objects.make_objects_path(folder, name), shipped_objects.pack_objects(codes_by_key))
     shipped_objects.close_files()
     return sum(len(names) for _, names in tasks)
 
@@ -100,14 +100,14 @@ def main() -> int:
     parser.add_argument("--host", action="store_true", help="only for this machine")
     host = parser.parse_args().host
     isolate_search_paths()  # set before processes start
-    why = llvm_compiler.unavailability_reason()
+    why = llvm_compiler.find_unavailability_reason()
     targets = list(shipped_objects.TARGET_BY_NAME)
     if host and not why:
-        own = shipped_objects.find_target_name(llvm_compiler.host_target())
+        own = shipped_objects.find_target_name(llvm_compiler.find_host_target())
         why = (
             ""
             if own
-            else f"this machine ({llvm_compiler.host_target().triple}, {llvm_compiler.host_target().cpu}) "
+            else f"this machine ({llvm_compiler.find_host_target().triple}, {llvm_compiler.find_host_target().cpu}) "
             f"is not one of {', '.join(targets)}"
         )
         targets = [own] if own else []
@@ -118,7 +118,7 @@ def main() -> int:
     entries = library.load_entries()
     core_count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     count = build_object_files(shipped_objects.OBJECTS_FOLDER, entries, targets, min(core_count, _MAX_PROCESSES))
-    size = sum(shipped_objects.objects_path(shipped_objects.OBJECTS_FOLDER, name).stat().st_size for name in targets)
+    size = sum(shipped_objects.make_objects_path(shipped_objects.OBJECTS_FOLDER, name).stat().st_size for name in targets)
     words = f"{len(entries)} kernels and texts for {', '.join(targets)}: {size / 1e6:.1f} MB"
     print(f"{words}, {count} compiled in {time.monotonic() - start:.0f} s")
     return 0

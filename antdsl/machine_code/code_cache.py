@@ -20,8 +20,8 @@ def load_code(text_or_name: str, build_text: Callable[[], str] | None = None) ->
 
     `text_or_name`: the text; with `build_text`, a unique name of the text. `build_text`: returns the text if it must be
     compiled."""
-    target = llvm_compiler.host_target()
-    key = object_cache.compute_object_key(text_or_name, target, versions=object_cache.environment_versions())
+    target = llvm_compiler.find_host_target()
+    key = object_cache.compute_object_key(text_or_name, target, versions=object_cache.list_environment_versions())
     with _code_lock:
         if key in _code_by_key:
             _code_by_key.move_to_end(key)
@@ -32,7 +32,7 @@ def load_code(text_or_name: str, build_text: Callable[[], str] | None = None) ->
     )
     loaded_code = llvm_compiler.load_object(object_file)
     if stored is None:
-        _get_object_cache().put(key, object_file)
+        _get_object_cache().store_bytes(key, object_file)
     with _code_lock:
         _code_by_key[key] = loaded_code
         while len(_code_by_key) > _MAX_CACHED_FUNCTIONS:
@@ -42,8 +42,8 @@ def load_code(text_or_name: str, build_text: Callable[[], str] | None = None) ->
 
 def is_code_available(text_or_name: str) -> bool:
     """Return whether the code of a text, given by the text or its name, is in memory or stored."""
-    target = llvm_compiler.host_target()
-    key = object_cache.compute_object_key(text_or_name, target, versions=object_cache.environment_versions())
+    target = llvm_compiler.find_host_target()
+    key = object_cache.compute_object_key(text_or_name, target, versions=object_cache.list_environment_versions())
     with _code_lock:
         if key in _code_by_key:
             return True
@@ -56,19 +56,21 @@ def _find_stored_code(text_or_name: str, target: llvm_compiler.Target, key: str)
     return _get_object_cache().get(key) if shipped_object is None else shipped_object
 
 
-def load_data(key: str) -> bytes | None:
+def load_stored_data(key: str) -> bytes | None:
     """Return the bytes stored under a key with `store_data`, in this run or an earlier one; None if there are none."""
     return _get_object_cache().get(key)
 
 
 def store_data(key: str, data: bytes) -> None:
     """Store data that belongs to code. The data is signed, as stored code is."""
-    _get_object_cache().put(key, data)
+    _get_object_cache().store_bytes(key, data)
 
 
-def messages() -> list[str]:
+def take_messages() -> list[str]:
     """Return messages for the user on why stored code was not used, or why new code is not stored."""
-    return shipped_objects.messages() + (list(_get_object_cache().messages) if _get_object_cache.cache_info().currsize else [])
+    return shipped_objects.take_messages() + (
+        list(_get_object_cache().messages) if _get_object_cache.cache_info().currsize else []
+    )
 
 
 def release_unused_code() -> None:

@@ -16,8 +16,8 @@ import numpy as np
 from antdsl.machine_code import number_kinds
 from antdsl.machine_code.kernels.ir import Instruction, IrFunction, verify_functions
 from antdsl.machine_code.kernels.rendering import render_function
-from antdsl.machine_code.kernels.values import Number, llvm_type
-from antdsl.machine_code.kernels.vectors import Vectors
+from antdsl.machine_code.kernels.values import Number, format_llvm_type
+from antdsl.machine_code.kernels.vectors import VectorBuilder
 from antdsl.machine_code.llvm_module import LlvmModule
 from antdsl.machine_code.number_kinds import BOOL, F32, F64, I8, I32, I64, LANE_COUNT, PTR, format_literal
 
@@ -40,7 +40,7 @@ class Lanes(Number):
 
     def __init__(self, e: LaneBuilder, kind: str, name: str, lanes: int, literal_value: Any) -> None:
         self.builder, self.kind, self.name, self.literal_value = e, kind, name, literal_value
-        self.lanes, self.first_lane, self.type = lanes, None, llvm_type(kind, lanes)
+        self.lanes, self.first_lane, self.type = lanes, None, format_llvm_type(kind, lanes)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         if method != "__call__" or any(value is not None for value in options.values()):
@@ -72,7 +72,7 @@ class Lanes(Number):
     __hash__ = None  # type: ignore[assignment]
 
 
-class LaneBuilder(Vectors[Lanes]):
+class LaneBuilder(VectorBuilder[Lanes]):
     """Writer of one function of eight lanes. `known` is a stack of the values of nested blocks, valid only in their block."""
 
     def __init__(self, module: LlvmModule) -> None:
@@ -153,7 +153,7 @@ class LaneBuilder(Vectors[Lanes]):
         text = format_literal(value, kind)
         return self.named_number(kind, text if lanes == 1 else f"splat ({kind} {text})", lanes, value)
 
-    def lane_numbers(self) -> Lanes:
+    def make_lane_numbers(self) -> Lanes:
         """Return the lane numbers, 0 in the first lane."""
         return self.named_number(I64, f"<{', '.join(f'i64 {k}' for k in range(LANE_COUNT))}>", LANE_COUNT)
 
@@ -190,12 +190,12 @@ class LaneBuilder(Vectors[Lanes]):
         row = f"f{word}" if left.kind in number_kinds.FLOAT_KINDS else _INTEGER_COMPARISONS.get(word, word)
         return self.op(row, BOOL if word in _INTEGER_COMPARISONS else left.kind, left, right)
 
-    def clamp(self, value: Lanes, low: Lanes, high: Lanes) -> Lanes:
+    def emit_clamp(self, value: Lanes, low: Lanes, high: Lanes) -> Lanes:
         """Return a value limited to bounds, which must not be NaN."""
         above = self.select_lanes(value > low, value, low)
         return self.select_lanes(above < high, above, high)
 
-    def is_nan(self, a: Lanes) -> Lanes:
+    def emit_is_nan(self, a: Lanes) -> Lanes:
         """Return whether a value is NaN."""
         return self.op("fno", BOOL, a, a)
 
@@ -256,11 +256,11 @@ class LaneBuilder(Vectors[Lanes]):
         """Return the mask that the bits of one i8 represent."""
         return self.op("mask", BOOL, bits, lanes=LANE_COUNT)
 
-    def has_bit(self, word: Lanes, lane: Lanes) -> Lanes:
+    def emit_bit_test(self, word: Lanes, lane: Lanes) -> Lanes:
         """Return, for each lane, whether bit number `lane` of the single i64 `word` is 1."""
         return self.op("trunc", BOOL, word >> lane)
 
-    def lane_maximum(self, value: Lanes) -> Lanes:
+    def emit_lane_maximum(self, value: Lanes) -> Lanes:
         """Return the greatest of eight integers."""
         return self.op("reduce.smax", value.kind, value, lanes=1)
 
@@ -272,7 +272,7 @@ class LaneBuilder(Vectors[Lanes]):
             index = self.make_constant(index, I64, 1)
         return self.op("element", PTR, base, index, x=kind)
 
-    def offset_address(self, base: Number, offset: int) -> Lanes:
+    def emit_offset_address(self, base: Number, offset: int) -> Lanes:
         """Return the address that is `offset` bytes after `base`."""
         return self.address(base, offset, I8)
 
@@ -328,24 +328,24 @@ def _emit_minimum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     """Return the lesser number; NaN if one of them is NaN."""
     left, right = e.match_kinds(a, b)
     output = e.select_lanes(left > right, right, left)
-    return output if right.literal_value is not None else e.select_lanes(e.is_nan(right), right, output)
+    return output if right.literal_value is not None else e.select_lanes(e.emit_is_nan(right), right, output)
 
 
 def _emit_maximum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     left, right = e.match_kinds(a, b)
     output = e.select_lanes(left < right, right, left)
-    return output if right.literal_value is not None else e.select_lanes(e.is_nan(right), right, output)
+    return output if right.literal_value is not None else e.select_lanes(e.emit_is_nan(right), right, output)
 
 
 def _emit_fmin(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     """Return the lesser number; if one of them is NaN, the other one."""
     left, right = e.match_kinds(a, b)
-    return e.select_lanes(e.is_nan(right), left, e.select_lanes(left < right, left, right))
+    return e.select_lanes(e.emit_is_nan(right), left, e.select_lanes(left < right, left, right))
 
 
 def _emit_fmax(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     left, right = e.match_kinds(a, b)
-    return e.select_lanes(e.is_nan(right), left, e.select_lanes(left > right, left, right))
+    return e.select_lanes(e.emit_is_nan(right), left, e.select_lanes(left > right, left, right))
 
 
 def _emit_frexp(e: LaneBuilder, a: Lanes) -> tuple[Lanes, Lanes]:

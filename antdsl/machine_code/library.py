@@ -1,4 +1,4 @@
-"""All machine code of the package itself: its kernels (`@kernel`) and its texts (`@library_text`).
+"""All machine code of the package itself: its kernels (`@kernel`) and its texts (`@make_library_text`).
 
 `build_objects` compiles it in advance, on installation. Each kernel and text adds itself when its module is imported.
 `load_entries` imports all modules that have one, so there is no list to maintain."""
@@ -17,7 +17,7 @@ from antdsl.limits import MIB
 from antdsl.machine_code import code_cache, llvm_compiler
 from antdsl.safe_read import read_size_limited
 
-_DECORATOR_PATTERN: Final = re.compile(rb"^@(kernel|library_text)\b", re.MULTILINE)
+_DECORATOR_PATTERN: Final = re.compile(rb"^@(kernel|make_library_text)\b", re.MULTILINE)
 
 
 class LibraryEntry(Protocol):
@@ -80,10 +80,10 @@ class LibraryText:
 
     def code(self) -> llvm_compiler.LoadedCode:
         """Return the functions of the text, ready to run on this processor."""
-        return code_cache.load_code(self(llvm_compiler.host_target()))
+        return code_cache.load_code(self(llvm_compiler.find_host_target()))
 
 
-def library_text(write: Callable[[llvm_compiler.Target], str]) -> LibraryText:
+def make_library_text(write: Callable[[llvm_compiler.Target], str]) -> LibraryText:
     """Return and register the text that a function writes for a target."""
     entry = LibraryText(write)
     register_entry(entry)

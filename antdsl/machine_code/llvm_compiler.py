@@ -18,7 +18,7 @@ if hasattr(os, "register_at_fork"):  # a child process forked while LLVM works w
     os.register_at_fork(before=_LLVM_LOCK.acquire, after_in_parent=_LLVM_LOCK.release, after_in_child=_LLVM_LOCK.release)
 _NUMBER_PATTERN = re.compile("[0-9]+")
 _OLDEST_LLVMLITE_VERSION = (0, 45)  # the oldest llvmlite that can parse these texts
-ALL_PASSES_COMMENT = "whole"  # a text that begins with this comment gets all passes of LLVM
+ALL_PASSES_MARKER = "whole"  # a text that begins with this comment gets all passes of LLVM
 _DISABLED_FUSED_FEATURES = ("fma", "fma4", "avx512f")  # features with fused instructions
 # A feature of processors with 512-bit registers since 2019, on which their use does not reduce the clock rate. It implies `fma`,
 # but no text of antdsl requests fused operations.
@@ -56,7 +56,7 @@ class Target:
 PORTABLE_TARGET = Target("x86_64-unknown-linux-gnu", "x86-64-v3", "+avx2,-fma")
 
 
-class MachineCodeUnavailable(RuntimeError):
+class MachineCodeUnavailableError(RuntimeError):
     """Error if machine code is needed but cannot be compiled on this machine. The message has the reason and the remedy."""
 
 
@@ -71,13 +71,13 @@ def _import_llvm() -> Any:
 
 
 @cache
-def unavailability_reason() -> str:
+def find_unavailability_reason() -> str:
     """Return the reason why no code can be compiled on this machine, and the remedy. Return an empty string if code can be
     compiled."""
     try:
         import llvmlite
 
-        host_target()
+        find_host_target()
     except ImportError:
         return 'llvmlite is not installed: pip install "llvmlite>=0.45"'
     # the library cannot be loaded, or was built without this processor
@@ -90,17 +90,17 @@ def unavailability_reason() -> str:
 
 def is_available() -> bool:
     """Return whether code can be compiled on this machine."""
-    return not unavailability_reason()
+    return not find_unavailability_reason()
 
 
 def require_llvm() -> None:
     """Raise MachineCodeUnavailable if no code can be compiled on this machine."""
-    if why := unavailability_reason():
-        raise MachineCodeUnavailable(why)
+    if why := find_unavailability_reason():
+        raise MachineCodeUnavailableError(why)
 
 
 @cache
-def host_target() -> Target:
+def find_host_target() -> Target:
     """Return the target of this machine."""
     llvm = _import_llvm()
     features: Mapping[str, bool] = llvm.get_host_cpu_features()
@@ -140,7 +140,7 @@ def _optimise_text(text: str, target: Target) -> tuple[Any, Any]:
     module = llvm.parse_assembly(text)
     module.triple, module.data_layout = target.triple, str(machine.target_data)
     module.verify()
-    runs_all_passes = text.startswith(f"; {ALL_PASSES_COMMENT}")
+    runs_all_passes = text.startswith(f"; {ALL_PASSES_MARKER}")
     options = llvm.create_pipeline_tuning_options(speed_level=2 if runs_all_passes else 0)
     if runs_all_passes:
         options.loop_vectorization = options.slp_vectorization = True
@@ -178,21 +178,21 @@ class LoadedCode:
     def function(self, name: str) -> Any:
         """Return the function `name`. Its arguments are the address of a table, the first row, and the row after the last."""
         if name not in self._functions:
-            made = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self.function_address(name))
+            made = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self.get_function_address(name))
             made.code = self._engine  # type: ignore[attr-defined] # the function holds its code
             self._functions[name] = made
         return self._functions[name]
 
-    def function_address(self, name: str) -> int:
+    def get_function_address(self, name: str) -> int:
         """Return the address of a function."""
         location: int = self._engine.get_function_address(name)
         return location
 
     def read_constant_text(self, name: str) -> str:
         """Return the text of a constant."""
-        return ctypes.string_at(self.constant_address(name)).decode("utf-8", "surrogateescape")
+        return ctypes.string_at(self.get_constant_address(name)).decode("utf-8", "surrogateescape")
 
-    def constant_address(self, name: str) -> int:
+    def get_constant_address(self, name: str) -> int:
         """Return the address of a constant, or of another symbol that is not a function."""
         location: int = self._engine.get_global_value_address(name)
         return location
@@ -207,7 +207,7 @@ def load_object(code: bytes) -> LoadedCode:
     """
     llvm = _import_llvm()
     with _LLVM_LOCK:
-        loader = llvm.Target.from_triple(host_target().triple).create_target_machine(opt=0, reloc="pic", codemodel="default")
+        loader = llvm.Target.from_triple(find_host_target().triple).create_target_machine(opt=0, reloc="pic", codemodel="default")
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), loader, use_lmm=True)
         engine.set_object_cache(getbuffer_func=lambda _: code)
         engine.finalize_object()

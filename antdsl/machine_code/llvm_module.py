@@ -29,7 +29,7 @@ class LlvmModule:
         """Return the complete text."""
         return "\n".join((*self.declarations.values(), *self.functions.values())) + "\n"
 
-    def entry_names(self) -> list[str]:
+    def list_entry_names(self) -> list[str]:
         """Return the names of the functions that are called from outside."""
         return [name for name, text in self.functions.items() if text.startswith("define void")]
 

@@ -43,10 +43,10 @@ def has_padding(array: NDArray[Any]) -> bool:
     padded = array.base
     if not isinstance(padded, np.ndarray) or padded.ndim != 1 or padded.dtype != array.dtype or not array.flags.c_contiguous:
         return False
-    return len(padded) >= len(array) + LANE_COUNT and array_address(padded) == array_address(array)
+    return len(padded) >= len(array) + LANE_COUNT and get_array_address(padded) == get_array_address(array)
 
 
-def array_address(array: NDArray[Any]) -> int:
+def get_array_address(array: NDArray[Any]) -> int:
     """Return the start address of an array. Raises ValueError if the array is not contiguous."""
     try:
         return _address_of_char(_char_from_buffer(array))  # a third of the time of `array.ctypes.data`

@@ -78,7 +78,7 @@ CODE_STORE: Final = StoreKind(
 def compute_object_key(text: str, target: Target, *, versions: tuple[str, ...]) -> str:
     """Return the key of the object file for a text and a target: 64 hexadecimal digits.
 
-    `versions` is the result of `environment_versions()`. The key need not contain the data layout, which follows from
+    `versions` is the result of `list_environment_versions()`. The key need not contain the data layout, which follows from
     the triple and LLVM's version."""
     hashed = blake2b(digest_size=32)
     for part in (text, target.triple, target.cpu, target.features, *versions):
@@ -89,7 +89,7 @@ def compute_object_key(text: str, target: Target, *, versions: tuple[str, ...]) 
 
 
 @cache
-def code_versions() -> tuple[str, ...]:
+def list_code_versions() -> tuple[str, ...]:
     """Return the versions that an object file depends on, apart from the target: texts, calls, passes and LLVM. Imports
     llvmlite."""
     import llvmlite.binding as llvm
@@ -104,16 +104,16 @@ def code_versions() -> tuple[str, ...]:
 
 
 @cache
-def environment_versions() -> tuple[str, ...]:
-    """Return the versions of `code_versions`, and others that may change a text or its compilation: antdsl, llvmlite, Python and
-    NumPy."""
+def list_environment_versions() -> tuple[str, ...]:
+    """Return the versions of `list_code_versions`, and others that may change a text or its compilation: antdsl, llvmlite,
+    Python and NumPy."""
     import llvmlite
     import numpy as np
 
     import antdsl
 
     python = ".".join(map(str, sys.version_info[:2]))
-    return antdsl.__version__, *code_versions(), str(llvmlite.__version__), python, np.__version__
+    return antdsl.__version__, *list_code_versions(), str(llvmlite.__version__), python, np.__version__
 
 
 class ObjectCache:
@@ -148,7 +148,7 @@ class ObjectCache:
             try:
                 self._folder = cache_folder() / "antdsl" / kind.folder
             except OSError as problem:
-                self._report(f"{kind.name} {kind.verb} not stored: {_describe_problem(problem)}; {kind.recompute_phrase}")
+                self._report_once(f"{kind.name} {kind.verb} not stored: {_describe_problem(problem)}; {kind.recompute_phrase}")
         if self._folder is not None and not self._folder.is_absolute():
             self._report_not_stored(
                 self._folder, "the path does not begin at the root", f"write an absolute path in {kind.variable}"
@@ -165,7 +165,7 @@ class ObjectCache:
         signer = self._get_signer(create=False)
         return None if self._folder is None or signer is None else self._read(self._folder, signer, key)
 
-    def put(self, key: str, code: bytes) -> None:
+    def store_bytes(self, key: str, code: bytes) -> None:
         """Store an object file; without a folder, in memory. Raises ValueError for a string that is not a key."""
         _require_key(key)
         signer = self._get_signer(create=True)
@@ -252,12 +252,12 @@ class ObjectCache:
         with suppress(OSError, ValueError):
             os.unlink(path)
         kind = self._kind
-        self._report(f"{kind.name} in {_quote_path(path.parent)} {kind.verb} not used: {reason}; {kind.fallback}")
+        self._report_once(f"{kind.name} in {_quote_path(path.parent)} {kind.verb} not used: {reason}; {kind.fallback}")
 
     def _report_not_stored(self, folder: Path, reason: str, advice: str) -> None:
-        self._report(f"{self._kind.name} {self._kind.verb} not stored in {_quote_path(folder)}: {reason}; {advice}")
+        self._report_once(f"{self._kind.name} {self._kind.verb} not stored in {_quote_path(folder)}: {reason}; {advice}")
 
-    def _report(self, sentence: str) -> None:
+    def _report_once(self, sentence: str) -> None:
         with self._lock:
             if sentence not in self.messages:
                 self.messages.append(sentence)

@@ -63,22 +63,22 @@ def find_target_name(host: Target) -> str | None:
     """Return the name of a shipped target that `host` can run with equal results, or None."""
     if "linux" not in host.triple:
         return None
-    present = _present_features(host)
+    present = _list_present_features(host)
     for name, target in TARGET_BY_NAME.items():
-        levels = target.is_x86 and host.is_x86 and _present_features(target) <= present
+        levels = target.is_x86 and host.is_x86 and _list_present_features(target) <= present
         if levels or (target.is_arm and host.is_arm):
             return name
     return None
 
 
-def _present_features(target: Target) -> set[str]:
+def _list_present_features(target: Target) -> set[str]:
     """Return the names of the enabled features of a target."""
     return {word[1:] for word in target.features.split(",") if word.startswith("+")}
 
 
 def compute_shipped_key(text_or_name: str, target: Target) -> str:
     """Return the key of an object file, for a text or its name, and a target."""
-    return object_cache.compute_object_key(text_or_name, target, versions=object_cache.code_versions())
+    return object_cache.compute_object_key(text_or_name, target, versions=object_cache.list_code_versions())
 
 
 def find_object(text_or_name: str, host: Target) -> bytes | None:
@@ -89,12 +89,12 @@ def find_object(text_or_name: str, host: Target) -> bytes | None:
     )
 
 
-def objects_path(folder: Path, name: str) -> Path:
+def make_objects_path(folder: Path, name: str) -> Path:
     """Return the path of a target's file."""
     return folder / f"{name}.objects"
 
 
-def messages() -> list[str]:
+def take_messages() -> list[str]:
     """Return sentences for the user on why object files of the installation are not used, each once."""
     return (
         []
@@ -112,7 +112,7 @@ def close_files() -> None:
 
 @cache
 def _open_objects(folder: Path, name: str) -> ObjectFile:
-    return ObjectFile(objects_path(folder, name))
+    return ObjectFile(make_objects_path(folder, name))
 
 
 class ObjectFile:

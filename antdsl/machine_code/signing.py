@@ -32,7 +32,7 @@ class Signer:
 
     def __init__(self, secret: bytes) -> None:
         user = os.geteuid() if hasattr(os, "geteuid") else os.environ.get("USERNAME", "")
-        self._key = blake2b(f"{user}\n{machine_id()}".encode(), key=secret, person=b"antdsl code").digest()
+        self._key = blake2b(f"{user}\n{find_machine_id()}".encode(), key=secret, person=b"antdsl code").digest()
 
     def make_file_name(self, key: str) -> str:
         """Return the file name for a key: 64 hexadecimal digits, different for each user and machine."""
@@ -49,7 +49,7 @@ class Signer:
         return compare_digest(self.sign(key, data), signature)
 
 
-def key_path() -> Path:
+def find_key_path() -> Path:
     """Return the path of the key file. Raises OSError if there is no home folder."""
     return cache_folder() / "antdsl" / "key"
 
@@ -59,7 +59,7 @@ def get_signer(*, create: bool) -> Signer | None:
 
     With `create`, a missing key is created. A key that has another length, or that others may know, is replaced. Raises OSError
     with the reason if no key is possible."""
-    path = key_path()
+    path = find_key_path()
     for attempt in range(_MAX_KEY_ATTEMPTS):
         try:
             return Signer(_read_key(path))
@@ -94,7 +94,7 @@ def _has_hard_links(path: Path) -> bool:
 
 
 @cache
-def machine_id() -> str:
+def find_machine_id() -> str:
     """Return an identifier of this machine that survives a restart, or an empty text."""
     if sys.platform == "win32":
         import winreg

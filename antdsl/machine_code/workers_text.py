@@ -17,11 +17,11 @@ from functools import cache
 
 from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.kernels.direct.argument_text import MAX_JOB_PARTS, MAX_TABLE_WORDS, PART_RESULTS_WORD, RESULT_WORDS
-from antdsl.machine_code.library import library_text, read_llvm_file
+from antdsl.machine_code.library import make_library_text, read_llvm_file
 
 CACHE_LINE_WORDS = 8  # words of a cache line: values that several threads write to have separate lines
 # Indices of a pool's words: `left` and `done` of a job; `waits`: whether the caller sleeps.
-PARTS_LEFT_WORD, DONE_COUNT_WORD, CALLER_WAITS_WORD = 0, CACHE_LINE_WORDS, 2 * CACHE_LINE_WORDS
+PARTS_LEFT_WORD, DONE_COUNT_WORD, IS_CALLER_WAITING_WORD = 0, CACHE_LINE_WORDS, 2 * CACHE_LINE_WORDS
 # The job: its code, its table or list, the length of a table, the number of parts, and the number of rows.
 JOB_CODE_WORD, JOB_TABLE_WORD, TABLE_LENGTH_WORD, PART_COUNT_WORD, ROW_COUNT_WORD = range(
     3 * CACHE_LINE_WORDS, 3 * CACHE_LINE_WORDS + 5
@@ -47,11 +47,11 @@ def load_code() -> llvm_compiler.LoadedCode:
     - `finish(pool, 0, 0)` takes back the parts that no thread has taken, and waits for the others.
     - `worker(pool, number, 0)` runs worker `number`, and returns after `end(pool, 0, 0)` has been called.
     - `turns(pool, count, 0)` waits for `count` turns."""
-    return text.code()
+    return build_llvm_text.code()
 
 
-@library_text
-def text(target: llvm_compiler.Target) -> str:
+@make_library_text
+def build_llvm_text(target: llvm_compiler.Target) -> str:
     """Return the text to compile, in LLVM's language."""
     pause = (
         "  call void @llvm.x86.sse2.pause()\n"
@@ -69,7 +69,7 @@ def text(target: llvm_compiler.Target) -> str:
 
 
 _WORD_OFFSETS = {
-    "LEFT": PARTS_LEFT_WORD, "DONE": DONE_COUNT_WORD, "WAITS": CALLER_WAITS_WORD, "CODE": JOB_CODE_WORD,
+    "LEFT": PARTS_LEFT_WORD, "DONE": DONE_COUNT_WORD, "WAITS": IS_CALLER_WAITING_WORD, "CODE": JOB_CODE_WORD,
     "TABLE": JOB_TABLE_WORD, "LENGTH": TABLE_LENGTH_WORD, "OF": PART_COUNT_WORD, "COUNT": ROW_COUNT_WORD,
     "WORKERS": WORKER_COUNT_WORD, "TURNS": SPIN_TURNS_WORD, "LOCK": CALLER_LOCK_WORD, "ACQUIRE": ACQUIRE_FUNCTION_WORD,
     "RELEASE": RELEASE_FUNCTION_WORD, "END": SHOULD_END_WORD, "GIVEN": PART_RESULTS_WORD,

@@ -21,9 +21,9 @@ from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.entry_functions import write_inner_function
 from antdsl.machine_code.kernels.direct import ArgumentSpec, make_builtin
 from antdsl.machine_code.kernels.direct.argument_text import INTEGER_KIND, RESULT_WORDS
-from antdsl.machine_code.library import library_text
+from antdsl.machine_code.library import make_library_text
 from antdsl.machine_code.llvm_module import LlvmModule
-from antdsl.machine_code.memory import array_address
+from antdsl.machine_code.memory import get_array_address
 
 MIN_BYTES_FOR_KERNEL = 1_024  # for fewer bytes, the call costs as much as it saves
 _BLOCK_BYTES = 16  # bytes of a factor
@@ -38,7 +38,7 @@ _CallTable = ctypes.c_int64 * (_PREVIOUS_CRC_WORD + 1)
 _CARRYLESS_FEATURE, _WIDE_FEATURES = "+pclmul", ("+vpclmulqdq", "+avx512vbmi2")
 
 
-def crc32(data: bytes | memoryview, previous_crc: int = 0) -> int:
+def compute_crc32(data: bytes | memoryview, previous_crc: int = 0) -> int:
     """Return the CRC-32 of `data` (contiguous bytes).
 
     If `previous_crc` is the CRC-32 of the preceding bytes, the result is the CRC-32 of these bytes and `data` together."""
@@ -57,14 +57,14 @@ def _build_crc_function() -> Callable[[NDArray[np.uint8], int], int] | None:
     Return None if the processor has no carry-less products, or if nothing can be compiled."""
     if not llvm_compiler.is_available():
         return None
-    target = llvm_compiler.host_target()
+    target = llvm_compiler.find_host_target()
     if not has_carryless_products(target):
         return None
     code = build_llvm_text.code()
     function = code.function("fold")  # the function is valid as long as `code` exists
 
     def update_crc(data: NDArray[np.uint8], previous_crc: int) -> int:
-        table = _CallTable(*[0] * _DATA_WORD, array_address(data), len(data), previous_crc)
+        table = _CallTable(*[0] * _DATA_WORD, get_array_address(data), len(data), previous_crc)
         function(ctypes.addressof(table), 0, 0)
         return table[0]
 
@@ -103,7 +103,7 @@ def _build_table_text() -> str:
     return f"@table = internal constant [256 x i32] [{', '.join(entries)}]"
 
 
-@library_text
+@make_library_text
 def build_llvm_text(target: llvm_compiler.Target) -> str:
     """Return the text to compile, in LLVM's language: a function of a table, which continues a CRC-32. It is empty if the
     processor has no carry-less products.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Frames = float | NDArray[np.float64]
+FrameValue = float | NDArray[np.float64]
 
 
 def apply_smoothstep(share: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -15,7 +15,7 @@ def apply_smoothstep(share: NDArray[np.float64]) -> NDArray[np.float64]:
     return smooth
 
 
-def compute_ease_weight(first: Frames, last: Frames, ease_frames: int, frame: int) -> NDArray[np.float64]:
+def compute_ease_weight(first: FrameValue, last: FrameValue, ease_frames: int, frame: int) -> NDArray[np.float64]:
     """Return 1 in the frames from `first` to `last`, rising and falling smoothly in the `ease_frames` frames around them.
 
     `first` and `last` can be arrays (n,): then the result is one too."""

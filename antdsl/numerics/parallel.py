@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kernels import I64, inlined
 from antdsl.numerics.processor.host import count_available_cores
 
-T = TypeVar("T")
+PartResult = TypeVar("PartResult")
 MIN_AGENTS_PER_THREAD = 1_024  # fewer agents are not worth another thread
 MIN_LIGHT_ITEMS_PER_THREAD = 4_096  # the same for work of a few operations per item
 
@@ -23,7 +23,9 @@ def make_contiguous(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     return tuple(np.ascontiguousarray(a) for a in arrays)
 
 
-def run_in_parts(work: Callable[[int, int], T], count: int, threads: int, min_part_size: int = MIN_AGENTS_PER_THREAD) -> list[T]:
+def run_in_parts(
+    work: Callable[[int, int], PartResult], count: int, threads: int, min_part_size: int = MIN_AGENTS_PER_THREAD
+) -> list[PartResult]:
     """Call `work(begin, end)` over `count` agents, in parallel parts of at least `min_part_size` agents. Return the results in
     order.
 

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 Record = TypeVar("Record")
 
 
-def take_rows(record: Record, row_selection: NDArray[np.bool_] | NDArray[np.intp]) -> Record:
+def select_record_rows(record: Record, row_selection: NDArray[np.bool_] | NDArray[np.intp]) -> Record:
     """Return the chosen rows of all arrays in a record. Values other than arrays are unchanged."""
     rows: Record = _map_arrays(lambda array: array[row_selection], record)
     return rows
 
 
-def join_rows(first: Any, second: Any) -> Any:
+def join_record_rows(first: Any, second: Any) -> Any:
     """Return the rows of two records, concatenated; None where one of them is None."""
     return _map_arrays(lambda *arrays: np.concatenate(arrays), first, second)
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.entry_functions import write_inner_function
-from antdsl.machine_code.library import library_text
+from antdsl.machine_code.library import make_library_text
 from antdsl.machine_code.llvm_module import LlvmModule
-from antdsl.machine_code.memory import array_address
+from antdsl.machine_code.memory import get_array_address
 from antdsl.numerics import parallel
 from antdsl.numerics.processor.host import PARTS_PER_THREAD
 
@@ -58,9 +58,9 @@ def _build_copy_table(pairs: ArrayPairs, rows: NDArray[np.intp] | None) -> NDArr
 
     The first words are the address of the row numbers (0: all rows in order) and the number of arrays. Each array adds three
     words: its address, the address of its target, and its bytes per row."""
-    words = [0 if rows is None else array_address(rows), len(pairs)]
+    words = [0 if rows is None else get_array_address(rows), len(pairs)]
     for target, source in pairs:
-        words += [array_address(source), array_address(target), source.strides[0]]
+        words += [get_array_address(source), get_array_address(target), source.strides[0]]
     return np.array(words, np.int64)
 
 
@@ -68,7 +68,7 @@ def _build_part_rows(table: NDArray[np.int64], count: int, threads: int) -> NDAr
     """Return the parts of `count` rows, in the form that `parallel.call_for_each_row` needs: int64 [parts, 3]."""
     part_count = max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
     ends = [count * k // part_count for k in range(part_count + 1)]
-    return np.array([(array_address(table), *ends[k : k + 2]) for k in range(part_count)], np.int64)
+    return np.array([(get_array_address(table), *ends[k : k + 2]) for k in range(part_count)], np.int64)
 
 
 @cache
@@ -78,7 +78,7 @@ def _load_function() -> Callable[[int, int, int], None]:
     return function
 
 
-@library_text
+@make_library_text
 def build_llvm_text(target: llvm_compiler.Target) -> str:
     """Return the text to compile, in LLVM's language: a function of the table that copies rows from the first to before the
     last."""

@@ -67,7 +67,7 @@ def get_or_compute(
         tables = compute()
         _computed_tables += 1
         if key is not None and sum(array.nbytes for array in tables.values()) <= _MAX_TABLE_BYTES - MIB:
-            _open_store_once().put(key, _pack_tables(tables))
+            _open_store_once().store_bytes(key, _pack_tables(tables))
     return tables
 
 

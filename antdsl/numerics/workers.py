@@ -23,11 +23,11 @@ from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code import workers_text as words
 from antdsl.machine_code.kernels import direct
 from antdsl.machine_code.kernels.direct.argument_text import MAX_JOB_PARTS
-from antdsl.machine_code.memory import array_address
+from antdsl.machine_code.memory import get_array_address
 from antdsl.numerics.processor.float_environment import set_standard_floats
 from antdsl.numerics.processor.host import PARTS_PER_THREAD
 
-T = TypeVar("T")
+PartResult = TypeVar("PartResult")
 _LOCK_FUNCTIONS = ("PyThread_allocate_lock", "PyThread_acquire_lock", "PyThread_release_lock")
 # Seconds that a thread without work spins before it blocks. Waking a thread takes 30 to 100 us, which a step of 15,000 agents
 # would need up to 50 times. The serial work between two jobs of a step is mostly shorter than this.
@@ -47,10 +47,10 @@ class WorkerPool:
         code = words.load_code()
         buffer = np.zeros(words.FIRST_SLEEP_WORD + words.CACHE_LINE_WORDS * (count + 1) + _CACHE_LINE_BYTES // 8, np.int64)
         self.current_caller: dict[None, object] = {}
-        self.address = -(-array_address(buffer) // _CACHE_LINE_BYTES) * _CACHE_LINE_BYTES
-        self._shared_words: NDArray[np.int64] = buffer[(self.address - array_address(buffer)) // 8 :]
+        self.address = -(-get_array_address(buffer) // _CACHE_LINE_BYTES) * _CACHE_LINE_BYTES
+        self._shared_words: NDArray[np.int64] = buffer[(self.address - get_array_address(buffer)) // 8 :]
         self._start_function = ctypes.PYFUNCTYPE(*_ENTRY_SIGNATURE)(
-            code.function_address("start")
+            code.get_function_address("start")
         )  # this call holds the interpreter's lock
         self._run_all_function, self._finish_function, self._end_function, loop = (
             code.function(name) for name in ("all", "finish", "end", "worker")
@@ -101,7 +101,7 @@ class WorkerPool:
         if exceptions:
             raise exceptions[0]
 
-    def run_kernel(self, work: Callable[[int, int], T], count: int, parts: int) -> list[T] | None:
+    def run_kernel(self, work: Callable[[int, int], PartResult], count: int, parts: int) -> list[PartResult] | None:
         """Return the result of each part of a kernel over `count` numbers. Return None if `work` is not a `partial` of a kernel
         that can run in parts."""
         if not isinstance(work, partial) or work.keywords:
@@ -110,7 +110,7 @@ class WorkerPool:
         run = None if get_call is None else get_call()
         if run is None:
             return None
-        results: list[T] = run(*work.args, 0, count, parts, self.address)
+        results: list[PartResult] = run(*work.args, 0, count, parts, self.address)
         return results
 
     def call_for_each_row(self, function: Callable[[int, int, int], None], rows: NDArray[np.int64]) -> None:
@@ -120,7 +120,7 @@ class WorkerPool:
             self._post_job(function, batch, len(batch))
             self._run_all_function(self.address, 0, 0)
 
-    def end(self) -> None:
+    def end_workers(self) -> None:
         """End the threads, each after its current part. The calling thread of a job does the remaining parts."""
         self._end_function(self.address, 0, 0)
         for each in self._threads:
@@ -129,7 +129,7 @@ class WorkerPool:
     def _post_job(self, function: Any, table: NDArray[np.int64], parts: int) -> None:
         """Store a job for the workers. `function`: a function of machine code. `table`: one row of arguments per part."""
         code = ctypes.cast(function, ctypes.c_void_p).value or 0
-        self._shared_words[words.JOB_CODE_WORD : words.PART_COUNT_WORD + 1] = code, array_address(table), 0, parts
+        self._shared_words[words.JOB_CODE_WORD : words.PART_COUNT_WORD + 1] = code, get_array_address(table), 0, parts
         self._shared_words[words.DONE_COUNT_WORD] = parts  # before a job is started, nothing is pending
 
     def _run_call(self, _: int, number: int, __: int) -> None:
@@ -163,7 +163,7 @@ class ExecutorPool:
         for other in pending:
             other.result()
 
-    def end(self) -> None:
+    def end_workers(self) -> None:
         """End the threads."""
         self._executor.shutdown()
 
@@ -174,11 +174,11 @@ def count_parts(count: int, threads: int) -> int:
     return max(1, min(PARTS_PER_THREAD * threads, MAX_JOB_PARTS, count // words.PART_ALIGNMENT))
 
 
-def run_in_parts(work: Callable[[int, int], T], count: int, threads: int, max_threads: int) -> list[T]:
+def run_in_parts(work: Callable[[int, int], PartResult], count: int, threads: int, max_threads: int) -> list[PartResult]:
     """Run `work` as `parallel.run_in_parts` does, with at most `max_threads` of `threads` threads."""
     pool = _get_pool(threads)
 
-    def run_parts_in_parallel() -> list[T]:
+    def run_parts_in_parallel() -> list[PartResult]:
         thread_count = min(max_threads, threads, MAX_JOB_PARTS)
         results = pool.run_kernel(work, count, count_parts(count, thread_count)) if isinstance(pool, WorkerPool) else None
         return _pull_parts(pool, work, count, thread_count) if results is None else results
@@ -186,7 +186,9 @@ def run_in_parts(work: Callable[[int, int], T], count: int, threads: int, max_th
     return _run_exclusively(pool, run_parts_in_parallel, lambda: [work(0, count)])
 
 
-def _run_exclusively(pool: WorkerPool | ExecutorPool, run_together: Callable[[], T], run_alone: Callable[[], T]) -> T:
+def _run_exclusively(
+    pool: WorkerPool | ExecutorPool, run_together: Callable[[], PartResult], run_alone: Callable[[], PartResult]
+) -> PartResult:
     """Return the result of `run_together` if no other caller uses the pool, else that of `run_alone`."""
     caller = object()
     try:
@@ -201,10 +203,12 @@ def _run_exclusively(pool: WorkerPool | ExecutorPool, run_together: Callable[[],
     return run_alone()
 
 
-def _pull_parts(pool: WorkerPool | ExecutorPool, work: Callable[[int, int], T], count: int, parts: int) -> list[T]:
+def _pull_parts(
+    pool: WorkerPool | ExecutorPool, work: Callable[[int, int], PartResult], count: int, parts: int
+) -> list[PartResult]:
     """Return the result of each part of a Python function; each thread takes the next part. Raises the exception of the first
     failed part; later parts may not have started."""
-    results: dict[int, T] = {}
+    results: dict[int, PartResult] = {}
     exception_by_part: dict[int, BaseException] = {}
     next_parts = iter(range(parts))
 
@@ -252,7 +256,7 @@ def has_native_workers() -> bool:
 
 
 _pool_by_threads: dict[int, WorkerPool | ExecutorPool] = {}
-_pool_lock = Lock()
+_POOL_LOCK = Lock()
 
 
 def _get_pool(threads: int) -> WorkerPool | ExecutorPool:
@@ -260,7 +264,7 @@ def _get_pool(threads: int) -> WorkerPool | ExecutorPool:
     ExecutorPool."""
     pool = _pool_by_threads.get(threads)
     if pool is None:
-        with _pool_lock:
+        with _POOL_LOCK:
             pool = _pool_by_threads.get(threads)
             if pool is None:
                 pool = _pool_by_threads[threads] = WorkerPool(threads - 1) if has_native_workers() else ExecutorPool(threads - 1)
@@ -269,9 +273,9 @@ def _get_pool(threads: int) -> WorkerPool | ExecutorPool:
 
 def _forget_pools() -> None:
     """Forget the pools in a forked process, which has none of their threads."""
-    global _pool_lock
+    global _POOL_LOCK
     _pool_by_threads.clear()
-    _pool_lock = Lock()
+    _POOL_LOCK = Lock()
 
 
 if hasattr(os, "register_at_fork"):
@@ -282,7 +286,7 @@ if hasattr(os, "register_at_fork"):
 def _stop_pools() -> None:
     """End the threads of all pools at the end of the program."""
     for each in _pool_by_threads.values():
-        each.end()
+        each.end_workers()
 
 
 def _get_symbol_address(name: str) -> int:
@@ -308,6 +312,6 @@ def _measure_spin_turns() -> int:
     spent = []
     for _ in range(3):
         began = perf_counter()
-        wait(array_address(buffer), _TIMED_SPIN_TURNS, 0)
+        wait(get_array_address(buffer), _TIMED_SPIN_TURNS, 0)
         spent.append(perf_counter() - began)
     return max(1, int(_TIMED_SPIN_TURNS * _SPIN_SECONDS / min(spent)))

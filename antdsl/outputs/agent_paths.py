@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.body import rotate_vectors
-from antdsl.numerics.records import join_rows, match_ids, take_rows
+from antdsl.numerics.records import join_record_rows, match_ids, select_record_rows
 from antdsl.outputs.cache.cache_reader import Cache, CacheError
 from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, get_agent_ids, get_species_numbers
 from antdsl.outputs.pictures.model import AgentPathLines, Crowd
@@ -89,7 +89,7 @@ class AgentPaths:
         place = place + _PATH_LIFT_PER_BODY * np.asarray(arrays["pscale"], np.float64)[:, None] * up
         ids, species = get_agent_ids(arrays), get_species_numbers(arrays)
         agents: dict[str, NDArray[Any]] = {"place": place.astype(np.float32), "ids": ids, "species": species}
-        return take_rows(agents, np.lexsort((ids, species)))
+        return select_record_rows(agents, np.lexsort((ids, species)))
 
 
 def match_agents(crowd: Crowd, next_crowd: Crowd) -> Crowd:
@@ -101,5 +101,5 @@ def match_agents(crowd: Crowd, next_crowd: Crowd) -> Crowd:
     at, is_present = match_ids(own, ids[order])
     rows = len(ids) + np.arange(len(own))
     rows[is_present] = order[at[is_present]]
-    joined = {name: join_rows(getattr(next_crowd, name), getattr(crowd, name)) for name in _INTERPOLATED_FIELDS}
-    return replace(crowd, **take_rows(joined, rows), next_crowd=None)
+    joined = {name: join_record_rows(getattr(next_crowd, name), getattr(crowd, name)) for name in _INTERPOLATED_FIELDS}
+    return replace(crowd, **select_record_rows(joined, rows), next_crowd=None)

@@ -15,7 +15,7 @@ from antdsl.bodies.agents.definition import BodyError
 from antdsl.bodies.agents.driving import PoseAdjustments
 from antdsl.bodies.body import rotate_vectors
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.numerics.records import take_rows
+from antdsl.numerics.records import select_record_rows
 from antdsl.outputs.agent_paths import AgentPaths, PathWindow, match_agents
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.dug_solids import DugSolids
@@ -233,7 +233,7 @@ class Gallery:
         for which, key in enumerate(keys):
             body = self.load_body(number, 0, which)
             own = np.arange(count) if len(keys) == 1 else np.flatnonzero(numbers == which)
-            subset, own_driven = rows[own], take_rows(driven, own) if len(keys) > 1 else driven
+            subset, own_driven = rows[own], select_record_rows(driven, own) if len(keys) > 1 else driven
             colour, is_marked = self._choose_colours(species, arrays, subset, body, own_driven)
             crowds.append(
                 Crowd(
@@ -248,7 +248,7 @@ class Gallery:
                     body=body,
                     machine_clips=(
                         *body.build_idle_clips(ids[own], frame * self.dt),
-                        *(take_rows(plays, own) if len(keys) > 1 else plays),
+                        *(select_record_rows(plays, own) if len(keys) > 1 else plays),
                     ),
                     feet=read_feet(key, arrays, len(own), 0 if body.leg_solver is None else body.leg_solver.leg_count),
                     driven_pose=own_driven,

@@ -75,7 +75,7 @@ def _find_package_versions() -> Mapping[str, str]:
 
 def _find_llvm_versions() -> str:
     """Return the versions of LLVM and llvmlite. Empty if machine code is not available."""
-    if llvm_compiler.unavailability_reason():
+    if llvm_compiler.find_unavailability_reason():
         return ""
     import llvmlite
     import llvmlite.binding as llvm

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.processor.float_environment import standard_floats
+from antdsl.numerics.processor.float_environment import use_standard_floats
 from antdsl.plan import ir
 from antdsl.reload.agents import SpeciesMigration, fill_registers, migrate_agents, write_registers
 from antdsl.reload.footing import is_same_solid
@@ -52,7 +52,7 @@ class Migration:
         return sum(migrated.agent_count for migrated in self.species)
 
 
-@standard_floats()
+@use_standard_floats()
 def migrate_world(
     old_world: World, plan: ir.Plan, setting: WorldSetting, binding_cache: BindingCache | None = None
 ) -> tuple[World, Migration]:

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from antdsl.runtime.feet.wearers import Wearers
+    from antdsl.runtime.feet.wearers import BodyWearers
 
 LIFT_REGISTERS = ("~lift.x", "~lift.y", "~lift.z")  # mm; for species with bodies that stay outside their ground
 
 
-def compute_body_positions(population: Wearers) -> NDArray[np.float64]:
+def compute_body_positions(population: BodyWearers) -> NDArray[np.float64]:
     """Return the positions (n, 3; mm) at which bodies are drawn. Each component is contiguous.
 
     They are the agents' positions on the ground, plus the shift of bodies that stay outside their ground."""

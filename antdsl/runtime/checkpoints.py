@@ -16,7 +16,7 @@ from antdsl.numerics.records import select_by_prefix
 from antdsl.numerics.row_hash import describe_columns
 from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME
 from antdsl.runtime.feet import feet_step
-from antdsl.runtime.feet.feet_state import feet_from_arrays
+from antdsl.runtime.feet.feet_state import restore_feet
 from antdsl.runtime.feet.wearers import find_sorted_ids
 from antdsl.runtime.line_tables import collect_line_arrays, restore_lines
 from antdsl.runtime.motion_measures import MotionMeasures
@@ -50,7 +50,7 @@ def take_checkpoint(world: World) -> Arrays:
     arrays |= {
         f"feet.{name}.{key}": array
         for name, feet in world.feet.items()
-        for key, array in feet.sorted_by_id().stored_arrays().items()
+        for key, array in feet.sort_by_id().get_stored_arrays().items()
     }
     names = sorted(world.transitions)
     arrays["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8)
@@ -131,7 +131,7 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
 def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Restore the feet of a checkpoint. If it was written without feet, all agents start with their feet at rest."""
     if not world.feet:  # a world that was bound without agents
-        feet_step.prepare_feet(world)
+        feet_step.prepare_feet_of_bodies(world)
     restored_feet = {}
     for name, feet in world.feet.items():
         foot_arrays = select_by_prefix(arrays, f"feet.{name}.")
@@ -139,7 +139,7 @@ def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
             feet_step.place_initial_feet(world)
             return
         try:
-            restored_feet[name] = feet_from_arrays(foot_arrays, feet, find_sorted_ids(world, name))
+            restored_feet[name] = restore_feet(foot_arrays, feet, find_sorted_ids(world, name))
         except ValueError as error:
             raise CheckpointError(f"`feet.{name}`: {error}") from None
     world.feet = restored_feet

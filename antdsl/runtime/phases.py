@@ -13,7 +13,7 @@ from time import perf_counter, process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.processor.float_environment import has_standard_floats, standard_floats
+from antdsl.numerics.processor.float_environment import has_standard_floats, use_standard_floats
 from antdsl.numerics.sorting import compute_morton_codes, sort_stably
 from antdsl.plan.ir import ValueKind
 from antdsl.program.tables.effects import list_effects_of_phase
@@ -238,7 +238,7 @@ def step(world: World) -> None:
     if has_standard_floats():
         _run_phases(world)
         return
-    with standard_floats():
+    with use_standard_floats():
         _run_phases(world)
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from antdsl.ground.solid import Volume
     from antdsl.runtime.binding.overcrowding import OvercrowdedLine
     from antdsl.runtime.faults import FaultLog
-    from antdsl.runtime.feet.feet_state import Feet
+    from antdsl.runtime.feet.feet_state import FeetState
     from antdsl.runtime.feet.feet_step import LegsOfBody
     from antdsl.runtime.feet.foothold_search import FootGround
     from antdsl.runtime.level_of_detail import DetailLevels
@@ -265,7 +265,7 @@ class World:
     notes: NoteRun | None = None  # None: the scene has none
     overcrowded_lines: list[OvercrowdedLine] = field(default_factory=list)  # crowd lines without space for all agents
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step after the phase `act`
-    feet: dict[str, Feet] = field(default_factory=dict)  # by body key; only those with computed feet
+    feet: dict[str, FeetState] = field(default_factory=dict)  # by body key; only those with computed feet
     legs_by_species: dict[str, LegsOfBody] = field(default_factory=dict)  # legs and gaits, by body key
     foot_ground: FootGround | None = None  # the ground for feet
     periodic: PeriodicWorld | None = None  # None: the world does not wrap

@@ -68,7 +68,7 @@ def test_counting_changes_no_step_and_leaves_nothing_behind(worlds: tuple[World,
 def test_a_kernel_that_is_made_in_a_step_that_is_counted_is_the_usual_one(
     worlds: tuple[World, World], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plain, kernels = (source_key.source_key(fill_worst_overlaps.part, []), fill_worst_overlaps.text()), []
+    plain, kernels = (source_key.compute_source_key(fill_worst_overlaps.part, []), fill_worst_overlaps.text()), []
     monkeypatch.setattr(
         phases,
         "PHASES",
@@ -76,7 +76,9 @@ def test_a_kernel_that_is_made_in_a_step_that_is_counted_is_the_usual_one(
             *phases.PHASES,
             (
                 "made",
-                lambda world: kernels.append((source_key.source_key(fill_worst_overlaps.part, []), fill_worst_overlaps.text())),
+                lambda world: kernels.append(
+                    (source_key.compute_source_key(fill_worst_overlaps.part, []), fill_worst_overlaps.text())
+                ),
             ),
         ),
     )

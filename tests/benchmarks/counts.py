@@ -98,7 +98,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.record and options.cases:
         parser.error("--record takes all cases")
-    if options.record and (why := llvm_compiler.unavailability_reason()):
+    if options.record and (why := llvm_compiler.find_unavailability_reason()):
         raise SystemExit(f"--record takes all backends: {why}")
     counts_by_case = counted(options.cases)
     if options.print or options.record:

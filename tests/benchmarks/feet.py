@@ -21,7 +21,7 @@ import stick_bodies
 from antdsl.bodies.agents.leg_chains import build_legs_data
 from antdsl.bodies.files.reading import read_definition
 from antdsl.runtime import Options, bind, step
-from antdsl.runtime.feet.feet_state import NO_GROUND
+from antdsl.runtime.feet.feet_state import NO_GROUND_NUMBER
 
 GROUNDS = (
     ("flat", 6, 24.0), ("hill", 6, 24.0), ("overhang", 6, 24.0), ("can", 6, 24.0), ("tunnel", 6, 24.0),
@@ -45,7 +45,10 @@ def row(ground: str, legs: int, speed: float) -> str:
         slid = max(slid, float(np.sqrt((moved * moved).sum(axis=0))[both].max(initial=0)))
         away = world.ground.find_nearest(np.ascontiguousarray(feet.shown[:, feet.is_standing].T))[1]
         off, far = max(off, float(away.max())), far + int((away > 1e-3 * leg).sum())
-        standing, hung = standing + int(feet.is_standing.sum()), hung + int(((feet.on == NO_GROUND) & (feet.swing >= 1)).sum())
+        standing, hung = (
+            standing + int(feet.is_standing.sum()),
+            hung + int(((feet.on == NO_GROUND_NUMBER) & (feet.swing >= 1)).sum()),
+        )
         lifted += int((previous_feet.is_standing & ~feet.is_standing).sum())
         turned = ((feet.phase - previous_feet.phase) % 1.0)[~previous_feet.is_standing.all(axis=1)]
         cycles = max(cycles, float(turned.max(initial=0)))

@@ -18,7 +18,7 @@ from antdsl.bodies.agents.machine_clips import MachineClips, build_machine_playb
 from antdsl.bodies.agents.poses import WorldPoses, build_clip_table
 from antdsl.bodies.body import build_rotation_matrices
 from antdsl.bodies.files.reading import read_definition
-from antdsl.numerics.records import take_rows
+from antdsl.numerics.records import select_record_rows
 
 N = 40
 
@@ -137,4 +137,4 @@ def test_feet_beside_bodies_are_as_placed_ones_seen_from_them() -> None:
     )
     beside = placed_feet.convert_to_body_space(position, orient, scale)
     assert np.allclose(beside.positions, local, atol=1e-5) and np.allclose(beside.trunk_rise, 1 / scale)
-    assert np.array_equal(take_rows(placed_feet, np.array([2])).P, placed_feet.P[2:3])
+    assert np.array_equal(select_record_rows(placed_feet, np.array([2])).P, placed_feet.P[2:3])

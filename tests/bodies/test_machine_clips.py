@@ -12,7 +12,7 @@ from antdsl.bodies.agents.blending import OVERRIDE_BLEND_MODE, blend_poses
 from antdsl.bodies.agents.definition import TransformGroup
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, build_machine_playback
 from antdsl.bodies.agents.poses import build_clip_table
-from antdsl.numerics.records import take_rows
+from antdsl.numerics.records import select_record_rows
 
 # A trunk, an arm and a leg beside each other; clips put them at heights: rest 0, low 1, high 3.
 JOINTS = {"trunk": "", "arm": "", "leg": ""}
@@ -89,7 +89,7 @@ def test_turns_are_times_and_who_else_is_there_changes_nothing() -> None:
     assert together[:, 1, 1, 3] == pytest.approx([0.25, 0.25, 0.5, 1.0, 0.75]) and together[4, 0, 1, 3] == 0
     for k in range(5):
         alone = blend_poses(
-            table, body.groups, build_machine_playback(table, clips, [take_rows(all_rows, np.array([k]))], 1)
+            table, body.groups, build_machine_playback(table, clips, [select_record_rows(all_rows, np.array([k]))], 1)
         ).world_transforms
         assert np.array_equal(alone[0], together[k])
 
@@ -148,7 +148,7 @@ def test_clips_give_way_as_an_agent_turns_and_climbs(lean: tuple[float, float], 
     matrices = blend_poses(table, body.groups, build_machine_playback(table, clips, [machine(0)], 1, leans)).world_transforms
     assert float(matrices[0, 0, 1, 3]) == pytest.approx(height, abs=1e-5)
     pair = build_machine_playback(
-        table, clips, [take_rows(machine(0), np.array([0, 0]))], 2, np.array([lean, (0, 0)], np.float32)
+        table, clips, [select_record_rows(machine(0), np.array([0, 0]))], 2, np.array([lean, (0, 0)], np.float32)
     )
     assert [float(y) for y in blend_poses(table, body.groups, pair).world_transforms[:, 0, 1, 3]] == pytest.approx(
         [height, 1], abs=1e-5

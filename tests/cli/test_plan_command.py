@@ -50,7 +50,7 @@ def test_listed_machine_code_is_that_of_the_scene(tmp_path: Path) -> None:
         far_listing
         == program_listing.format_listing(
             program_listing.build_program(
-                shot.plan, llvm_compiler.host_target(), WorldFacts(has_moving_ground=False, has_detail_levels=True)
+                shot.plan, llvm_compiler.find_host_target(), WorldFacts(has_moving_ground=False, has_detail_levels=True)
             )
         )
         + "\n"
@@ -69,6 +69,6 @@ def test_the_code_option_works_alone_and_with_native() -> None:
 
 def test_the_reason_for_missing_machine_code_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
     why = "llvmlite 0.30 is too old: install another"
-    monkeypatch.setattr(llvm_compiler, "unavailability_reason", lambda: why)
+    monkeypatch.setattr(llvm_compiler, "find_unavailability_reason", lambda: why)
     result = commands.run("plan", "minimal/scene.yaml", "--native", cwd=EXAMPLES)
     assert result.returncode == 1 and result.stderr.startswith("error: ") and why in result.stderr

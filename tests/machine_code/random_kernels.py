@@ -26,8 +26,8 @@ from unittest.mock import patch
 import numpy as np
 
 from antdsl.machine_code import llvm_compiler, shipped_objects
-from antdsl.machine_code.kernels import KernelFault, NotInSubset
-from antdsl.machine_code.kernels.ir import InvalidCode
+from antdsl.machine_code.kernels import KernelFault, NotInSubsetError
+from antdsl.machine_code.kernels.ir import InvalidCodeError
 from antdsl.machine_code.kernels.kernel import Kernel, render_kernels
 from antdsl.machine_code.kernels.kernel_unit import KernelUnit
 from antdsl.machine_code.number_kinds import LANE_COUNT
@@ -133,10 +133,14 @@ def load(source: str, folder: Path) -> list[Kernel]:
 
 def can_run(target: llvm_compiler.Target) -> bool:
     """Whether code for a target can run on this machine, or in the emulator."""
-    host = llvm_compiler.host_target()
+    host = llvm_compiler.find_host_target()
     if target.is_arm:
         return host.is_arm or not missing_program()
-    return target.is_x86 and host.is_x86 and shipped_objects._present_features(target) <= shipped_objects._present_features(host)
+    return (
+        target.is_x86
+        and host.is_x86
+        and shipped_objects._list_present_features(target) <= shipped_objects._list_present_features(host)
+    )
 
 
 @contextmanager
@@ -148,7 +152,7 @@ def callers(
     with patch.object(module, "KernelUnit", partial(KernelUnit, lanes=lanes)):
         text = render_kernels(kernels, target, checked=daring)
     code = llvm_compiler.compile_object(text, target)
-    if target.is_arm == llvm_compiler.host_target().is_arm:
+    if target.is_arm == llvm_compiler.find_host_target().is_arm:
         loaded = llvm_compiler.load_object(code)
         yield lambda kernel: kernel.make_caller(loaded, checked=daring)
     else:
@@ -162,8 +166,8 @@ def differences(kernels: Sequence[Kernel], seed: int, daring: bool, target: llvm
         with callers(kernels, target, lanes, daring) as caller:
             for number, kernel in enumerate(kernels):
                 yield from _differences_of_one(kernel, caller(kernel), seed, number, daring)
-    except (NotInSubset, InvalidCode, RuntimeError) as problem:
-        if len(kernels) == 1 and daring and isinstance(problem, NotInSubset):
+    except (NotInSubsetError, InvalidCodeError, RuntimeError) as problem:
+        if len(kernels) == 1 and daring and isinstance(problem, NotInSubsetError):
             return  # an index of an unrolled loop is certainly outside: the compiler reports the fault
         if len(kernels) == 1:
             yield f"{kernels[0].__name__}, failed: {problem}"
@@ -193,12 +197,13 @@ def compare(count: int, seed: int, target: str = "", show: bool = True, lanes: i
     Kernels for a target that nothing can run here are only compiled. The emulator runs no daring ones: the checked build reports
     to this process."""
     output: list[str] = []
-    compiled_for = shipped_objects.TARGET_BY_NAME[target] if target else llvm_compiler.host_target()
+    compiled_for = shipped_objects.TARGET_BY_NAME[target] if target else llvm_compiler.find_host_target()
     runs = can_run(compiled_for)
     with tempfile.TemporaryDirectory() as name:
         for batch in range(0, count, BATCH):
             daring = (
-                batch // BATCH % DARING_EVERY == DARING_EVERY - 1 and compiled_for.is_arm == llvm_compiler.host_target().is_arm
+                batch // BATCH % DARING_EVERY == DARING_EVERY - 1
+                and compiled_for.is_arm == llvm_compiler.find_host_target().is_arm
             )
             source = module_of(Random(f"{seed} {batch}"), min(BATCH, count - batch), daring)
             kernels = load(source, Path(name))

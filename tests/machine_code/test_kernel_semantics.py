@@ -23,13 +23,13 @@ from antdsl.machine_code.kernels import (
     U64,
     Array1,
     KernelFault,
-    NotInSubset,
+    NotInSubsetError,
     allocate_scratch,
     kernel,
     kernel_helper,
     simd_range,
 )
-from antdsl.machine_code.kernels.ir import InvalidCode, verify_functions
+from antdsl.machine_code.kernels.ir import InvalidCodeError, verify_functions
 from antdsl.machine_code.kernels.kernel import Kernel, render_kernels
 from antdsl.machine_code.kernels.kernel_unit import KernelUnit
 from antdsl.machine_code.kernels.simd_loops import write_function
@@ -157,7 +157,7 @@ def result_of_a_function_without_any(x: F64) -> None:
 def test_what_python_would_compute_otherwise_is_rejected_with_its_line(rejected: Kernel, line: int, why: str) -> None:
     start = inspect.getsourcelines(rejected.part.function)[1]
     for read in (lambda: rejected.text(), lambda: interpret(rejected)):
-        with pytest.raises(NotInSubset, match=why) as output:
+        with pytest.raises(NotInSubsetError, match=why) as output:
             read()
         assert f"{Path(__file__).name}, line {start + line}, " in str(output.value)
 
@@ -276,7 +276,7 @@ def test_the_verifier_finds_instructions_that_do_not_fit() -> None:
         for one in wrong:
             body[k] = one
             if one != each:
-                with pytest.raises(InvalidCode):
+                with pytest.raises(InvalidCodeError):
                     verify_functions(unit.functions)
         body[k] = each
     first = next(k for k, each in enumerate(body) if each.result is not None)
@@ -289,7 +289,7 @@ def test_the_verifier_finds_instructions_that_do_not_fit() -> None:
         [*body[:-1], body[-1]._replace(op="jump", immediate=("nowhere",))],
     ):
         function.blocks[0] = function.blocks[0]._replace(body=changed)
-        with pytest.raises(InvalidCode):
+        with pytest.raises(InvalidCodeError):
             verify_functions(unit.functions)
 
 

@@ -18,8 +18,8 @@ from compilers import need_llvmlite
 
 from antdsl import user_folders
 from antdsl.machine_code import object_cache, signing
-from antdsl.machine_code.llvm_compiler import Target, compile_object, host_target, load_object
-from antdsl.machine_code.object_cache import CACHE_VARIABLE, ObjectCache, compute_object_key, environment_versions
+from antdsl.machine_code.llvm_compiler import Target, compile_object, find_host_target, load_object
+from antdsl.machine_code.object_cache import CACHE_VARIABLE, ObjectCache, compute_object_key, list_environment_versions
 
 TARGET = Target("x86_64-unknown-linux-gnu", "znver1", "+avx2,-fma")
 KEY, OTHER = (compute_object_key(text, TARGET, versions=("1",)) for text in ("one", "other"))
@@ -50,7 +50,7 @@ def folder(tmp_path: Path) -> Path:
 def place(folder: Path) -> Path:
     """The file that has CODE under KEY."""
     cache = ObjectCache(folder)
-    cache.put(KEY, CODE)
+    cache.store_bytes(KEY, CODE)
     assert ObjectCache(folder).get(KEY) == CODE
     assert cache.messages == []
     return file_of(folder, KEY)
@@ -75,7 +75,7 @@ def refused(folder: Path, why: str) -> ObjectCache:
 def in_memory(cache: ObjectCache, why: str) -> None:
     """What is put into the cache is there for this run alone, and one message says so."""
     for _ in range(2):
-        cache.put(KEY, CODE)
+        cache.store_bytes(KEY, CODE)
         assert cache.get(KEY) == CODE
     assert len(cache.messages) == 1 and why in cache.messages[0], cache.messages
 
@@ -84,15 +84,15 @@ def test_what_is_put_is_there_for_other_runs(folder: Path, home: Path) -> None:
     first = ObjectCache(folder / "deep")
     assert first.get(KEY) is None
     assert not folder.exists() and not list(home.iterdir()), "nothing is created by a look"
-    first.put(KEY, CODE)
-    first.put(OTHER, b"")
+    first.store_bytes(KEY, CODE)
+    first.store_bytes(OTHER, b"")
     second = ObjectCache(folder / "deep")
     assert (second.get(KEY), second.get(OTHER)) == (CODE, b"")
     assert first.messages == second.messages == []
     assert len(list((folder / "deep").iterdir())) == 2
     if hasattr(os, "geteuid"):
         assert (folder / "deep").stat().st_mode & 0o777 == 0o700
-        assert signing.key_path().stat().st_mode & 0o777 == 0o600
+        assert signing.find_key_path().stat().st_mode & 0o777 == 0o600
 
 
 def test_a_stored_object_file_runs(folder: Path) -> None:
@@ -107,8 +107,8 @@ def test_a_stored_object_file_runs(folder: Path) -> None:
   store double %y, ptr %at
   ret void
 }"""
-    name = compute_object_key(text, host_target(), versions=environment_versions())
-    ObjectCache(folder).put(name, compile_object(text, host_target()))
+    name = compute_object_key(text, find_host_target(), versions=list_environment_versions())
+    ObjectCache(folder).store_bytes(name, compile_object(text, find_host_target()))
     stored_code = ObjectCache(folder).get(name)
     assert stored_code is not None
     numbers = (ctypes.c_double * 2)(1.5, 2.5)
@@ -129,12 +129,12 @@ def test_a_key_is_of_all_that_code_depends_on() -> None:
     keys = [of(*each) for each in (parts, *others, *moved, parts[:-1])]
     assert len(set(keys)) == len(keys) == 13
     assert of(*parts) == keys[0] and len(keys[0]) == 64
-    assert all(environment_versions()) and environment_versions() == environment_versions()
+    assert all(list_environment_versions()) and list_environment_versions() == list_environment_versions()
     for wrong in ("", "../" + "0" * 61, "A" * 64, KEY + "\n"):
         with pytest.raises(ValueError):
             ObjectCache().get(wrong)
         with pytest.raises(ValueError):
-            ObjectCache().put(wrong, b"")
+            ObjectCache().store_bytes(wrong, b"")
 
 
 def _flipped(data: bytes, at: int) -> bytes:
@@ -162,7 +162,7 @@ def test_damaged_files_are_not_loaded_and_removed(place: Path, damage: Callable[
     place.write_bytes(damaged)
     cache = refused(place.parent, "damaged, or was not written by this user on this machine")
     assert not place.exists() and str(place.parent) in cache.messages[0]
-    cache.put(KEY, CODE)
+    cache.store_bytes(KEY, CODE)
     assert ObjectCache(place.parent).get(KEY) == CODE
 
 
@@ -178,9 +178,9 @@ def test_code_of_another_user_or_machine_is_not_loaded(place: Path, monkeypatch:
     """With a folder in common both store theirs: neither finds what the other has written, under whatever name."""
     data = place.read_bytes()
     if changed == "key":
-        signing.key_path().write_bytes(bytes(32))
+        signing.find_key_path().write_bytes(bytes(32))
     elif changed == "machine":
-        monkeypatch.setattr(signing, "machine_id", lambda: "another")
+        monkeypatch.setattr(signing, "find_machine_id", lambda: "another")
     elif hasattr(os, "geteuid"):
         other = os.geteuid() + 1
         monkeypatch.setattr(os, "geteuid", lambda: other)
@@ -189,7 +189,7 @@ def test_code_of_another_user_or_machine_is_not_loaded(place: Path, monkeypatch:
     assert cache.get(KEY) is None and cache.messages == [] and place.read_bytes() == data
     file_of(place.parent, KEY).write_bytes(data)
     refused(place.parent, "not written by this user on this machine")
-    cache.put(KEY, b"theirs")
+    cache.store_bytes(KEY, b"theirs")
     assert cache.get(KEY) == b"theirs" and place.read_bytes() == data
 
 
@@ -197,7 +197,7 @@ def test_many_bad_files_are_one_message(folder: Path) -> None:
     cache = ObjectCache(folder)
     names = [compute_object_key(str(n), TARGET, versions=()) for n in range(5)]
     for name in names:
-        cache.put(name, CODE)
+        cache.store_bytes(name, CODE)
         file_of(folder, name).write_bytes(CODE)
     assert [cache.get(name) for name in names] == [None] * 5
     assert len(cache.messages) == 1 and not list(folder.iterdir())
@@ -230,7 +230,7 @@ def test_what_is_no_regular_file_is_not_loaded(place: Path, tmp_path: Path, kind
         os.mkfifo(place)
     cache = refused(place.parent, {"folder": "a folder", "pipe": "not a regular file"}.get(kind, "a link"))
     assert os.path.lexists(place) == (kind == "folder")
-    cache.put(KEY, CODE)
+    cache.store_bytes(KEY, CODE)
     assert cache.get(KEY) == CODE
     assert (ObjectCache(place.parent).get(KEY) == CODE) == (kind != "folder")
     assert elsewhere.read_bytes() == data, "what lies elsewhere is left alone"
@@ -242,7 +242,7 @@ def test_a_hard_link_is_replaced_and_not_written_through(place: Path, tmp_path: 
     data = place.read_bytes()
     cache = ObjectCache(place.parent)
     assert cache.get(KEY) == CODE and cache.messages == [], "what is signed is sound, whatever names it has"
-    cache.put(KEY, b"new")
+    cache.store_bytes(KEY, b"new")
     assert (tmp_path / "elsewhere").read_bytes() == data and cache.get(KEY) == b"new"
 
 
@@ -257,7 +257,7 @@ def test_a_poisoned_folder_is_harmless_wherever_it_lies(place: Path, tmp_path: P
         assert ObjectCache().get(KEY) == CODE
         file_of(named, KEY).write_bytes(bytes(32) + b"code of a stranger")
         refused(named, "not written by this user")
-        ObjectCache().put(KEY, CODE)
+        ObjectCache().store_bytes(KEY, CODE)
 
 
 def test_a_full_disk_ends_no_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -271,7 +271,7 @@ def test_a_full_disk_ends_no_run(folder: Path, monkeypatch: pytest.MonkeyPatch) 
         patch.setattr("antdsl.atomic_write._replace_file", full)
         in_memory(cache, "make room")
     assert list(folder.iterdir()) == [], "nothing is left of what was begun"
-    cache.put(KEY, CODE)
+    cache.store_bytes(KEY, CODE)
     assert ObjectCache(folder).get(KEY) == CODE
 
 
@@ -288,7 +288,7 @@ def test_whatever_the_system_refuses_ends_no_run(
     cache = ObjectCache(folder)
     with monkeypatch.context() as patch:
         patch.setattr(os, call, refuse)
-        cache.put(KEY, CODE)
+        cache.store_bytes(KEY, CODE)
         assert cache.get(KEY) == CODE
         messages = list(cache.messages)
     assert len(messages) <= 1 and all(os.strerror(errno.EROFS) in each or "private key" in each for each in messages)
@@ -302,7 +302,7 @@ def test_a_folder_that_is_only_read_is_read(place: Path) -> None:
     try:
         cache = ObjectCache(place.parent)
         assert cache.get(KEY) == CODE and cache.messages == []
-        cache.put(OTHER, CODE)
+        cache.store_bytes(OTHER, CODE)
         assert cache.get(OTHER) == CODE
         assert bool(cache.messages) != file_of(place.parent, OTHER).exists()
     finally:
@@ -335,10 +335,12 @@ def test_where_code_is_stored(home: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_the_home_of_the_password_database_counts_and_no_variable(tmp_path: Path, home: Path) -> None:
-    ObjectCache().put(KEY, CODE)
+    ObjectCache().store_bytes(KEY, CODE)
     assert ObjectCache().get(KEY) == CODE
     assert file_of(user_folders.cache_folder() / "antdsl" / "native", KEY).is_file()
-    assert signing.key_path() == user_folders.cache_folder() / "antdsl" / "key" and signing.key_path().is_relative_to(home)
+    assert signing.find_key_path() == user_folders.cache_folder() / "antdsl" / "key" and signing.find_key_path().is_relative_to(
+        home
+    )
     assert not list((tmp_path / "project").iterdir()), "HOME and XDG_CACHE_HOME lead here"
 
 
@@ -357,7 +359,7 @@ def test_without_a_home_code_stays_in_memory(tmp_path: Path, monkeypatch: pytest
 def test_an_empty_variable_keeps_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, "")
     cache = ObjectCache()
-    cache.put(KEY, CODE)
+    cache.store_bytes(KEY, CODE)
     assert cache.get(KEY) == CODE and ObjectCache().get(KEY) is None and cache.messages == []
     assert not list((tmp_path / "home").iterdir()), "no key is created either"
     assert not list((tmp_path / "project").iterdir())
@@ -369,9 +371,9 @@ def test_memory_has_a_cap_too(monkeypatch: pytest.MonkeyPatch) -> None:
     cache = ObjectCache()
     names = [compute_object_key(str(n), TARGET, versions=()) for n in range(4)]
     for name in names[:3]:
-        cache.put(name, CODE)
+        cache.store_bytes(name, CODE)
     assert cache.get(names[0]) == CODE
-    cache.put(names[3], CODE)
+    cache.store_bytes(names[3], CODE)
     assert [name for name in names if cache.get(name) is None] == [names[1]]
 
 
@@ -381,7 +383,7 @@ def test_what_was_used_longest_ago_goes_first(folder: Path) -> None:
     size = signing.SIGNATURE_BYTES + len(CODE)
     cache = ObjectCache(folder, max_bytes=4 * size)
     for age, name in enumerate(names[:4]):
-        cache.put(name, CODE)
+        cache.store_bytes(name, CODE)
         os.utime(files[age], (1_000 + age, 1_000 + age))
     mine = folder / "mine.object"
     mine.write_bytes(bytes(10 * size))
@@ -391,20 +393,20 @@ def test_what_was_used_longest_ago_goes_first(folder: Path) -> None:
         each.write_bytes(CODE)
     os.utime(left, (time.time() - 7200,) * 2)
     assert cache.get(names[0]) == CODE  # used again
-    cache.put(names[4], CODE)
-    cache.put(names[5], CODE)
+    cache.store_bytes(names[4], CODE)
+    cache.store_bytes(names[5], CODE)
     assert [file.exists() for file in files] == [True, False, False, True, True, True]
     assert mine.exists() and being_written.exists() and not left.exists()
     assert cache.messages == []
-    ObjectCache(folder, max_bytes=2 * size).put(names[3], CODE)
+    ObjectCache(folder, max_bytes=2 * size).store_bytes(names[3], CODE)
     assert files[3].exists() and sum(file.exists() for file in files) == 2
     for file in files:
         if file.exists():
             os.utime(file, (time.time() + 3600,) * 2)  # the clock went back
-    ObjectCache(folder, max_bytes=size).put(names[0], CODE)
+    ObjectCache(folder, max_bytes=size).store_bytes(names[0], CODE)
     assert [file.exists() for file in files] == [True, False, False, False, False, False]
     small = ObjectCache(folder, max_bytes=size - 1)
-    small.put(KEY, CODE)
+    small.store_bytes(KEY, CODE)
     assert "too many" in small.messages[0] and not file_of(folder, KEY).exists()
 
 
@@ -426,7 +428,7 @@ for turn in range(150):
         assert got in (None, code)
         found += got is not None
         if got is None or turn % 3 == 0:
-            cache.put(names[n], code)
+            cache.store_bytes(names[n], code)
 assert not cache.messages, cache.messages
 print(found)
 """
@@ -454,7 +456,7 @@ def test_threads_of_a_run_share_a_cache(folder: Path) -> None:
 
     def work(n: int) -> bool:
         name = compute_object_key(str(n % 4), TARGET, versions=())
-        cache.put(name, bytes([n % 4]) * 10_000)
+        cache.store_bytes(name, bytes([n % 4]) * 10_000)
         return cache.get(name) == bytes([n % 4]) * 10_000
 
     with ThreadPoolExecutor(4) as pool:

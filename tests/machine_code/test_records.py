@@ -17,7 +17,7 @@ from antdsl.machine_code.kernels import (
     I64,
     Array1,
     Array2,
-    NotInSubset,
+    NotInSubsetError,
     inlined,
     kernel,
     kernel_helper,
@@ -264,7 +264,7 @@ def returned_array(values: Array1[F64]) -> Any:
 )
 def test_mistakes_are_found_with_their_line(rejected: Kernel, line: int, why: str) -> None:
     start = inspect.getsourcelines(rejected.part.function)[1]
-    with pytest.raises(NotInSubset, match=why) as output:
+    with pytest.raises(NotInSubsetError, match=why) as output:
         rejected.text()
     assert f"{Path(__file__).name}, line {start + line}, " in str(output.value)
 
@@ -274,12 +274,12 @@ def test_the_key_of_stored_code_depends_on_the_fields(monkeypatch: pytest.Monkey
         y: F64
         x: F64
 
-    previous = source_key.source_key(build.part, build.types())
-    assert previous is not None and previous != source_key.source_key(read_fields.part, read_fields.types())
+    previous = source_key.compute_source_key(build.part, build.types())
+    assert previous is not None and previous != source_key.compute_source_key(read_fields.part, read_fields.types())
     monkeypatch.setitem(globals(), "Point", Wide)
-    assert source_key.source_key(build.part, build.types()) != previous
+    assert source_key.compute_source_key(build.part, build.types()) != previous
     swapped = Wide._make(build.types())
-    assert source_key.source_key(build.part, [swapped]) != source_key.source_key(build.part, [tuple(swapped)])
+    assert source_key.compute_source_key(build.part, [swapped]) != source_key.compute_source_key(build.part, [tuple(swapped)])
 
 
 def test_a_field_without_a_type_of_kernels_is_an_error() -> None:

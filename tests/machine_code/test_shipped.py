@@ -42,8 +42,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv(object_cache.CACHE_VARIABLE, "")
     code_cache.release_unused_code()
     yield tmp_path / "objects"
-    object_cache.code_versions.cache_clear()
-    object_cache.environment_versions.cache_clear()
+    object_cache.list_code_versions.cache_clear()
+    object_cache.list_environment_versions.cache_clear()
     code_cache.release_unused_code()
 
 
@@ -58,7 +58,7 @@ def compiled(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 def own() -> str:
     """The name of this machine's target."""
-    name = shipped_objects.find_target_name(llvm_compiler.host_target())
+    name = shipped_objects.find_target_name(llvm_compiler.find_host_target())
     if name is None:
         pytest.skip("no objects are shipped for this machine")
     return name
@@ -73,7 +73,7 @@ def rows() -> llvm_compiler.LoadedCode:
 def test_objects_are_what_compiling_gives(folder: Path) -> None:
     assert build_object_files(folder, ENTRIES, shipped_objects.TARGET_BY_NAME) == 2 * len(shipped_objects.TARGET_BY_NAME)
     for name, target in shipped_objects.TARGET_BY_NAME.items():
-        objects = shipped_objects.ObjectFile(shipped_objects.objects_path(folder, name))
+        objects = shipped_objects.ObjectFile(shipped_objects.make_objects_path(folder, name))
         assert len(objects) == len(ENTRIES)
         for entry in ENTRIES:
             code = objects.get(shipped_objects.compute_shipped_key(entry.text_key(target), target))
@@ -116,7 +116,7 @@ def test_code_of_the_installation_is_used_before_any_is_compiled(
 ) -> None:
     (tmp_path / "user").mkdir(mode=0o700)
     monkeypatch.setenv(object_cache.CACHE_VARIABLE, str(tmp_path / "user"))
-    build_object_files(folder, [*ENTRIES, argument_text.text], [own()])  # type: ignore[list-item]
+    build_object_files(folder, [*ENTRIES, argument_text.build_llvm_text], [own()])  # type: ignore[list-item]
     compiled.clear()
     kernel = type(write_cosines)(write_cosines.part.function)
     code_cache.release_unused_code()
@@ -127,7 +127,7 @@ def test_code_of_the_installation_is_used_before_any_is_compiled(
     write_cosines(angles, expected)
     rows()
     assert not compiled and np.array_equal(result, expected)
-    assert not list((tmp_path / "user").iterdir()) and code_cache.messages() == []
+    assert not list((tmp_path / "user").iterdir()) and code_cache.take_messages() == []
 
 
 # Where a bit is flipped: in the head (form, hash of the index, number of entries), in the index (key, position, size, hash), and
@@ -148,37 +148,39 @@ BYTE_OFFSETS = {
 @pytest.mark.parametrize("place", BYTE_OFFSETS.values(), ids=BYTE_OFFSETS)
 def test_a_damaged_bit_is_found_and_the_code_compiled(folder: Path, compiled: list[str], place: int) -> None:
     build_object_files(folder, [row_copies.build_llvm_text], [own()])  # type: ignore[list-item]
-    path = shipped_objects.objects_path(folder, own())
+    path = shipped_objects.make_objects_path(folder, own())
     data = bytearray(path.read_bytes())
     data[place] ^= 1
     path.write_bytes(data)
     compiled.clear()
     assert rows().function("rows") and len(compiled) == 1
-    [message] = code_cache.messages()
+    [message] = code_cache.take_messages()
     assert "damaged" in message and str(path) in message
     path.unlink()
     build_object_files(folder, [row_copies.build_llvm_text], [own()])  # type: ignore[list-item]
     compiled.clear()
-    assert rows().function("rows") and not compiled and code_cache.messages() == []
+    assert rows().function("rows") and not compiled and code_cache.take_messages() == []
 
 
 @pytest.mark.parametrize("kind", ["short", "head", "empty", "folder", "bare"])
 def test_a_file_of_another_form_is_not_used(folder: Path, compiled: list[str], kind: str) -> None:
     build_object_files(folder, [row_copies.build_llvm_text], [own()])  # type: ignore[list-item]
-    path = shipped_objects.objects_path(folder, own())
+    path = shipped_objects.make_objects_path(folder, own())
     data = path.read_bytes()
     path.unlink()
     if kind == "folder":
         path.mkdir()
     else:
-        bare = llvm_compiler.compile_object(row_copies.build_llvm_text(llvm_compiler.host_target()), llvm_compiler.host_target())
+        bare = llvm_compiler.compile_object(
+            row_copies.build_llvm_text(llvm_compiler.find_host_target()), llvm_compiler.find_host_target()
+        )
         path.write_bytes({"short": data[:-1], "head": data[:20], "empty": b"", "bare": bare}[kind])
     compiled.clear()
-    assert rows().function("rows") and len(compiled) == 1 and len(code_cache.messages()) == 1
+    assert rows().function("rows") and len(compiled) == 1 and len(code_cache.take_messages()) == 1
 
 
 def test_without_objects_code_is_compiled_and_nothing_is_said(compiled: list[str]) -> None:
-    assert rows().function("rows") and len(compiled) == 1 and code_cache.messages() == []
+    assert rows().function("rows") and len(compiled) == 1 and code_cache.take_messages() == []
 
 
 @pytest.mark.parametrize("changed", ["IR_VERSION", "ABI_VERSION", "LLVM", "passes"])
@@ -195,10 +197,10 @@ def test_code_of_another_version_is_not_used(
         monkeypatch.setattr(llvm_compiler, "__file__", str(tmp_path / "machine.py"))
     else:
         monkeypatch.setattr(object_cache, changed, "another")
-    object_cache.code_versions.cache_clear()
-    object_cache.environment_versions.cache_clear()
+    object_cache.list_code_versions.cache_clear()
+    object_cache.list_environment_versions.cache_clear()
     compiled.clear()
-    assert rows().function("rows") and len(compiled) == 1 and code_cache.messages() == []
+    assert rows().function("rows") and len(compiled) == 1 and code_cache.take_messages() == []
 
 
 def load(place: Path, monkeypatch: pytest.MonkeyPatch, number: float) -> Any:
@@ -264,7 +266,7 @@ def test_an_older_processor_loads_none(folder: Path, compiled: list[str], monkey
     targets = []
     compile_ = llvm_compiler.compile_object
     monkeypatch.setattr(llvm_compiler, "compile_object", lambda text, target: targets.append(target) or compile_(text, target))
-    monkeypatch.setattr(llvm_compiler, "host_target", lambda: plain)
+    monkeypatch.setattr(llvm_compiler, "find_host_target", lambda: plain)
     assert not reload_cosines().has_code()
     rows()
     assert targets == [plain]
@@ -283,7 +285,7 @@ def test_no_operations_are_fused(name: str) -> None:
   ret <8 x double> %sum
 }
 """
-    for written in (text, f"; {llvm_compiler.ALL_PASSES_COMMENT}\n{text}"):
+    for written in (text, f"; {llvm_compiler.ALL_PASSES_MARKER}\n{text}"):
         assembly = llvm_compiler.compile_assembly(written, shipped_objects.TARGET_BY_NAME[name])
         assert re.search(r"mul", assembly) and re.search(r"add", assembly) and not re.search(r"fn?m(add|la|sub)", assembly)
     wide = "zmm" in assembly
@@ -352,7 +354,7 @@ def test_where_nothing_can_be_compiled_in_advance_a_message_says_why(why: str, t
     patches = {
         "no llvmlite": "import sys\nsys.modules['llvmlite'] = sys.modules['llvmlite.binding'] = None\n",
         "another processor": "from antdsl.machine_code import llvm_compiler as m\n"
-        "m.host_target = lambda: m.Target('riscv64-linux', '', '')\n",
+        "m.find_host_target = lambda: m.Target('riscv64-linux', '', '')\n",
     }
     (tmp_path / "sitecustomize.py").write_text(patches[why])
     command = [sys.executable, "-P", "-m", "antdsl.machine_code.build_objects", "--host"]

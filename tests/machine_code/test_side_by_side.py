@@ -15,7 +15,7 @@ from antdsl.machine_code.kernels import (
     I64,
     Array1,
     Array2,
-    NotInSubset,
+    NotInSubsetError,
     inlined,
     kernel,
     kernel_helper,
@@ -177,7 +177,7 @@ def several(x: Array1[F64], to: Array1[F64]) -> None:
 
 
 def test_what_turns_would_change_together_is_refused() -> None:
-    with pytest.raises(NotInSubset, match="several iterations of the loop"):
+    with pytest.raises(NotInSubsetError, match="several iterations of the loop"):
         several(np.ones(9), np.zeros(1))
 
 
@@ -221,7 +221,8 @@ def test_one_place_is_read_for_all_turns_only_where_a_turn_asks(size: int, at: i
         count = len(rows) if at >= 0 else at
         code = llvm_compiler.load_object(
             llvm_compiler.compile_object(
-                render_kernels([reads_one_place], llvm_compiler.host_target(), checked=True), llvm_compiler.host_target()
+                render_kernels([reads_one_place], llvm_compiler.find_host_target(), checked=True),
+                llvm_compiler.find_host_target(),
             )
         )
         outputs = [np.zeros(size) for _ in range(3)]

@@ -36,11 +36,11 @@ def signature(*, create: bool = True) -> bytes | None:
 
 
 def test_a_key_is_created_when_something_is_signed_and_lasts() -> None:
-    assert signature(create=False) is None and not signing.key_path().parent.exists()
+    assert signature(create=False) is None and not signing.find_key_path().parent.exists()
     first = signature()
     assert first is not None and len(first) == signing.SIGNATURE_BYTES
     assert signature() == signature(create=False) == first
-    assert [each.name for each in signing.key_path().parent.iterdir()] == ["key"], "no part is left behind"
+    assert [each.name for each in signing.find_key_path().parent.iterdir()] == ["key"], "no part is left behind"
 
 
 def test_a_signature_is_of_key_and_content() -> None:
@@ -68,7 +68,7 @@ def test_a_signature_is_of_key_and_content() -> None:
 @rights
 def test_a_key_that_others_may_know_or_have_made_is_replaced(home: Path, tmp_path: Path, kind: str) -> None:
     old_signature = signature()
-    path, elsewhere = signing.key_path(), tmp_path / "elsewhere"
+    path, elsewhere = signing.find_key_path(), tmp_path / "elsewhere"
     secret = path.read_bytes()
     if kind in ("short", "long", "empty"):
         path.write_bytes({"short": secret[:-1], "long": secret + b"\n", "empty": b""}[kind])
@@ -94,12 +94,12 @@ def test_a_key_that_others_may_know_or_have_made_is_replaced(home: Path, tmp_pat
 @rights
 def test_a_key_of_another_user_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     signature()
-    secret, own = signing.key_path().read_bytes(), os.geteuid()
+    secret, own = signing.find_key_path().read_bytes(), os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: own + 1)
     assert signature(create=False) is None
     with pytest.raises(NotPrivateError, match="another user"):
         signature()
-    assert signing.key_path().read_bytes() == secret
+    assert signing.find_key_path().read_bytes() == secret
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_where_there_can_be_no_key_code_stays_in_memory(
     home: Path, tmp_path: Path, kind: str, why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where the user names a folder for it: without a key nothing in there can be trusted."""
-    above = signing.key_path().parent
+    above = signing.find_key_path().parent
     above.parent.mkdir(parents=True, exist_ok=True)
     if kind == "folder in place of the key":
         (above / "key").mkdir(parents=True)
@@ -133,7 +133,7 @@ def test_where_there_can_be_no_key_code_stays_in_memory(
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "named"))
     cache = ObjectCache()
     for _ in range(3):
-        cache.put(KEY, b"code")
+        cache.store_bytes(KEY, b"code")
         assert cache.get(KEY) == b"code"
     [message] = cache.messages
     assert "private key" in message and why in message
@@ -159,7 +159,7 @@ def test_processes_that_begin_at_once_have_one_key(home: Path, previous_key: str
     by lasts as well."""
     if previous_key == "empty":
         signature()
-        signing.key_path().write_bytes(b"")
+        signing.find_key_path().write_bytes(b"")
     command = [sys.executable, "-c", _STARTER, str(home)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     all_of_them = [subprocess.Popen(command, text=True, env=child_environment(), **pipes) for _ in range(6)]  # type: ignore[call-overload]
@@ -174,7 +174,7 @@ def test_processes_that_begin_at_once_have_one_key(home: Path, previous_key: str
     key = signing.get_signer(create=False)
     assert key is not None and key.sign("", b"").hex() in key_texts
     assert previous_key == "empty" or len(set(key_texts)) == 1
-    assert [each.name for each in signing.key_path().parent.iterdir()] == ["key"]
+    assert [each.name for each in signing.find_key_path().parent.iterdir()] == ["key"]
 
 
 def test_threads_that_begin_at_once_have_one_key() -> None:
@@ -206,7 +206,7 @@ def test_a_user_without_a_home_folder(monkeypatch: pytest.MonkeyPatch, tmp_path:
     with pytest.raises(FileNotFoundError):
         user_folders.home_folder()
     cache = ObjectCache()
-    cache.put(KEY, b"code")
+    cache.store_bytes(KEY, b"code")
     assert cache.get(KEY) == b"code" and len(cache.messages) == 1 and "home folder" in cache.messages[0]
     assert not (tmp_path / "missing").exists() and not (tmp_path / "home" / ".cache").exists()
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from antdsl.numerics import parallel
-from antdsl.numerics.check_sums import crc32
+from antdsl.numerics.check_sums import compute_crc32
 
 
 @pytest.fixture
@@ -78,4 +78,4 @@ def test_an_interrupt_is_raised_after_all_running_parts_have_ended(by_two: None)
 
 def test_check_sums_are_those_of_zlib() -> None:
     data = np.arange(40_000, dtype=np.float64)
-    assert crc32(memoryview(data)) == zlib.crc32(data)
+    assert compute_crc32(memoryview(data)) == zlib.crc32(data)

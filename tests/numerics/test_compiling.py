@@ -106,5 +106,5 @@ def test_kernels_with_unknown_names_are_keyed_by_text(folder: Path, monkeypatch:
     text = KERNEL.replace("return twice(x)", "numbers = twice(x)\n    return numbers") + "numbers = {}\n"
     (folder / "kernel_value.py").write_text(text)
     kernel = load(folder, monkeypatch)
-    assert source_key.source_key(kernel.part, []) is None
+    assert source_key.compute_source_key(kernel.part, []) is None
     assert not kernel.has_code() and kernel(2) == 6 and load(folder, monkeypatch).has_code()

@@ -18,7 +18,7 @@ from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.entry_functions import write_inner_function
 from antdsl.machine_code.llvm_module import LlvmModule
 from antdsl.numerics import parallel
-from antdsl.numerics.processor.float_environment import has_standard_floats, set_standard_floats, standard_floats
+from antdsl.numerics.processor.float_environment import has_standard_floats, set_standard_floats, use_standard_floats
 from antdsl.passes import optimise_plan
 from antdsl.plan import ir
 from antdsl.runtime import Options, WorldSetting, bind, state_hash, step
@@ -45,10 +45,10 @@ define void @host(ptr %t, i64 %bits, i64 %none) {
 
 def hosted(bits: int, work: Callable[[], Any]) -> Any:
     """What a thread of a host gives that has such bits set; they are still set when the work is done."""
-    if not llvm_compiler.host_target().is_x86:
+    if not llvm_compiler.find_host_target().is_x86:
         pytest.skip("the bits are those of x86")
     outcomes: list[Any] = []
-    code = llvm_compiler.load_object(llvm_compiler.compile_object(X86, llvm_compiler.host_target()))
+    code = llvm_compiler.load_object(llvm_compiler.compile_object(X86, llvm_compiler.find_host_target()))
 
     def run() -> None:
         code.function("host")(None, bits, 0)
@@ -74,7 +74,7 @@ def test_standard_floats_work_in_threads(bits: int) -> None:
 
     def work() -> tuple[bytes, bytes]:
         host_bytes = (small * small.dtype.type(1)).tobytes() + (1 / third).tobytes()
-        with standard_floats():
+        with use_standard_floats():
             assert has_standard_floats()
             within = (small * small.dtype.type(1)).tobytes() + (1 / third).tobytes()
         return host_bytes, within
@@ -102,14 +102,14 @@ def threading_is_standard(begin: Callable[[], None]) -> bool:
 @pytest.mark.parametrize("bits", HOSTS.values(), ids=HOSTS)
 def test_standard_floats_work_in_machine_code(bits: int) -> None:
     """Called outside of any step: a product of denormal numbers, and a quotient."""
-    module = LlvmModule(llvm_compiler.host_target())
+    module = LlvmModule(llvm_compiler.find_host_target())
     body = """  %first = load ptr, ptr %t
   %values = load <8 x float>, ptr %first, align 4
   %same = fmul <8 x float> %values, splat (float 1.0)
   %parts = fdiv <8 x float> %same, splat (float 3.0)
   store <8 x float> %parts, ptr %first, align 4"""
     module.functions["thirds"] = write_inner_function(module, "thirds", body)
-    code = llvm_compiler.load_object(llvm_compiler.compile_object(module.text(), llvm_compiler.host_target()))
+    code = llvm_compiler.load_object(llvm_compiler.compile_object(module.text(), llvm_compiler.find_host_target()))
     inputs = np.array([1e-44, -1e-40, 1.0, -2.0, 1e-38, -3.0, 7e-45, -10.0], np.float32)
 
     def work() -> bytes:

@@ -28,7 +28,7 @@ from antdsl.machine_code.kernels import (
     kernel_helper,
     simd_range,
 )
-from antdsl.machine_code.kernels.ir import NotInSubset
+from antdsl.machine_code.kernels.ir import NotInSubsetError
 
 SERIES = (0.5, -1.25, 3.0, 7.5)
 ODD = np.uint64(0x9E3779B97F4A7C15)
@@ -254,7 +254,7 @@ def test_literals_take_the_type_of_the_other_number() -> None:
 
 @pytest.mark.parametrize("function", NOT_IN_SUBSET, ids=lambda each: str(each.__name__))
 def test_code_outside_the_subset_is_reported_with_its_line(function: Any) -> None:
-    with pytest.raises(NotInSubset, match=f"line [0-9]+, `{function.__name__}`"):
+    with pytest.raises(NotInSubsetError, match=f"line [0-9]+, `{function.__name__}`"):
         function.text()
 
 

@@ -163,7 +163,7 @@ def test_damaged_tables_are_computed_again(folder: Path, harm: str, tmp_path: Pa
 def test_signed_nonsense_is_not_used(folder: Path, data: bytes) -> None:
     inputs = (np.arange(4.0), 2.0)
     computed_arrays = {"link": np.arange(7)}
-    stored_tables._open_store_once().put(stored_tables._compute_key("some", inputs), data)
+    stored_tables._open_store_once().store_bytes(stored_tables._compute_key("some", inputs), data)
     begin = stored_tables.count_computed_tables()
     assert get_or_compute("some", MIN_STORED_SIZE, inputs, lambda: computed_arrays)["link"] is computed_arrays["link"]
     assert get_or_compute("some", MIN_STORED_SIZE, inputs, dict)["link"].tolist() == list(range(7))

@@ -57,7 +57,7 @@ def many(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     previous_pools = dict(workers._pool_by_threads)
     yield
     for key in [key for key in workers._pool_by_threads if key not in previous_pools]:
-        workers._pool_by_threads.pop(key).end()
+        workers._pool_by_threads.pop(key).end_workers()
 
 
 def arrays(count: int) -> tuple[Any, ...]:
@@ -179,7 +179,7 @@ def test_interrupted_callers_wait_for_running_parts(is_running: bool) -> None:
     pool._start_function = start
     pool.run_calls(work, 2)
     assert ended.count(0) == 1
-    pool.end()
+    pool.end_workers()
 
 
 def test_functions_of_machine_code_are_called_with_each_row() -> None:
@@ -288,7 +288,7 @@ def test_interrupts_release_the_pool(pool: Any) -> None:
         assert ask(pool, lambda: "together", lambda: "alone") == "together"
     assert interrupt_count >= 3  # as it begins, once it is noted who asks, and after the work
     assert ask(pool, lambda: ask(pool, lambda: "together", lambda: "alone"), lambda: "nobody") == "alone"
-    pool.end()
+    pool.end_workers()
 
 
 @pytest.mark.parametrize("threads", THREADS)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from antdsl.bodies.body import build_rotation_matrices, rotate_vectors
-from antdsl.numerics.records import take_rows
+from antdsl.numerics.records import select_record_rows
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery
 from tests.commands import run
@@ -82,7 +82,7 @@ def test_poses_bring_the_points_of_a_shape_where_they_are_drawn(cache: Path, tmp
         points = np.concatenate([points, np.ones_like(points[..., :1])], axis=2)
         matrices = (world @ shape.capture.inverse_matrices)[:, shape.capture.joints]
         placed = np.einsum("nij,pk,npkjl,npl->npi", archive["bug.place"][rows], shape.capture.weights, matrices, points)[..., :3]
-        drawn = crowd.body.pose_vertices(take_rows(crowd.machine_clips, among), int(among.sum()))[0].astype(float)
+        drawn = crowd.body.pose_vertices(select_record_rows(crowd.machine_clips, among), int(among.sum()))[0].astype(float)
         expected = rotate_vectors(crowd.orient[among], drawn) * crowd.scale[among, None, None] + crowd.position[among, None]
         assert np.abs(placed - expected).max() < 1e-5
 

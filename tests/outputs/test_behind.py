@@ -266,7 +266,7 @@ def held(world: World) -> Iterator[NDArray[Any]]:
         tables += [population.now, population.start, population.events, population.footing.columns]
         tables.append({"ids": population.ids, "born": population.born, "position": population.position})
     tables += [items.amounts for items in world.items.values()]
-    tables += [feet.stored_arrays() for feet in world.feet.values()]
+    tables += [feet.get_stored_arrays() for feet in world.feet.values()]
     tables.append({name: field.amounts for name, field in world.fields.items()})
     tables += [flow.get_state() for flow in world.flows.values()]
     for table in tables:

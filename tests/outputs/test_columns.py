@@ -10,7 +10,7 @@ import pytest
 import stick_bodies
 from foraging_shots import world as foraging_world
 
-from antdsl.numerics.records import join_rows, match_ids, take_rows
+from antdsl.numerics.records import join_record_rows, match_ids, select_record_rows
 from antdsl.outputs.cache.agent_arrays import VALUE_WRITERS
 from antdsl.outputs.cache.event_arrays import EVENT_ARRAY_MAKERS
 from antdsl.outputs.cache.frame_agents import ALWAYS_SAVED_ARRAYS, list_special_arrays
@@ -30,7 +30,7 @@ from antdsl.program.tables.columns import (
     Column,
 )
 from antdsl.runtime import Options, World, bind, state_hash, step, take_checkpoint
-from antdsl.runtime.feet.feet_state import Feet
+from antdsl.runtime.feet.feet_state import FeetState
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -127,7 +127,7 @@ def test_packets_have_the_shown_arrays_with_the_types_of_the_table() -> None:
 
 
 def test_feet_have_the_columns_of_the_table() -> None:
-    arrays = Feet.empty(6).stored_arrays()
+    arrays = FeetState.make_empty(6).get_stored_arrays()
     assert list(arrays) == [column.name for column in FEET_COLUMNS]
     for column in FEET_COLUMNS:
         assert arrays[column.name].shape == tuple({"n": 0, "L": 6, "S": 0}.get(str(size), size) for size in column.shape)
@@ -136,12 +136,12 @@ def test_feet_have_the_columns_of_the_table() -> None:
 def test_rows_of_records() -> None:
     feet = PlacedFeet(*(np.arange(3 * size, dtype=np.float32).reshape(3, size) for size in (1, 2, 3, 4, 5)))  # type: ignore[arg-type]
     record = {"feet": feet, "word": "ant", "pair": (np.arange(3), None)}
-    taken = take_rows(record, np.array([2, 0]))
+    taken = select_record_rows(record, np.array([2, 0]))
     assert taken["word"] == "ant" and taken["pair"][0].tolist() == [2, 0] and taken["pair"][1] is None  # type: ignore[index]
     assert np.array_equal(taken["feet"].tilt, feet.tilt[[2, 0]])  # type: ignore[attr-defined]
-    joined = join_rows(record, record)
+    joined = join_record_rows(record, record)
     assert joined["pair"][0].tolist() == [0, 1, 2, 0, 1, 2] and joined["feet"].P.shape == (6, 1) and joined["word"] == "ant"
-    assert join_rows(record, None) is None
+    assert join_record_rows(record, None) is None
     at, known = match_ids(np.array([7, 2]), np.array([1, 2, 5]))
     assert known.tolist() == [False, True] and at[1] == 1
     assert not match_ids(np.array([7, 2]), np.empty(0, np.int64))[1].any()

@@ -18,7 +18,7 @@ from antdsl.outputs.cache.pose_arrays import _REGISTER_BY_FIELD, make_clip_array
 from antdsl.outputs.surface_error import _find_greatest_error, measure_surface_error
 from antdsl.program.tables.columns import COLUMN_BY_ATTRIBUTE
 from antdsl.runtime import Options, Population, World, bind
-from antdsl.runtime.feet.feet_state import Feet
+from antdsl.runtime.feet.feet_state import FeetState
 from antdsl.runtime.feet.trunk import compute_slope_quaternions
 
 EXTREMES = np.array([0.0, -0.0, 1.0, -1.0, 1e-13, -1e-13, 1e-30, 1e30, np.inf, -np.inf, np.nan, 0.6, -0.8], np.float32)
@@ -186,14 +186,14 @@ def test_colours_of_states() -> None:
 @pytest.mark.parametrize(("count", "threads"), [(0, 1), (3, 1), (700, 1), (5_000, 2)])
 def test_feet_of_a_frame(count: int, threads: int) -> None:
     rng, scale = np.random.default_rng(count), 0.1
-    feet = Feet.empty(6).match_ids(rng.permutation(count))[0]
+    feet = FeetState.make_empty(6).match_ids(rng.permutation(count))[0]
     for array in (feet.shown, feet.slope, feet.rise, feet.phase):
         array[:] = rng.choice(EXTREMES, array.shape)
         array[..., count // 2 :] = rng.normal(size=array[..., count // 2 :].shape) * 1000
     feet.swing[:] = rng.choice(np.array([-1.0, 0.0, 0.5], np.float32), feet.swing.shape)
     world = SimpleNamespace(feet={"ant": feet}, populations={}, options=SimpleNamespace(threads=threads))
     arrays = make_feet_arrays(world, "ant", scale)  # type: ignore[arg-type]
-    feet = feet.sorted_by_id()
+    feet = feet.sort_by_id()
     with np.errstate(all="ignore"):
         expected = {
             "P": ((feet.shown.transpose(1, 2, 0) + 0.0) * scale).astype(np.float32),

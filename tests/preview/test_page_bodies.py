@@ -45,7 +45,7 @@ from antdsl.outputs.pictures.light import encode_srgb_values
 from antdsl.preview.binary_packets import pack_arrays
 from antdsl.preview.viewing.action_arrays import compute_blend_weights, make_stance_arrays, pack_clips
 from antdsl.preview.viewing.body_packets import BodyOutfit, find_depth_order, find_traits, make_rig_packet
-from antdsl.runtime.feet.feet_state import Feet
+from antdsl.runtime.feet.feet_state import FeetState
 from antdsl.runtime.feet.trunk import compute_slope_quaternions
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ def with_ankles() -> Definition:
     return replace(body, legs=(Leg("left", "j3", "j4", "j7", "j5"), Leg("right", "j1", "j2", "j6", "j6")))
 
 
-def standing(count: int) -> tuple[Feet, dict[str, NDArray[Any]]]:
+def standing(count: int) -> tuple[FeetState, dict[str, NDArray[Any]]]:
     """Feet here and there around agents that look anywhere, on sloping ground."""
     random = np.random.default_rng(9)
     position = random.uniform(0, 60, (count, 3)).astype(np.float32)
@@ -185,7 +185,7 @@ def standing(count: int) -> tuple[Feet, dict[str, NDArray[Any]]]:
         np.rint(127 * random.normal(mean, 0.3, (count, 3))).clip(-127, 127).astype(np.int8) for mean in ((1, 0, 0), (0, 1, 0))
     )
     light = {"id": np.arange(10, 10 + count), "position": position, "heading": heading, "up": up, "size": np.full(count, 4, "f4")}
-    feet = Feet.empty(2)
+    feet = FeetState.make_empty(2)
     feet.shown = position.T[:, :, None] + random.normal(0, 2.5, (3, count, 2))
     feet.swing = np.where(random.random((count, 2)) < 0.6, np.float32(-1), np.float32(0.5))
     feet.rise, feet.slope = random.normal(0, 0.3, count).astype(np.float32), random.normal(0, 0.3, (2, count)).astype(np.float32)

@@ -26,7 +26,7 @@ from antdsl.pipeline import open_scene
 from antdsl.runtime import MeshData, Options, World, WorldSetting, bind, state_hash, step
 from antdsl.runtime.body_positions import LIFT_REGISTERS, compute_body_positions
 from antdsl.runtime.body_rows import group_rows_by_body
-from antdsl.runtime.feet.wearers import find_wearers
+from antdsl.runtime.feet.wearers import get_body_wearers
 from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
 from antdsl.runtime.moving.clearance import clearance_kernels as clearance
 from antdsl.runtime.moving.clearance.bodies_inside import find_bodies_inside
@@ -365,7 +365,7 @@ def test_feet_of_several_bodies_read_the_shift_of_each_body() -> None:
     assert any(population.now[name].any() for name in LIFT_REGISTERS)
     for key, rows in group_rows_by_body(population, world.setting):
         assert rows is not None and len(rows) > 10
-        assert np.array_equal(compute_body_positions(find_wearers(world, key)), drawn[rows])
+        assert np.array_equal(compute_body_positions(get_body_wearers(world, key)), drawn[rows])
 
 
 def test_each_agent_is_held_outside_by_the_capsule_of_its_own_body() -> None:

@@ -17,7 +17,7 @@ from antdsl.numerics import vectors as vec
 from antdsl.pipeline import Shot
 from antdsl.reload import migrate_world
 from antdsl.runtime import Options, World, bind, feet_hash, restore_checkpoint, state_hash, step, take_checkpoint
-from antdsl.runtime.feet.feet_state import NO_GROUND, Feet
+from antdsl.runtime.feet.feet_state import NO_GROUND_NUMBER, FeetState
 from antdsl.runtime.feet.foothold_search import FootGround
 from antdsl.runtime.feet.gaits import MAX_CYCLES_PER_FRAME, MAX_SINK_SHARE, compute_rest_positions
 
@@ -33,17 +33,17 @@ def bind_shot(shot: Shot, options: Options = NUMPY) -> World:
     return bind(shot.plan, shot.setting, options)
 
 
-def feet_of(world: World) -> Feet:
+def feet_of(world: World) -> FeetState:
     return world.feet["walker"]
 
 
-def off_ground(world: World, feet: Feet) -> NDArray[np.float64]:
+def off_ground(world: World, feet: FeetState) -> NDArray[np.float64]:
     """How far (mm) feet that stand are from the nearest surface or solid of all."""
     positions = np.ascontiguousarray(feet.shown[:, feet.is_standing].T)
     return world.ground.find_nearest(positions)[1]
 
 
-def far_from_hips(world: World, feet: Feet) -> float:
+def far_from_hips(world: World, feet: FeetState) -> float:
     """The farthest that a foot joint is from its hip, in lengths of its leg; the trunk as low as it may be."""
     population, legs = world.populations["walker"], world.legs_by_species["walker"].legs
     body = BodyFrames.of(population)
@@ -75,7 +75,7 @@ def test_planted_feet_stay_where_they_are_on_the_ground(tmp_path: Path, ground: 
             slid, float(np.sqrt(vec.dot(feet.shown - previous_feet.shown, feet.shown - previous_feet.shown))[both].max(initial=0))
         )
         off = max(off, float(off_ground(world, feet).max()))
-        hung += int(((feet.on == NO_GROUND) & (feet.swing >= 1)).sum())
+        hung += int(((feet.on == NO_GROUND_NUMBER) & (feet.swing >= 1)).sum())
         standing_count, lifted = (
             standing_count + int(feet.is_standing.sum()),
             lifted + int((previous_feet.is_standing & ~feet.is_standing).sum()),
@@ -162,8 +162,8 @@ def test_one_bodys_feet_go_as_they_do_among_others(tmp_path: Path) -> None:
     for _ in range(20):
         step(many)
         step(few)
-    for name, array in feet_of(few).stored_arrays().items():
-        all_values = feet_of(many).stored_arrays()[name]
+    for name, array in feet_of(few).get_stored_arrays().items():
+        all_values = feet_of(many).get_stored_arrays()[name]
         by_component = ("place", "shown", "start", "position", "heading", "up", "tread", "sole")
         axis = array.shape.index(3) if name not in by_component else 1
         assert np.array_equal(array, np.take(all_values, range(3), axis=axis)), name
@@ -231,7 +231,7 @@ def test_the_newborn_stand_and_the_dead_have_no_feet(tmp_path: Path) -> None:
         known = set(feet_of(world).ids.tolist())
         step(world)
         feet, population = feet_of(world), world.populations["walker"]
-        assert np.array_equal(feet.ids, population.ids) and np.array_equal(feet.sorted_by_id().ids, np.sort(population.ids))
+        assert np.array_equal(feet.ids, population.ids) and np.array_equal(feet.sort_by_id().ids, np.sort(population.ids))
         new = ~np.isin(feet.ids, list(known))
         changed += int(new.sum()) + len(known - set(feet.ids.tolist()))
         assert off_ground(world, feet).max() < 1e-3

@@ -9,7 +9,7 @@ import pytest
 from foot_frames import BodyFrames, Points, lean
 
 from antdsl.runtime.feet import stepping, trunk
-from antdsl.runtime.feet.feet_state import NO_GROUND, STANDING_SWING
+from antdsl.runtime.feet.feet_state import NO_GROUND_NUMBER, SWING_PHASE_OF_STANDING_FOOT
 from antdsl.runtime.feet.gaits import (
     FOOT_Y_ROW,
     LEG_LENGTH_ROW,
@@ -60,8 +60,8 @@ class Crowd:
         self.start = self.world(ground + rng.normal(0, 0.2, ground.shape))
         self.shown = np.zeros_like(self.place)
         stands = (rng.random((LEGS, n)) < 0.75) | (rng.random(n) < 0.3)
-        self.swing = np.where(stands, STANDING_SWING, rng.uniform(0, 1, (LEGS, n))).astype(F32)
-        self.on = rng.choice([NO_GROUND, -1, 0, 3], (LEGS, n), p=[0.2, 0.3, 0.3, 0.2]).astype(np.int16)
+        self.swing = np.where(stands, SWING_PHASE_OF_STANDING_FOOT, rng.uniform(0, 1, (LEGS, n))).astype(F32)
+        self.on = rng.choice([NO_GROUND_NUMBER, -1, 0, 3], (LEGS, n), p=[0.2, 0.3, 0.3, 0.2]).astype(np.int16)
         self.found = np.where(rng.random((LEGS, n)) < 0.7, 0, rng.uniform(0, 0.1, (LEGS, n))).astype(F32)
         self.phase = rng.uniform(0, 1, n).astype(F32)
         self.rise = (rng.normal(0, 0.02, n) * self.frames.size).astype(F32)
@@ -110,7 +110,7 @@ class Crowd:
 
     def gait(self, speed: Points, distance: Points) -> tuple[Points, ...]:
         """Number, stride, duty factor and lift [n] of the gaits at speeds [n]."""
-        speeds, values, _ = (each.astype(float) for each in self.gaits.tables)
+        speeds, values, _ = (each.astype(float) for each in self.gaits.kernel_tables)
         number = np.maximum(np.searchsorted(speeds, speed, side="right") - 1, 0)
         stride, duty, lift = (np.interp(speed, speeds, column) for column in values.T)
         stride = np.maximum(stride * np.maximum(speed / speeds[-1], 1), 3 * distance)
@@ -149,7 +149,7 @@ def test_feet_lift_and_land_by_their_gaits() -> None:
     listed = []
     for part in ((0, 37), (37, n)):
         first, many = stepping.plan_steps(
-            crowd.bodies, crowd.covered, gaits.legs, gaits.tables, times, crowd.undermined, crowd.columns, crowd.pace,
+            crowd.bodies, crowd.covered, gaits.legs, gaits.kernel_tables, times, crowd.undermined, crowd.columns, crowd.pace,
             crowd.targets, requests, *part,
         )  # fmt: skip
         assert first == LEGS * part[0]
@@ -180,7 +180,7 @@ def test_feet_lift_and_land_by_their_gaits() -> None:
     flies = lifts | ~down
     first_share = np.where(lifts & crosses, (advance - to_turn) / (1 - duty), rate)
     reached = np.where(lifts, 0, previous["swing"].astype(float)) + first_share
-    progress = np.where(flies, np.minimum(reached, 1), float(STANDING_SWING))
+    progress = np.where(flies, np.minimum(reached, 1), float(SWING_PHASE_OF_STANDING_FOOT))
     frames = np.where(flies, (1 - progress) / rate, 0)
     lands = flies & (reached >= 1)
     half = covered * np.minimum(stance, 1e4) / 2
@@ -188,14 +188,20 @@ def test_feet_lift_and_land_by_their_gaits() -> None:
     past = np.where(lands, (reached - 1) / rate, 0)
     goal = crowd.rest() + covered * (frames - past) + half
     miss = np.linalg.norm(local[[0, 2]] - goal, axis=0)
-    again = (miss > np.where(still, crowd.leg(REST_OFFSET_ROW), 0.45 * crowd.leg(LEG_LENGTH_ROW))) | (crowd.on == NO_GROUND)
+    again = (miss > np.where(still, crowd.leg(REST_OFFSET_ROW), 0.45 * crowd.leg(LEG_LENGTH_ROW))) | (
+        crowd.on == NO_GROUND_NUMBER
+    )
     again |= crowd.too_far(local, hips, 0.97)
-    does = np.select([lands & again, lands, lifts], [stepping.SEEKS_AGAIN, stepping.LANDS, stepping.LIFTS], stepping.STAYS)
+    does = np.select(
+        [lands & again, lands, lifts],
+        [stepping.SEARCHING_FOOT, stepping.LANDING_FOOT, stepping.LIFTING_FOOT],
+        stepping.STAYING_FOOT,
+    )
 
     assert np.array_equal(crowd.targets[6], does)
     counts = np.bincount(does.ravel(), minlength=4)
     assert (counts > 50).all() and 100 < still.sum() < 600 and late.sum() > 50 and (stands & ~still & (gap > ahead)).sum() > 20
-    assert listed == [i << stepping.LEG_BITS | leg for i in range(n) for leg in range(LEGS) if does[leg, i] in (1, 3)]
+    assert listed == [i << stepping.REQUEST_LEG_BITS | leg for i in range(n) for leg in range(LEGS) if does[leg, i] in (1, 3)]
     close(crowd.pace[0], stride), close(crowd.pace[1], lift)
     assert np.array_equal(crowd.pace[2], still)
     close(crowd.targets[5], local), close(crowd.targets[4], off, 1e-4)
@@ -224,12 +230,12 @@ def plane_of(points: Points, held: Any) -> tuple[float, float, float]:
 def test_feet_swing_and_trunks_follow_the_ground_below_them() -> None:
     rng, crowd = np.random.default_rng(5), Crowd(4)
     n, gaits, size = COUNT, crowd.gaits, crowd.frames.size
-    crowd.on[:, ::9] = NO_GROUND
-    crowd.on[2:, 1::9] = NO_GROUND
+    crowd.on[:, ::9] = NO_GROUND_NUMBER
+    crowd.on[2:, 1::9] = NO_GROUND_NUMBER
     share, what = crowd.targets[3], crowd.targets[6]
     share[:] = crowd.swing
-    what[:] = np.where(crowd.swing < 0, stepping.STAYS, rng.choice([0, 1, 2, 3], (LEGS, n)))
-    share[what >= stepping.LANDS] = 1
+    what[:] = np.where(crowd.swing < 0, stepping.STAYING_FOOT, rng.choice([0, 1, 2, 3], (LEGS, n)))
+    share[what >= stepping.LANDING_FOOT] = 1
     crowd.pace[0][:], crowd.pace[1][:] = rng.uniform(0.3, 0.8, n), rng.uniform(0.03, 0.1, n)
     crowd.pace[2][:] = rng.random(n) < 0.5
     previous = {name: getattr(crowd, name).copy() for name in ("rise", "slope", "found", "start", "place")}
@@ -240,13 +246,13 @@ def test_feet_swing_and_trunks_follow_the_ground_below_them() -> None:
         stepping.take_steps(*steps, *part)
 
     local = crowd.local(crowd.place)
-    lands = what >= stepping.LANDS
-    stands = np.where(lands, crowd.on != NO_GROUND, share < 0)
-    assert np.array_equal(crowd.swing, np.where(lands & (crowd.on != NO_GROUND), STANDING_SWING, share))
+    lands = what >= stepping.LANDING_FOOT
+    stands = np.where(lands, crowd.on != NO_GROUND_NUMBER, share < 0)
+    assert np.array_equal(crowd.swing, np.where(lands & (crowd.on != NO_GROUND_NUMBER), SWING_PHASE_OF_STANDING_FOOT, share))
     slope, raised = previous["slope"].astype(float), previous["rise"] / size
     rest_offset = np.where(lands, crowd.rest_distance(local, crowd.hips(slope, raised)), previous["found"])
     close(crowd.found, np.where(crowd.pace[2], rest_offset, 0), 1e-4)
-    planes = np.array([plane_of(local[:, :, i], crowd.on[:, i] != NO_GROUND) for i in range(n)]).T
+    planes = np.array([plane_of(local[:, :, i], crowd.on[:, i] != NO_GROUND_NUMBER) for i in range(n)]).T
     height = np.clip(planes[0], -highest, highest)
     tilt = slope + (planes[1:] - slope) * float(slower)
     wished = raised + (height - raised) * np.where(height > raised, float(faster), float(slower))
@@ -287,7 +293,7 @@ def test_empty_parts_change_nothing(count: int) -> None:
     crowd = Crowd(6)
     phase, requests = crowd.phase.copy(), np.zeros(LEGS * COUNT, np.int64)
     times = DT, DT, DT, crowd.gaits.least_reach
-    gaits = crowd.gaits.legs, crowd.gaits.tables
+    gaits = crowd.gaits.legs, crowd.gaits.kernel_tables
     plan = crowd.bodies, crowd.covered, *gaits, times, crowd.undermined, crowd.columns, crowd.pace, crowd.targets, requests
     assert stepping.plan_steps(*plan, count, count) == (LEGS * count, 0)
     assert np.array_equal(crowd.phase, phase) and not requests.any()

@@ -13,8 +13,8 @@ from test_foot_steps import COUNT, F32, LEGS, Crowd, close
 from antdsl.casting.rays import RayScene
 from antdsl.casting.tolerances import MAX_RAY_CUBES, MAX_SEARCH_RINGS
 from antdsl.runtime.feet import foothold_kernels, stepping
-from antdsl.runtime.feet.feet_state import NO_GROUND
-from antdsl.runtime.feet.foothold_kernels import FACE_BITS, NEAR_HIT_LEG_SHARE, RAY_LENGTH_FACTOR
+from antdsl.runtime.feet.feet_state import NO_GROUND_NUMBER
+from antdsl.runtime.feet.foothold_kernels import NEAR_HIT_LEG_SHARE, RAY_LENGTH_FACTOR, REQUEST_FACE_BITS
 from antdsl.runtime.feet.foothold_search import GroundHits
 from antdsl.runtime.feet.gaits import MAX_SINK_SHARE
 from tests.meshes import terrain
@@ -60,17 +60,19 @@ def test_rays_of_feet_hit_the_first_of_all_faces(walks: bool) -> None:
     displacement = rng.normal(0, 0.5, (3, RAYS)) * edge
     displacement[1] -= rng.uniform(0, 2, RAYS) * edge
     displacement[:, ::10] *= 80  # longer than the grid answers
-    starts = np.where(rng.random(RAYS) < 0.5, 2 << FACE_BITS | below, -1)
-    starts[::7] = 1 << FACE_BITS | below[::7]  # of another mesh
+    starts = np.where(rng.random(RAYS) < 0.5, 2 << REQUEST_FACE_BITS | below, -1)
+    starts[::7] = 1 << REQUEST_FACE_BITS | below[::7]  # of another mesh
     # Rays beyond the box are left out, where no walk answers them.
     box = corners.min(axis=(0, 1)), corners.max(axis=(0, 1)) - [0.0 if walks else edge, 0, 0]
     hits, far = GroundHits.empty(RAYS), np.full(RAYS, -1)
-    hits.ray_part[::5], hits.position[:, ::5] = 0.02, 7.0  # hit before, on nearer ground
+    hits.ray_fraction[::5], hits.position[:, ::5] = 0.02, 7.0  # hit before, on nearer ground
     rings = scene.get_ring_tables() if walks else NO_RINGS
     assert rings is not None
     first_starts, left = starts.copy(), []
     for part in ((0, 150), (150, RAYS)):
-        first, many = foothold_kernels.cast_on_mesh(tables, rings, box, 2, origin, displacement, starts, hits.columns, far, *part)
+        first, many = foothold_kernels.cast_foot_rays_on_mesh(
+            tables, rings, box, 2, origin, displacement, starts, hits.columns, far, *part
+        )
         assert first == part[0]
         left += far[first : first + many].tolist()
 
@@ -84,13 +86,13 @@ def test_rays_of_feet_hit_the_first_of_all_faces(walks: bool) -> None:
     better = inside & short & (part < np.where(np.arange(RAYS) % 5 == 0, 0.02, np.inf))
     assert better.sum() > 100 and (~inside & np.isfinite(part)).any() != walks
     previous_part = np.where(np.arange(RAYS) % 5 == 0, 0.02, np.inf)
-    close(hits.ray_part, np.where(better, part, previous_part), 1e-9)
+    close(hits.ray_fraction, np.where(better, part, previous_part), 1e-9)
     close(hits.position.T[better], (origin + displacement * part).T[better], 1e-9)
     assert (hits.position.T[~better] == np.where(previous_part[~better] < 1, 7, 0)[:, None]).all()
-    assert (hits.on == np.where(better, 2, NO_GROUND)).all() and not hits.face.any() and not hits.weight.any()
+    assert (hits.thing_numbers == np.where(better, 2, NO_GROUND_NUMBER)).all() and not hits.face.any() and not hits.weight.any()
     changed = starts != first_starts
-    assert (starts[changed] == (2 << FACE_BITS | face)[changed]).all() and changed.any() == walks
-    assert not (changed & (first_starts >> FACE_BITS != 2)).any()
+    assert (starts[changed] == (2 << REQUEST_FACE_BITS | face)[changed]).all() and changed.any() == walks
+    assert not (changed & (first_starts >> REQUEST_FACE_BITS != 2)).any()
 
 
 def test_the_nearest_ground_is_that_of_all_faces() -> None:
@@ -117,9 +119,9 @@ def test_the_nearest_ground_is_that_of_all_faces() -> None:
     hit = short & (distance < greatest_reach)
     assert hit.sum() > 100 and (short & ~hit).sum() > 50 and (~inside & (distance < greatest_reach)).any()
     close(reach, np.where(hit, distance, greatest_reach), 1e-9)
-    close(hits.ray_part, np.where(hit, distance, np.inf), 1e-9)
+    close(hits.ray_fraction, np.where(hit, distance, np.inf), 1e-9)
     close(hits.position, np.where(hit, place.T, 0), 1e-8)
-    assert (hits.on == np.where(hit, 3, NO_GROUND)).all()
+    assert (hits.thing_numbers == np.where(hit, 3, NO_GROUND_NUMBER)).all()
 
 
 def test_feet_look_for_ground_from_where_their_hips_will_be() -> None:
@@ -127,7 +129,7 @@ def test_feet_look_for_ground_from_where_their_hips_will_be() -> None:
     targets = (*rng.normal(0, 0.4, (2, LEGS, COUNT)).astype(F32), rng.uniform(0, 9, (LEGS, COUNT)).astype(F32))
     what = rng.integers(0, 4, (LEGS, COUNT)).astype(np.uint8)
     agent, leg = np.sort(rng.integers(0, COUNT, 300)), rng.integers(0, LEGS, 300)
-    requests, standing = agent << stepping.LEG_BITS | leg, rng.integers(-1, 9, COUNT)
+    requests, standing = agent << stepping.REQUEST_LEG_BITS | leg, rng.integers(-1, 9, COUNT)
     buffer = np.zeros((14, 300))
     seekers = buffer[:3], buffer[3:6], buffer[6:9], buffer[12], buffer[13]
     steps, starts, quick = buffer[9:12], np.zeros(300, np.int64), np.zeros(300, np.bool_)
@@ -143,7 +145,7 @@ def test_feet_look_for_ground_from_where_their_hips_will_be() -> None:
     assert np.array_equal(seekers[2], crowd.frames.axes[agent, 1].T) and np.array_equal(starts, standing[agent])
     size = crowd.frames.size[agent]
     close(seekers[3], crowd.legs.length[leg] * size * 0.97, 1e-12), close(seekers[4], crowd.legs.foot[leg, 1] * size, 1e-12)
-    assert np.array_equal(quick, what[leg, agent] == stepping.LIFTS)
+    assert np.array_equal(quick, what[leg, agent] == stepping.LIFTING_FOOT)
 
 
 class Seekers:
@@ -166,10 +168,10 @@ class Seekers:
         """Hits near the target positions of a share of the rows."""
         hits = GroundHits.empty(len(rows))
         present = self.rng.random(len(rows)) < share
-        hits.ray_part[present] = self.rng.uniform(0, 1, present.sum())
+        hits.ray_fraction[present] = self.rng.uniform(0, 1, present.sum())
         hits.position[:] = self.goal[:, rows] + self.rng.normal(0, spread, (3, len(rows))) * self.longest[rows]
-        hits.on[:], hits.face[:] = self.rng.integers(-1, 5, len(rows)), self.rng.integers(0, 99, len(rows))
-        hits.on[~present] = NO_GROUND
+        hits.thing_numbers[:], hits.face[:] = self.rng.integers(-1, 5, len(rows)), self.rng.integers(0, 99, len(rows))
+        hits.thing_numbers[~present] = NO_GROUND_NUMBER
         hits.weight[:] = self.rng.uniform(0, 1, (2, len(rows)))
         return hits
 
@@ -179,7 +181,7 @@ class Seekers:
         high = (joint * self.up[:, rows]).sum(axis=0)
         level = np.linalg.norm(joint - self.up[:, rows] * high, axis=0)
         sunk = np.where(high < 0, np.minimum(high + MAX_SINK_SHARE * self.longest[rows], 0), high)
-        return np.isfinite(hits.ray_part) & (np.hypot(level, sunk) <= self.longest[rows])
+        return np.isfinite(hits.ray_fraction) & (np.hypot(level, sunk) <= self.longest[rows])
 
     def misses(self, hits: GroundHits, rows: Any) -> Points:
         return np.asarray(np.linalg.norm(hits.position - self.goal[:, rows], axis=0))
@@ -193,9 +195,9 @@ def assert_hits(hits: GroundHits, choices: list[Any], sources: list[GroundHits |
     """Each column of `hits` comes from the chosen source; without one it is that of no hit."""
     assert sum(each.astype(int) for each in choices).max() <= 1
     for k, column in enumerate(hits.columns):
-        expected = GroundHits.empty(len(hits.ray_part)).columns[k]
+        expected = GroundHits.empty(len(hits.ray_fraction)).columns[k]
         for chosen, source in zip(choices, sources, strict=True):
-            expected = np.where(chosen, (source or GroundHits.empty(len(hits.ray_part))).columns[k], expected)
+            expected = np.where(chosen, (source or GroundHits.empty(len(hits.ray_fraction))).columns[k], expected)
         assert np.array_equal(column, expected), k
 
 
@@ -211,7 +213,7 @@ def test_hits_in_reach_are_used_and_others_searched_for() -> None:
     reached, near = seekers.reaches(hits, every), seekers.misses(hits, every) <= NEAR_HIT_LEG_SHARE * seekers.longest
     assert np.array_equal(fits, reached & ~quick)
     assert listed == np.flatnonzero(~quick & ~(reached & near)).tolist()
-    assert (reached & ~near).sum() > 30 and (~reached & near & np.isfinite(hits.ray_part)).sum() > 10
+    assert (reached & ~near).sum() > 30 and (~reached & near & np.isfinite(hits.ray_fraction)).sum() > 10
 
     rows = np.array(listed)
     above, level, down, origins = np.zeros((4, 3, len(rows)))
@@ -235,7 +237,7 @@ def test_the_hit_nearest_to_the_target_is_chosen() -> None:
         first, many = foothold_kernels.choose_nearest_hits(*inputs, *part)
         assert first == part[0]
         listed += list(zip(lost[first : first + many].tolist(), reach[first : first + many].tolist(), strict=True))
-    blocked = np.isfinite(level.ray_part)
+    blocked = np.isfinite(level.ray_fraction)
     miss = np.stack([
         np.where(fits[rows], seekers.misses(original, every)[rows], np.inf),
         np.where(blocked & seekers.reaches(level, rows), seekers.misses(level, rows), np.inf),
@@ -263,7 +265,7 @@ def test_near_ground_is_accepted_where_the_hip_sees_it() -> None:
     original = copy_of(hits)
     foothold_kernels.accept_visible_positions(seekers.columns, rows, near.columns, sight.columns, hits.columns, 0, 100)
     foothold_kernels.accept_visible_positions(seekers.columns, rows, near.columns, sight.columns, hits.columns, 100, 300)
-    visible = ~np.isfinite(sight.ray_part) | (np.linalg.norm(gap, axis=0) < 1e-3 * seekers.longest[rows])
+    visible = ~np.isfinite(sight.ray_fraction) | (np.linalg.norm(gap, axis=0) < 1e-3 * seekers.longest[rows])
     used = visible & seekers.reaches(near, rows)
     assert 60 < used.sum() < 200 and (~visible).sum() > 60
     previous = GroundHits(*(each[..., rows] for each in original.columns))
@@ -279,12 +281,12 @@ def test_feet_stand_on_what_was_found_or_hang_over_their_target() -> None:
     agent, leg = numbers // LEGS, numbers % LEGS
     place, weight = np.full((3, LEGS, 50), -1.0), np.full((2, LEGS, 50), -1.0)
     on, face = np.full((LEGS, 50), 77, np.int16), np.full((LEGS, 50), 77, np.int32)
-    inputs = agent << stepping.LEG_BITS | leg, seekers.columns, hits.columns, place, on, face, weight
+    inputs = agent << stepping.REQUEST_LEG_BITS | leg, seekers.columns, hits.columns, place, on, face, weight
     foothold_kernels.store_footholds(*inputs, 0, 90)
     assert (on == 77).sum() == 50 * LEGS - 90
     foothold_kernels.store_footholds(*inputs, 90, 200)
-    hangs = hits.on == NO_GROUND
+    hangs = hits.thing_numbers == NO_GROUND_NUMBER
     assert np.array_equal(place[:, leg, agent], np.where(hangs, seekers.goal, hits.position)) and 20 < hangs.sum() < 80
-    assert np.array_equal(on[leg, agent], hits.on) and np.array_equal(face[leg, agent], hits.face)
+    assert np.array_equal(on[leg, agent], hits.thing_numbers) and np.array_equal(face[leg, agent], hits.face)
     assert np.array_equal(weight[:, leg, agent], hits.weight)
     assert (on == 77).sum() == (face == 77).sum() == (weight[0] == -1).sum() == 50 * LEGS - 200

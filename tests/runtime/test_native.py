@@ -40,7 +40,7 @@ SPECIAL = (0.0, -0.0, np.inf, -np.inf, np.nan, 1e30, -1e30, 1e-40, 1.0, -1.0, 0.
 def loop(op: str) -> tuple[str, tuple[str, ...], str]:
     """A module that applies an operation to arrays: its text, the kinds of its operands and of its result."""
     kinds = (I32,) if op == "number" else tuple(KINDS[letter] for letter in ir.OPERATION_BY_NAME[op].args)
-    module = LlvmModule(llvm_compiler.host_target())
+    module = LlvmModule(llvm_compiler.find_host_target())
     w = FunctionWriter(module, AddressLayout({(k,): k for k in range(len(kinds) + 1)}))
     name = add_elementwise_function(module, "of_lanes", kinds, FUNCTION_BY_NAME[op])
     kind = F32 if module.functions[name].startswith("define internal <8 x float>") else BOOL
@@ -68,7 +68,7 @@ def random_values(kind: str, seed: int, count: int) -> Any:
 @pytest.mark.parametrize("op", sorted(FUNCTION_BY_NAME))
 def test_an_operation_gives_the_bits_of_numpy(op: str) -> None:
     text, kinds, kind = loop(op)
-    code = llvm_compiler.load_object(llvm_compiler.compile_object(text, llvm_compiler.host_target()))
+    code = llvm_compiler.load_object(llvm_compiler.compile_object(text, llvm_compiler.find_host_target()))
     count = 1 << 13
     operands = [random_values(each, 3 + k, count) for k, each in enumerate(kinds)]
     results = np.zeros(count, DTYPES[kind])
@@ -246,14 +246,14 @@ def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.
 
 @pytest.mark.parametrize("options", [NUMPY, NATIVE])
 def test_without_llvmlite_binding_names_the_package(options: Options, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(llvm_compiler, "unavailability_reason", lambda: "llvmlite is not installed: pip install it")
-    with pytest.raises(llvm_compiler.MachineCodeUnavailable, match="llvmlite is not installed: pip install it"):
+    monkeypatch.setattr(llvm_compiler, "find_unavailability_reason", lambda: "llvmlite is not installed: pip install it")
+    with pytest.raises(llvm_compiler.MachineCodeUnavailableError, match="llvmlite is not installed: pip install it"):
         rich(options)
 
 
 WIDE = dict.fromkeys(("avx2", "fma", "fma4", "avx512f", "avx512vl", "avx512dq", "avx512bw", "avx512vbmi2"), True)
 TARGETS = {
-    "host": llvm_compiler.host_target,
+    "host": llvm_compiler.find_host_target,
     "with fma": lambda: replace(llvm_compiler.PORTABLE_TARGET, features="+avx2,+fma"),
     "of 512 bits": lambda: llvm_compiler.Target(
         llvm_compiler.PORTABLE_TARGET.triple, "icelake-server", llvm_compiler.format_features(WIDE)
@@ -362,12 +362,12 @@ def test_rows_are_shared_out_among_threads_in_whole_eights() -> None:
 def test_what_is_machine_code_is_listed() -> None:
     shot, _ = open_scene(EXAMPLES / "foraging" / "scene.yaml")
     assert shot is not None
-    plan_listing = program_listing.build_program(shot.plan, llvm_compiler.host_target())
+    plan_listing = program_listing.build_program(shot.plan, llvm_compiler.find_host_target())
     text = program_listing.format_listing(plan_listing)
     assert "then NumPy: ray(stones)" in text and "3 times" in text and "searches forager for 2 sets" in text
     counts = program_listing.count_instructions_by_function(plan_listing)
     assert counts == program_listing.count_instructions_by_function(
-        program_listing.build_program(shot.plan, llvm_compiler.host_target())
+        program_listing.build_program(shot.plan, llvm_compiler.find_host_target())
     )
     assert f"stage 0: {counts['forager.decide.0']:,} instructions" in text and counts["forager.decide.0"] > 500
 
@@ -377,6 +377,6 @@ def test_another_number_needs_no_other_code() -> None:
     for speed in ("10", "25"):
         text = f"species a {{ max_speed {speed} mm/s\n pace = 1\n state only {{ pace = pace * 1.5 + {speed} }} }}"
         texts.append(
-            program_listing.build_program(play(text, option_sets=(NATIVE,)).world.plan, llvm_compiler.host_target()).text
+            program_listing.build_program(play(text, option_sets=(NATIVE,)).world.plan, llvm_compiler.find_host_target()).text
         )
     assert texts[0] == texts[1]

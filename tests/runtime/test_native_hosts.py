@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(not llvm_compiler.is_available(), reason="llvmli
 # What object files may look for: functions of C with results that IEEE 754 fixes to the last bit, and those that move bytes.
 FROM_C = {"fmod", "fmodf", "floor", "floorf", "rint", "rintf", "memcpy", "memset"}
 TARGETS = {
-    "host": llvm_compiler.host_target,
+    "host": llvm_compiler.find_host_target,
     "oldest x86": lambda: native_states.PLAIN,
     "arm": lambda: llvm_compiler.Target("aarch64-unknown-linux-gnu", "generic", ""),
 }
@@ -103,7 +103,7 @@ def lacking(*names: str) -> dict[str, str]:
 
 
 @pytest.mark.skipif(
-    not llvm_compiler.is_available() or not llvm_compiler.host_target().is_x86, reason="the instructions are those of x86"
+    not llvm_compiler.is_available() or not llvm_compiler.find_host_target().is_x86, reason="the instructions are those of x86"
 )
 @pytest.mark.parametrize(
     ("plain", "names"),

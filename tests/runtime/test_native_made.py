@@ -126,7 +126,7 @@ def test_a_stored_plan_is_run_without_its_text_and_tells_the_same_faults(
 
 
 def test_whatever_a_text_depends_on_changes_the_key_of_its_plan(monkeypatch: pytest.MonkeyPatch) -> None:
-    world, other, host = edited(), edited("-"), llvm_compiler.host_target()
+    world, other, host = edited(), edited("-"), llvm_compiler.find_host_target()
 
     def key(
         of: World = world,
@@ -148,7 +148,7 @@ def test_whatever_a_text_depends_on_changes_the_key_of_its_plan(monkeypatch: pyt
     assert key() == key(edited())
     monkeypatch.setattr(stored_blocks, "hash_sources", lambda: "other modules")
     keys.append(key())
-    monkeypatch.setattr(object_cache, "environment_versions", lambda: ("another LLVM",))
+    monkeypatch.setattr(object_cache, "list_environment_versions", lambda: ("another LLVM",))
     keys.append(key())
     assert len(set(keys)) == len(keys)
 
@@ -158,7 +158,7 @@ def test_of_modules_without_sources_nothing_is_stored(monkeypatch: pytest.Monkey
     world = edited()
     assert (
         stored_blocks.number_plan(
-            world.plan, world.backend.blocks, compile_queue.WorldFacts(False, False), llvm_compiler.host_target()
+            world.plan, world.backend.blocks, compile_queue.WorldFacts(False, False), llvm_compiler.find_host_target()
         )
         is None
     )  # type: ignore[attr-defined]
@@ -186,7 +186,8 @@ def test_the_latest_request_is_compiled_first_and_one_without_a_waiter_is_not_co
     blocks = [text for text in compiled if "@a.act.0" in text]
     still = compile_queue.WorldFacts(False, False)
     texts = [
-        compile_queue.write_program(each.plan, each.backend.blocks, still, llvm_compiler.host_target()) for each in worlds[::2]
+        compile_queue.write_program(each.plan, each.backend.blocks, still, llvm_compiler.find_host_target())
+        for each in worlds[::2]
     ]  # type: ignore[attr-defined]
     assert blocks == [each.units["a.act.0"] for each in reversed(texts)] and len(blocks) == 4
     compile_queue._get_compile_thread().submit(int).result()

@@ -32,7 +32,7 @@ ROOT = Path(__file__).parents[2]
 NUMPY, NATIVE = Options(backend="numpy"), Options(backend="native", wait_for_code=True)
 FORAGING = ROOT / "examples" / "foraging" / "scene.yaml"
 in_code = pytest.mark.skipif(
-    not (llvm_compiler.is_available() and llvm_compiler.host_target().is_x86), reason="no machine code whose lines are timed"
+    not (llvm_compiler.is_available() and llvm_compiler.find_host_target().is_x86), reason="no machine code whose lines are timed"
 )
 BLOCKS = ("decide", "act", "blend", "births")
 PROGRAM = """ant 1

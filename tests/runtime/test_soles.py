@@ -16,7 +16,7 @@ from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.pose_arrays import make_feet_arrays, read_feet
 from antdsl.pipeline import Shot
 from antdsl.runtime import Options, World, bind, feet_hash, restore_checkpoint, step, take_checkpoint
-from antdsl.runtime.feet.feet_state import NO_GROUND
+from antdsl.runtime.feet.feet_state import NO_GROUND_NUMBER
 from antdsl.runtime.feet.soles import compute_local_soles
 
 NUMPY = Options(backend="numpy", feet=True)
@@ -58,12 +58,12 @@ def world_of(shot: Shot, steps: int, options: Options = NUMPY) -> World:
 
 def find_footholds(world: World) -> np.ndarray:
     """Whether each foot [n, 2] has a foothold, in the order of rows."""
-    return np.asarray(world.feet["walker"].on != NO_GROUND)
+    return np.asarray(world.feet["walker"].on != NO_GROUND_NUMBER)
 
 
 def posed_angles(world: World) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Angles (degrees) [n, 2] of the foot and of the toes from the ground, and of the knee; whether each foot stands."""
-    body, feet = PosedBody(load_library_body("person"), ()), world.feet["walker"].sorted_by_id()
+    body, feet = PosedBody(load_library_body("person"), ()), world.feet["walker"].sort_by_id()
     count = len(feet)
     placed = read_feet("walker", make_feet_arrays(world, "walker", 1.0), count, 2)
     assert placed is not None

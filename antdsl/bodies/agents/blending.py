@@ -41,7 +41,7 @@ from antdsl.bodies.agents.poses import (
     sample_poses,
 )
 from antdsl.numerics import parallel
-from antdsl.numerics.processor.float_environment import standard_floats
+from antdsl.numerics.processor.float_environment import use_standard_floats
 
 INTERPOLATE_BLEND_MODE, ADDITIVE_BLEND_MODE, OVERRIDE_BLEND_MODE = 0, 1, 2
 NO_PARENT_LAYER = -1
@@ -169,7 +169,7 @@ def blend_poses(
                 channels[:, agents] = pose.channels
 
         if count:
-            with standard_floats():
+            with use_standard_floats():
                 parallel.run_in_parts(blend_range, count, threads)
     return WorldPoses(world.transpose(3, 2, 0, 1), None if own is None else own.transpose(3, 2, 0, 1), channels.T)
 

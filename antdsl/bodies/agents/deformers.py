@@ -23,7 +23,7 @@ from antdsl.bodies.agents.skinning import (
     normalise_in_place,
     transform_points,
 )
-from antdsl.numerics.processor.float_environment import standard_floats
+from antdsl.numerics.processor.float_environment import use_standard_floats
 
 _POINTS_PER_CHUNK = 1 << 15  # points per chunk, over all agents
 
@@ -91,7 +91,7 @@ def deform_binding(definition: Definition, binding: Binding, poses: WorldPoses) 
         rows = slice(a, min(a + part, n))
         local = None if poses.local_transforms is None else poses.local_transforms[rows]
         part_poses, deformed = WorldPoses(poses.world_transforms[rows], local, poses.channels[rows]), rest
-        with standard_floats():
+        with use_standard_floats():
             for step in chain:
                 deformed = step(deformed, shape, definition, part_poses)
         points[rows] = deformed.points

@@ -112,8 +112,8 @@ def _check_machine_code(problems: list[str]) -> None:
     from antdsl.machine_code import llvm_compiler
     from antdsl.machine_code.object_cache import ObjectCache
 
-    reason = llvm_compiler.unavailability_reason()
-    _print_check("machine code", not reason, reason or f"for {llvm_compiler.host_target().cpu}")
+    reason = llvm_compiler.find_unavailability_reason()
+    _print_check("machine code", not reason, reason or f"for {llvm_compiler.find_host_target().cpu}")
     if reason:
         problems.append(reason)
         return
@@ -129,7 +129,7 @@ def _check_kernels() -> None:
     from antdsl.machine_code import llvm_compiler, shipped_objects
     from antdsl.numerics.elementary_loops import write_cosines
 
-    host = llvm_compiler.host_target()
+    host = llvm_compiler.find_host_target()
     if shipped_objects.find_object(write_cosines.text_key(host), host) is None:
         print_result(f"-       {'kernels':<16} compiled on first use, which takes some seconds once")
     else:

@@ -55,11 +55,11 @@ def _list_machine_code(final_plan: Plan, setting: WorldSetting | None, include_c
     from antdsl.runtime.backends.native import program_listing
     from antdsl.runtime.backends.native.programs import WorldFacts
 
-    if reason := llvm_compiler.unavailability_reason():
+    if reason := llvm_compiler.find_unavailability_reason():
         raise CommandError(ExitCode.FINDINGS, f"error: this machine cannot make machine code: {reason}")
     code_listing = program_listing.build_program(
         final_plan,
-        llvm_compiler.host_target(),
+        llvm_compiler.find_host_target(),
         program_listing.STATIC_WORLD if setting is None else WorldFacts.from_setting(setting),
     )
     words = (

@@ -37,7 +37,7 @@ Semantics, where Python or NumPy might give a different result:
   reports."""
 
 from antdsl.machine_code.kernels.checks import KernelFault
-from antdsl.machine_code.kernels.ir import NotInSubset
+from antdsl.machine_code.kernels.ir import NotInSubsetError
 from antdsl.machine_code.kernels.kernel import inlined, kernel, kernel_helper
 from antdsl.machine_code.kernels.kernel_functions import (
     allocate_scratch,
@@ -67,7 +67,7 @@ __all__ = [
     "Array2",
     "Array3",
     "KernelFault",
-    "NotInSubset",
+    "NotInSubsetError",
     "Strided2",
     "allocate_scratch",
     "bits_to_float",

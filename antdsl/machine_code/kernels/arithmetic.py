@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM_TYPE_BY_KIND, TRUTH, UNSIGNED
-from antdsl.machine_code.kernels.values import Number, literal_number
-from antdsl.machine_code.kernels.vectors import Vectors
+from antdsl.machine_code.kernels.values import Number, make_literal_number
+from antdsl.machine_code.kernels.vectors import VectorBuilder
 from antdsl.machine_code.number_kinds import LANE_COUNT
 
 _PYTHON_OPERATORS: dict[type[ast.operator], Callable[[int, int], int]] = {
@@ -24,7 +24,7 @@ _SHIFT_OPERATORS = (ast.LShift, ast.RShift)
 _INT64_RANGE = range(-(1 << 63), 1 << 63)
 
 
-class ArithmeticEmitter(Vectors[Number]):
+class ArithmeticEmitter(VectorBuilder[Number]):
     """Writer of operations on numbers.
 
     `mask`: the iterations that run the current code; None if code for one iteration is written. `reached_mask`: `mask` while the
@@ -34,7 +34,7 @@ class ArithmeticEmitter(Vectors[Number]):
     # a condition that is true if the mask holds for at least one iteration, while `mask` is the mask
     reached_mask: Number | None = None
 
-    def any_lane(self, mask: Number) -> Number:
+    def emit_any_lane(self, mask: Number) -> Number:
         """Write the test whether a mask holds in at least one lane, and return its condition."""
         bits = self.op("lanes", f"i{LANE_COUNT}", mask, lanes=1)
         return self.op("ne", TRUTH, bits, Number(bits.kind, "0"))
@@ -44,9 +44,9 @@ class ArithmeticEmitter(Vectors[Number]):
         """Return whether the current code certainly runs for at least one iteration."""
         return self.mask is None or self.mask.literal_value is not None or self.mask is self.reached_mask
 
-    def active_mask(self) -> Number | None:
+    def get_active_mask(self) -> Number | None:
         """Return the condition under which the current code runs for at least one iteration; None if it always does."""
-        return None if self.mask is None or self.is_always_reached else self.any_lane(self.mask)
+        return None if self.mask is None or self.is_always_reached else self.emit_any_lane(self.mask)
 
     def named_number(self, kind: str, name: str, lanes: int = 1, literal_value: Any = None) -> Number:
         return Number(kind, name, literal_value, lanes)
@@ -61,9 +61,11 @@ class ArithmeticEmitter(Vectors[Number]):
             and kind in (DOUBLE, INT, UNSIGNED)
             and value.kind != DOUBLE
         ):
-            literal = literal_number(float(value.literal_value) if kind == DOUBLE else int(value.literal_value))
+            literal = make_literal_number(float(value.literal_value) if kind == DOUBLE else int(value.literal_value))
             return Number(
-                kind, literal.name, literal.literal_value if kind == DOUBLE else wrap_integer(int(value.literal_value), kind)
+                kind,
+                literal.name,
+                literal.literal_value if kind == DOUBLE else wrap_to_integer_kind(int(value.literal_value), kind),
             )
         source, target = value.lane_type, LLVM_TYPE_BY_KIND[kind]
         if kind == TRUTH:
@@ -74,7 +76,7 @@ class ArithmeticEmitter(Vectors[Number]):
         if value.kind == TRUTH:
             return self.op("zext" if target == "i64" else "uitofp", kind, value)
         if source == target:
-            known = None if value.literal_value is None else wrap_integer(int(value.literal_value), kind)
+            known = None if value.literal_value is None else wrap_to_integer_kind(int(value.literal_value), kind)
             return Number(kind, value.name, known, value.lanes)
         if source == "i64":
             return self.op("uitofp" if value.kind == UNSIGNED else "sitofp", kind, value)
@@ -92,7 +94,7 @@ class ArithmeticEmitter(Vectors[Number]):
     def match_kinds(self, a: Number, b: Number) -> tuple[Number, Number]:
         """Convert two numbers to one kind by NumPy's rules: a literal takes the type of the other number.
 
-        Raises NotInSubset for a float32 with another type, or for a literal that float32 cannot represent."""
+        Raises NotInSubsetError for a float32 with another type, or for a literal that float32 cannot represent."""
         if FLOAT in (a.kind, b.kind) and TRUTH not in (a.kind, b.kind):
             a, b = self._to_float32(a), self._to_float32(b)
         kinds = {a.kind, b.kind}
@@ -108,7 +110,7 @@ class ArithmeticEmitter(Vectors[Number]):
         return self.convert(a, kind), self.convert(b, kind)
 
     def _to_float32(self, value: Number) -> Number:
-        """Return a literal as float32. Raises NotInSubset if float32 does not have this number."""
+        """Return a literal as float32. Raises NotInSubsetError if float32 does not have this number."""
         if value.kind == FLOAT:
             return value
         if value.literal_value is None:
@@ -119,11 +121,11 @@ class ArithmeticEmitter(Vectors[Number]):
         single = np.float32(value.literal_value)
         if float(single) != value.literal_value and value.literal_value == value.literal_value:
             self.fail(self.node, f"float32 cannot represent {value.literal_value}: write `np.float32({value.literal_value})`")
-        literal = literal_number(single)
+        literal = make_literal_number(single)
         return self.broadcast(literal) if value.has_several_lanes else literal
 
     def to_kind(self, value: Number, kind: str) -> Number:
-        """Convert a number to a kind. Raises NotInSubset for a literal that the kind would change."""
+        """Convert a number to a kind. Raises NotInSubsetError for a literal that the kind would change."""
         if value.kind == kind or value.literal_value is None:
             return self.convert(value, kind)
         if kind == FLOAT:
@@ -149,7 +151,7 @@ class ArithmeticEmitter(Vectors[Number]):
             return self.op(_INTEGER_OPCODES[word], TRUTH, *self.match_lanes(a, b))
         if word is ast.Div:
             a, b = self.to_float(a), self.to_float(b)
-        first = self._first_lane_sum(word, a, b)
+        first = self._add_to_first_lane(word, a, b)
         a, b = self.match_kinds(a, b)
         if a.kind in (DOUBLE, FLOAT):
             if word not in _FLOAT_OPCODES:
@@ -162,7 +164,7 @@ class ArithmeticEmitter(Vectors[Number]):
             return Number(result.kind, result.name, None, result.lanes, first)
         if word not in (ast.FloorDiv, ast.Mod):
             self.fail(node, "integers do not have this operation")
-        return self._divide(node, word is ast.Mod, a, b)
+        return self._emit_floor_division(node, word is ast.Mod, a, b)
 
     def _fold_literals(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
         """Return the result of an operation on two integer literals, as an integer literal. `word`: the class of the Python
@@ -174,17 +176,17 @@ class ArithmeticEmitter(Vectors[Number]):
             self.fail(node, f"{problem}")
         if kind == INT and value not in _INT64_RANGE:
             self.fail(node, f"{value} does not fit into int64: convert an operand with `np.uint64(…)` if it is unsigned")
-        return Number(kind, literal_number(wrap_integer(value, kind)).name, wrap_integer(value, kind))
+        return Number(kind, make_literal_number(wrap_to_integer_kind(value, kind)).name, wrap_to_integer_kind(value, kind))
 
     def _apply_shift(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
         """Return the number `a` shifted by `b` modulo 64. `word`: the class of the Python operator."""
         if b.literal_value is None:
-            b = self.op("and", b.kind, b, self.match_lanes(literal_number(63), b)[0])
+            b = self.op("and", b.kind, b, self.match_lanes(make_literal_number(63), b)[0])
         elif not 0 <= b.literal_value < 64:
             self.fail(node, "a shift count must be from 0 to 63")
         return self.op("shl" if word is ast.LShift else "lshr" if a.kind == UNSIGNED else "ashr", a.kind, a, b)
 
-    def _divide(self, node: ast.AST, is_remainder: bool, a: Number, b: Number) -> Number:
+    def _emit_floor_division(self, node: ast.AST, is_remainder: bool, a: Number, b: Number) -> Number:
         """Return the quotient of two integers, rounded down, or with `is_remainder` the remainder.
 
         The checked build reports division by 0; other builds divide by 1 instead. All builds divide by 1 if the least integer is
@@ -192,35 +194,35 @@ class ArithmeticEmitter(Vectors[Number]):
         if b.literal_value == 0:
             self.fail(node, "division by 0")
         if b.literal_value is None:
-            counts = None if b.has_several_lanes else self.active_mask()
-            checked = b if counts is None else self.select(counts, b, self.convert(literal_number(1), b.kind))
+            counts = None if b.has_several_lanes else self.get_active_mask()
+            checked = b if counts is None else self.select(counts, b, self.convert(make_literal_number(1), b.kind))
             self.emit_void("divisor", checked, *([self.mask] if b.has_several_lanes and self.mask is not None else []), node=node)
-            without = self.compare("eq", b, literal_number(0))
+            without = self.compare("eq", b, make_literal_number(0))
             if a.kind == INT and (a.literal_value is None or a.literal_value == _INT64_RANGE[0]):
-                both = self.logical_and(
-                    self.compare("eq", b, literal_number(-1)), self.compare("eq", a, literal_number(_INT64_RANGE[0]))
+                both = self.emit_logical_and(
+                    self.compare("eq", b, make_literal_number(-1)), self.compare("eq", a, make_literal_number(_INT64_RANGE[0]))
                 )
                 without = self.op("or", TRUTH, *self.match_lanes(without, both))
-            b = self.select(without, self.convert(literal_number(1), b.kind), b)
+            b = self.select(without, self.convert(make_literal_number(1), b.kind), b)
         elif b.literal_value == -1:
             return self.negate(a) if not is_remainder else self.op("sub", a.kind, a, a)
         if a.kind == UNSIGNED:
             return self.op("urem" if is_remainder else "udiv", a.kind, a, b)
         rest = self.op("srem", INT, a, b)
-        other = self.compare("lt", self.op("xor", INT, rest, b), literal_number(0))
-        down = self.op("and", TRUTH, other, self.compare("ne", rest, literal_number(0)))
+        other = self.compare("lt", self.op("xor", INT, rest, b), make_literal_number(0))
+        down = self.op("and", TRUTH, other, self.compare("ne", rest, make_literal_number(0)))
         if is_remainder:
-            return self.op("add", INT, rest, self.select(down, b, literal_number(0)))
+            return self.op("add", INT, rest, self.select(down, b, make_literal_number(0)))
         return self.op("sub", INT, self.op("sdiv", INT, a, b), self.convert(down, INT))
 
-    def logical_and(self, a: Number, b: Number) -> Number:
+    def emit_logical_and(self, a: Number, b: Number) -> Number:
         """Return the condition that both conditions hold."""
         for one, other in ((a, b), (b, a)):
             if one.literal_value is not None:
-                return other if one.literal_value else literal_number(False)
+                return other if one.literal_value else make_literal_number(False)
         return self.op("and", TRUTH, *self.match_lanes(a, b))
 
-    def _first_lane_sum(self, word: type[ast.operator], a: Number, b: Number) -> Number | None:
+    def _add_to_first_lane(self, word: type[ast.operator], a: Number, b: Number) -> Number | None:
         """Return the sum or difference in the first lane, if one operand grows by one per lane and the other is loop-invariant;
         else None.
 
@@ -238,7 +240,7 @@ class ArithmeticEmitter(Vectors[Number]):
         if a.literal_value is not None and not a.has_several_lanes:
             if a.kind == INT and a.literal_value == _INT64_RANGE[0]:
                 self.fail(self.node, f"{-a.literal_value} does not fit into int64")
-            return literal_number(-a.literal_value)
+            return make_literal_number(-a.literal_value)
         if a.kind in (DOUBLE, FLOAT):
             return self.op("fneg", a.kind, a)
         a = self.convert(a, INT)
@@ -249,7 +251,7 @@ class ArithmeticEmitter(Vectors[Number]):
         if a.literal_value is not None and b.literal_value is not None and not (a.has_several_lanes or b.has_several_lanes):
             x, y = a.literal_value, b.literal_value
             held = {"lt": x < y, "le": x <= y, "gt": x > y, "ge": x >= y, "eq": x == y, "ne": x != y}
-            return literal_number(held[word])
+            return make_literal_number(held[word])
         a, b = self.match_kinds(a, b)
         if a.kind in (DOUBLE, FLOAT):
             return self.op(f"f{word}", TRUTH, a, b)
@@ -270,7 +272,7 @@ class ArithmeticEmitter(Vectors[Number]):
         return self.op("select", true_value.kind, condition, true_value, false_value, lanes=true_value.lanes)
 
 
-def wrap_integer(number: int, kind: str) -> int:
+def wrap_to_integer_kind(number: int, kind: str) -> int:
     """Wrap an integer to 64 bits, signed or unsigned."""
     number &= (1 << 64) - 1
     return number if kind == UNSIGNED or number < 1 << 63 else number - (1 << 64)

@@ -10,7 +10,7 @@ import ast
 from antdsl.machine_code.kernels.arithmetic import ArithmeticEmitter
 from antdsl.machine_code.kernels.ir import ZEROS_CONSTANT
 from antdsl.machine_code.kernels.types import INT, TRUTH, ScalarType
-from antdsl.machine_code.kernels.values import Array, Number, literal_number
+from antdsl.machine_code.kernels.values import Array, Number, make_literal_number
 from antdsl.machine_code.number_kinds import LANE_COUNT
 
 ALL_LANES = Number(TRUTH, "splat (i1 true)", True, LANE_COUNT)  # all iterations are active
@@ -20,16 +20,19 @@ class ElementAccess(ArithmeticEmitter):
     """Writer of loads and stores of array elements."""
 
     def check_index(self, node: ast.AST, index: Number, length: Number, count: int = 1) -> None:
-        """Write the check that `index` to `index + count - 1` are within an axis of `length`. Raises NotInSubset if an index is
-        certainly outside."""
+        """Write the check that `index` to `index + count - 1` are within an axis of `length`. Raises NotInSubsetError if an
+        index is certainly outside."""
         if index.literal_value is not None and (
             index.literal_value < 0 or (length.literal_value is not None and index.literal_value + count > length.literal_value)
         ):
             self.fail(node, f"{index.literal_value} is negative or outside the axis")
         if index.literal_value is None or length.literal_value is None:
-            counts = None if index.has_several_lanes else self.active_mask()
+            counts = None if index.has_several_lanes else self.get_active_mask()
             if counts is not None:
-                index, length = self.select(counts, index, literal_number(0)), self.select(counts, length, literal_number(count))
+                index, length = (
+                    self.select(counts, index, make_literal_number(0)),
+                    self.select(counts, length, make_literal_number(count)),
+                )
             self.emit_void(
                 "index",
                 index,
@@ -39,11 +42,11 @@ class ElementAccess(ArithmeticEmitter):
                 node=node,
             )
 
-    def _check_span(self, array: Array, first: Number, count: int = LANE_COUNT) -> None:
+    def _emit_span_check(self, array: Array, first: Number, count: int = LANE_COUNT) -> None:
         """Emit a check that the elements `first` to `first + count - 1` are in the array."""
         self.emit_void("span", first, *array.lengths, x=count)
 
-    def index_offset(self, node: ast.AST, array: Array, numbers: list[Number]) -> Number:
+    def emit_index_offset(self, node: ast.AST, array: Array, numbers: list[Number]) -> Number:
         """Return the offset, in elements, of the element with the indices `numbers` from the first element."""
         for each in numbers:
             if each.lane_type != "i64":
@@ -73,10 +76,10 @@ class ElementAccess(ArithmeticEmitter):
         if not index.has_several_lanes:
             element = self.op("load", scalar.loaded_kind, self._guarded_address(array, index))
         elif index.first_lane:
-            self._check_span(array, index.first_lane)
+            self._emit_span_check(array, index.first_lane)
             element = self._load_lanes(array, scalar.loaded_kind, self._offset_address(array, index.first_lane))
         else:
-            element = self._gather(array, index)
+            element = self._emit_gather(array, index)
         if scalar.kind == TRUTH:
             return self.op(
                 "ne", TRUTH, element, Number("i8", "zeroinitializer" if index.has_several_lanes else "0", lanes=index.lanes)
@@ -87,7 +90,7 @@ class ElementAccess(ArithmeticEmitter):
 
     def _load_lanes(self, array: Array, kind: str, place: Number) -> Number:
         """Load consecutive elements from the address `place` on, one for each lane."""
-        return self.op("load", kind, place, x=_element_alignment(array), lanes=LANE_COUNT)
+        return self.op("load", kind, place, x=_find_element_alignment(array), lanes=LANE_COUNT)
 
     def store_element(self, node: ast.AST, array: Array, index: Number, item: Number) -> None:
         """Store `item` as the element at an offset of `index` elements from the first one."""
@@ -99,11 +102,11 @@ class ElementAccess(ArithmeticEmitter):
             return
         mask = self.mask or ALL_LANES
         if index.first_lane:
-            self._check_span(array, index.first_lane)
+            self._emit_span_check(array, index.first_lane)
             place = self._offset_address(array, index.first_lane)
             if mask.literal_value is None:
                 value = self.op("select", value.kind, mask, value, self._load_lanes(array, value.kind, place))
-            self.emit_void("store", value, place, x=_element_alignment(array))
+            self.emit_void("store", value, place, x=_find_element_alignment(array))
             return
         for lane in range(LANE_COUNT):
             stored, next_block = "", ""
@@ -129,7 +132,7 @@ class ElementAccess(ArithmeticEmitter):
         if index.has_several_lanes:
             self.fail(node, "all lanes use the same part of an array: its index cannot depend on the iteration")
         self.check_index(node, index, array.lengths[0])
-        step = literal_number(1) if array.steps is None else array.steps[0]
+        step = make_literal_number(1) if array.steps is None else array.steps[0]
         for each in array.lengths[1:] if array.steps is None else ():
             step = self.apply_operator(node, ast.Mult(), step, each)
         address = self._offset_address(array, self.apply_operator(node, ast.Mult(), index, step))
@@ -155,14 +158,14 @@ class ElementAccess(ArithmeticEmitter):
         if self.mask is None or self.is_always_reached:
             return place
         if array.steps is not None:
-            counts = self.any_lane(self.mask)
+            counts = self.emit_any_lane(self.mask)
         else:
-            counts = self.logical_and(
-                self.compare("ge", index, literal_number(0)), self.compare("lt", index, self.count_elements(array))
+            counts = self.emit_logical_and(
+                self.compare("ge", index, make_literal_number(0)), self.compare("lt", index, self.count_elements(array))
             )
         return place if counts.literal_value is not None else self.op("select", "ptr", counts, place, ZEROS_CONSTANT)
 
-    def _lane_addresses(self, array: Array, index: Number) -> Number:
+    def _emit_lane_addresses(self, array: Array, index: Number) -> Number:
         """Return the addresses of elements, one per lane. Inactive lanes get the address of zeros, which no code writes to."""
         addresses = self._offset_address(array, index)
         if self.mask is None or self.mask.literal_value is not None:
@@ -174,9 +177,9 @@ class ElementAccess(ArithmeticEmitter):
         of four."""
         self.check_index(node, index, array.lengths[0], count)
         if not index.has_several_lanes:
-            offsets = [self.apply_operator(node, ast.Add(), index, literal_number(k)) for k in range(count)]
+            offsets = [self.apply_operator(node, ast.Add(), index, make_literal_number(k)) for k in range(count)]
             return tuple(self.load_element(array, each) for each in offsets)
-        addresses = self._lane_addresses(array, index)
+        addresses = self._emit_lane_addresses(array, index)
         lanes = [self.extract_lane(addresses, lane) for lane in range(LANE_COUNT)]
         return tuple(each for k in range(0, count, 4) for each in self._load_four_columns(array, lanes, k))
 
@@ -186,13 +189,13 @@ class ElementAccess(ArithmeticEmitter):
         rows = []
         for lane in lanes:
             place = self._element_address(array, lane, offset)
-            rows.append(self.op("load", array.element_type.kind, place, x=_element_alignment(array), lanes=4))
+            rows.append(self.op("load", array.element_type.kind, place, x=_find_element_alignment(array), lanes=4))
         return self.transpose_rows(rows)
 
     def load3(self, node: ast.AST, array: Array, row: Number) -> tuple[Number, ...]:
         """Return the three elements of a row of an array (n, 3)."""
         if not row.first_lane:
-            return tuple(self.load_element(array, each) for each in self._row_offsets(node, array, row))
+            return tuple(self.load_element(array, each) for each in self._emit_row_offsets(node, array, row))
         self.check_index(node, row, array.lengths[0])
         return self._load3_lanes(array, row.first_lane)
 
@@ -212,13 +215,13 @@ class ElementAccess(ArithmeticEmitter):
     def _rows_address(self, array: Array, first: Number) -> Number:
         """Return the address of row `first` of an array (n, 3), after a check that all lanes' rows are in the array."""
         start = self.op("mul", INT, first, Number(INT, "3"))
-        self._check_span(array, start, 3 * LANE_COUNT)
+        self._emit_span_check(array, start, 3 * LANE_COUNT)
         return self._offset_address(array, start)
 
     def store3(self, node: ast.AST, array: Array, row: Number, items: tuple[Number, ...]) -> None:
         """Store `items` as the three elements of a row of an array (n, 3)."""
         if not row.first_lane:
-            for at, item in zip(self._row_offsets(node, array, row), items, strict=True):
+            for at, item in zip(self._emit_row_offsets(node, array, row), items, strict=True):
                 self.store_element(node, array, at, item)
             return
         self.check_index(node, row, array.lengths[0])
@@ -232,11 +235,11 @@ class ElementAccess(ArithmeticEmitter):
             two = self.shuffle(values[0], values[1], tuple(lane + LANE_COUNT * (c == 1) for lane, c in positions))
             order = tuple(LANE_COUNT + lane if c == 2 else k for k, (lane, c) in enumerate(positions))
             address = self._element_address(array, place, LANE_COUNT * part)
-            self.emit_void("store", self.shuffle(two, values[2], order), address, x=_element_alignment(array))
+            self.emit_void("store", self.shuffle(two, values[2], order), address, x=_find_element_alignment(array))
 
-    def _row_offsets(self, node: ast.AST, array: Array, row: Number) -> list[Number]:
+    def _emit_row_offsets(self, node: ast.AST, array: Array, row: Number) -> list[Number]:
         """Return the offsets of a row's elements from the first element of an array."""
-        return [self.index_offset(node, array, [row, literal_number(k)]) for k in range(3)]
+        return [self.emit_index_offset(node, array, [row, make_literal_number(k)]) for k in range(3)]
 
     def prefetch(self, array: Array, index: Number) -> tuple[()]:
         """Prefetch the memory of an element."""
@@ -246,14 +249,14 @@ class ElementAccess(ArithmeticEmitter):
             )
         return ()
 
-    def _gather(self, array: Array, index: Number) -> Number:
+    def _emit_gather(self, array: Array, index: Number) -> Number:
         """Load the element at each lane's offset, one by one."""
-        addresses = self._lane_addresses(array, index)
+        addresses = self._emit_lane_addresses(array, index)
         return self.combine_lanes(
             self.op("load", array.element_type.loaded_kind, self.extract_lane(addresses, lane)) for lane in range(LANE_COUNT)
         )
 
 
-def _element_alignment(array: Array) -> str:
+def _find_element_alignment(array: Array) -> str:
     """Return the alignment of a vector load or store: the size of one element."""
     return f", align {array.element_type.dtype.itemsize}"

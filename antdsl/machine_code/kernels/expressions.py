@@ -22,9 +22,9 @@ from antdsl.machine_code.kernels.kernel_functions import (
     store3,
 )
 from antdsl.machine_code.kernels.kernel_unit import KernelUnit
-from antdsl.machine_code.kernels.records import field_types, is_record, rebuild_like
+from antdsl.machine_code.kernels.records import get_field_types, is_record, rebuild_like
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED, ArrayType, ScalarType
-from antdsl.machine_code.kernels.values import Array, KernelItem, Number, flatten_item, literal_number
+from antdsl.machine_code.kernels.values import Array, KernelItem, Number, flatten_item, make_literal_number
 
 _COMPARISON_WORDS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
 
@@ -51,7 +51,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         """Write the call of a kernel function, and return its result."""
 
     def emit_number(self, node: ast.expr) -> Number:
-        """Write an expression, and return its number. Raises NotInSubset for another item."""
+        """Write an expression, and return its number. Raises NotInSubsetError for another item."""
         value = self.emit_item(node)
         if not isinstance(value, Number):
             self.fail(node, "this must be a number")
@@ -60,13 +60,13 @@ class ExpressionEmitter(ElementAccess, ABC):
     def emit_condition(self, node: ast.expr) -> Number:
         """Write an expression, and return its number as a condition."""
         value = self.emit_number(node)
-        return literal_number(bool(value.literal_value)) if value.literal_value is not None else self.convert(value, TRUTH)
+        return make_literal_number(bool(value.literal_value)) if value.literal_value is not None else self.convert(value, TRUTH)
 
     def emit_item(self, node: ast.expr) -> KernelItem:
-        """Write an expression, and return its item. Raises NotInSubset for unsupported syntax."""
+        """Write an expression, and return its item. Raises NotInSubsetError for unsupported syntax."""
         match node:
             case ast.Constant(value=bool() | int() | float() as known):
-                return literal_number(known)
+                return make_literal_number(known)
             case ast.Name(id=name):
                 return self.load_variables(self.lookup_name(name))
             case ast.Tuple(elts=parts):
@@ -112,12 +112,12 @@ class ExpressionEmitter(ElementAccess, ABC):
     def _emit_unary(self, node: ast.expr, operator: ast.unaryop, operand: ast.expr) -> Number:
         if isinstance(operator, ast.Not):
             value = self.emit_condition(operand)
-            return literal_number(not value.literal_value) if value.literal_value is not None else self.invert(value)
+            return make_literal_number(not value.literal_value) if value.literal_value is not None else self.emit_not(value)
         value = self.emit_number(operand)
         if isinstance(operator, ast.USub):
             return self.negate(value)
         if isinstance(operator, ast.Invert):
-            return self.invert(self.convert(value, INT) if value.literal_value is not None else value)
+            return self.emit_not(self.convert(value, INT) if value.literal_value is not None else value)
         self.fail(node, "no such operator")
 
     def _emit_comparison(self, parts: list[ast.expr], operators: list[ast.cmpop]) -> Number:
@@ -127,7 +127,7 @@ class ExpressionEmitter(ElementAccess, ABC):
             if type(operator) not in _COMPARISON_WORDS:
                 self.fail(parts[0], "no such comparison")
             held = self.compare(_COMPARISON_WORDS[type(operator)], a, b)
-            conjunction = held if conjunction is None else self.logical_and(conjunction, held)
+            conjunction = held if conjunction is None else self.emit_logical_and(conjunction, held)
         assert conjunction is not None
         return conjunction
 
@@ -164,7 +164,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         self.begin_block(no)
         second = self.emit_item(false_expr)
         pairs = list(zip(flatten_item(first), flatten_item(second), strict=True))
-        kinds = [a.kind if a.kind == b.kind else self._common_kind(a, b) for a, b in pairs]
+        kinds = [a.kind if a.kind == b.kind else self._find_common_kind(a, b) for a, b in pairs]
         lanes = [max(a.lanes, b.lanes) for a, b in pairs]
         slots = [self.allocate_slot(kind, each) for kind, each in zip(kinds, lanes, strict=True)]
         self._store_leaves(second, kinds, lanes, slots)
@@ -182,7 +182,7 @@ class ExpressionEmitter(ElementAccess, ABC):
 
         return load_again(first)
 
-    def _common_kind(self, a: Number, b: Number) -> str:
+    def _find_common_kind(self, a: Number, b: Number) -> str:
         """Return the kind to which both numbers are converted before one of them is selected."""
         kinds = {a.kind, b.kind}
         if FLOAT in kinds or UNSIGNED in kinds:
@@ -195,7 +195,7 @@ class ExpressionEmitter(ElementAccess, ABC):
             value = self.convert(number, kind)
             self.store_number(place, self.broadcast(value) if each > 1 else value)
 
-    def invert(self, value: Number) -> Number:
+    def emit_not(self, value: Number) -> Number:
         """Return the negation of a condition, or the bitwise complement of a number."""
         ones = Number(value.kind, "true" if value.kind == TRUTH else "-1")
         return self.op("xor", value.kind, value, self.broadcast(ones) if value.has_several_lanes else ones)
@@ -205,24 +205,24 @@ class ExpressionEmitter(ElementAccess, ABC):
         """Write the code of the context for those lanes only in which a condition holds."""
         outer_mask = self.mask
         assert outer_mask is not None
-        self.mask = self.logical_and(outer_mask, condition)
+        self.mask = self.emit_logical_and(outer_mask, condition)
         yield
         self.mask = outer_mask
 
     def _emit_boolean_lanes(self, first: Number, is_and: bool, parts: list[ast.expr]) -> Number:
         """Write `and` (with `is_and`) or `or` of conditions, the first of which differs between lanes."""
         first = self.broadcast(first)
-        with self.restrict_lanes(first if is_and else self.invert(first)):
+        with self.restrict_lanes(first if is_and else self.emit_not(first)):
             rest = self._emit_boolean(is_and, parts)
         if is_and:
-            return self.logical_and(first, rest)
+            return self.emit_logical_and(first, rest)
         return self.op("or", TRUTH, *self.match_lanes(first, rest))
 
     def _emit_conditional_lanes(self, node: ast.expr, condition: Number, true_expr: ast.expr, false_expr: ast.expr) -> KernelItem:
         """Write `true_expr if condition else false_expr` with a condition for each lane, which evaluates both."""
         with self.restrict_lanes(condition):
             first = self.emit_item(true_expr)
-        with self.restrict_lanes(self.invert(condition)):
+        with self.restrict_lanes(self.emit_not(condition)):
             second = self.emit_item(false_expr)
 
         def select_lanes(a: KernelItem, b: KernelItem) -> KernelItem:
@@ -230,7 +230,7 @@ class ExpressionEmitter(ElementAccess, ABC):
                 return rebuild_like(a, (select_lanes(x, y) for x, y in zip(a, b, strict=True)))
             if isinstance(a, Array):
                 self.fail(node, "a condition cannot choose between arrays")
-            kind = a.kind if a.kind == b.kind else self._common_kind(a, b)
+            kind = a.kind if a.kind == b.kind else self._find_common_kind(a, b)
             return self.select(condition, self.convert(a, kind), self.convert(b, kind))
 
         return select_lanes(first, second)
@@ -238,7 +238,7 @@ class ExpressionEmitter(ElementAccess, ABC):
     def _emit_attribute(self, node: ast.expr, owner: ast.expr, attribute: str) -> KernelItem:
         """Return an attribute of a module, a field of a record, or the `shape` or `size` of an array."""
         if isinstance(owner, ast.Name) and isinstance(self.module_names.get(owner.id), ModuleType):
-            return literal_number(getattr(self.module_names[owner.id], attribute))
+            return make_literal_number(getattr(self.module_names[owner.id], attribute))
         value = self._emit_unloaded(owner)
         if attribute in getattr(value, "_fields", ()):
             return getattr(value, attribute)
@@ -255,7 +255,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         parts = index.elts if isinstance(index, ast.Tuple) else [index]
         if len(parts) != len(array.lengths):
             self.fail(node, "an array needs one index for each axis")
-        return self.index_offset(node, array, [self.emit_number(part) for part in parts])
+        return self.emit_index_offset(node, array, [self.emit_number(part) for part in parts])
 
     def _emit_index(self, node: ast.expr, container: KernelItem, index: ast.expr) -> KernelItem:
         """Return an element or slice of a tuple, or an element or row of an array."""
@@ -290,7 +290,7 @@ class ExpressionEmitter(ElementAccess, ABC):
             self.fail(node, "only records take arguments by name")
         if known is len:
             value = self.emit_item(arguments[0])
-            return value.lengths[0] if isinstance(value, Array) else literal_number(len(value))
+            return value.lengths[0] if isinstance(value, Array) else make_literal_number(len(value))
         if known is allocate_scratch:
             count, dtype = self.emit_number(arguments[0]), self.resolve_name(node, arguments[1])
             if count.literal_value is None or not isinstance(dtype, ScalarType):
@@ -343,7 +343,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         self.fail(node, f"`{record.__name__}` has no field `{name}`: its fields are {', '.join(record._fields)}")
 
     def _build_checked_record(self, node: ast.Call, record: Any, fields: dict[str, KernelItem]) -> KernelItem:
-        types = field_types(record)._asdict()
+        types = get_field_types(record)._asdict()
         return record(**{name: self.fit_to_type(node, name, item, types[name]) for name, item in fields.items()})
 
     def fit_to_type(self, node: ast.AST, name: str, item: KernelItem, type_: Any) -> KernelItem:

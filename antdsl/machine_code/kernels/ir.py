@@ -10,7 +10,7 @@ from functools import cache
 from typing import Any, Generic, NamedTuple, NoReturn, TypeVar
 
 from antdsl.machine_code.kernels.operations import BLOCK_ENDS, OPERATION_BY_NAME, TYPES_BY_CLASS
-from antdsl.machine_code.kernels.values import Number, llvm_type
+from antdsl.machine_code.kernels.values import Number, format_llvm_type
 from antdsl.machine_code.number_kinds import LANE_COUNT
 
 CHECK_MESSAGES = {  # operations that are checks, with their messages
@@ -18,7 +18,7 @@ CHECK_MESSAGES = {  # operations that are checks, with their messages
     "span": "lanes access memory outside the array",
     "divisor": "integer division by 0",
 }
-Value = TypeVar("Value", bound=Number)
+NumberType = TypeVar("NumberType", bound=Number)
 MAX_CONSECUTIVE_ELEMENTS = 64  # maximum number of elements in one load
 ZEROS_CONSTANT = Number("ptr", "@zeros")  # read by inactive lanes
 LANE_ORDERS_CONSTANT = Number("ptr", "@orders")  # the bytes of `LANES_BY_MASK`
@@ -31,12 +31,12 @@ _VARIADIC_OPERATIONS = BLOCK_ENDS | {"load", "store", "call"}
 _GLOBAL_TYPES = {ZEROS_CONSTANT.name: "ptr", LANE_ORDERS_CONSTANT.name: "ptr"}
 
 
-class NotInSubset(Exception):
+class NotInSubsetError(Exception):
     """Error for a kernel that uses constructs outside the supported subset. It is a mistake in antdsl; the message has the
     location."""
 
 
-class InvalidCode(Exception):
+class InvalidCodeError(Exception):
     """Error for instructions with invalid types or order. It is a mistake in the code that writes them."""
 
 
@@ -78,7 +78,7 @@ class IrFunction:
     blocks: list[BasicBlock] = field(default_factory=list)
 
 
-class IrBuilder(ABC, Generic[Value]):
+class IrBuilder(ABC, Generic[NumberType]):
     """Builder of the instructions of one function."""
 
     def __init__(self, place: str, file: str) -> None:
@@ -96,10 +96,10 @@ class IrBuilder(ABC, Generic[Value]):
         return f"%{stem}{self._name_count}"
 
     @abstractmethod
-    def named_number(self, kind: str, name: str, lanes: int = 1, literal_value: Any = None) -> Value:
+    def named_number(self, kind: str, name: str, lanes: int = 1, literal_value: Any = None) -> NumberType:
         """Return a number with this name in the text."""
 
-    def op(self, op: str, kind: str, *operands: Number, x: Any = "", lanes: int = 0) -> Value:
+    def op(self, op: str, kind: str, *operands: Number, x: Any = "", lanes: int = 0) -> NumberType:
         """Add an instruction, and return its result. `op`: the operation. `kind`: the kind of the result. `x`: the immediate.
 
         The result has as many lanes as the first operand, or `lanes` if that is not 0."""
@@ -114,7 +114,7 @@ class IrBuilder(ABC, Generic[Value]):
 
     def allocate_slot(self, kind: str, lanes: int = 1) -> Number:
         """Add a stack slot for a number, and return its address."""
-        return self._add_stack_slot("a", llvm_type(kind, lanes))
+        return self._add_stack_slot("a", format_llvm_type(kind, lanes))
 
     def allocate(self, count: int, stored_type: str) -> Number:
         """Add a stack slot for `count` numbers, and return its address."""
@@ -125,7 +125,7 @@ class IrBuilder(ABC, Generic[Value]):
         self.slots.append(Instruction("alloca", output, (), type, 0))
         return output
 
-    def load(self, place: Number, kind: str, lanes: int = 1) -> Value:
+    def load(self, place: Number, kind: str, lanes: int = 1) -> NumberType:
         """Load the number at an address."""
         return self.op("load", kind, place, lanes=lanes)
 
@@ -150,19 +150,19 @@ class IrBuilder(ABC, Generic[Value]):
         self.emit_void("branch", condition, x=(true_label, false_label))
 
     def fail(self, node: ast.AST, reason: str) -> NoReturn:
-        """Raise NotInSubset with the location of a node."""
+        """Raise NotInSubsetError with the location of a node."""
         line = getattr(node, "lineno", self.line)
-        raise NotInSubset(f"{self.file}, line {line}, `{self.function_name}`: {reason}")
+        raise NotInSubsetError(f"{self.file}, line {line}, `{self.function_name}`: {reason}")
 
 
 def verify_functions(functions: Sequence[IrFunction], others: Mapping[str, IrFunction] | None = None) -> None:
-    """Verify the types and the order of instructions. Raises InvalidCode.
+    """Verify the types and the order of instructions. Raises InvalidCodeError.
 
     Each operand must have a type that fits the operation. Each register must be defined once, before it is read. Only the last
     instruction of a block may be a branch. `others`: further functions that these functions call, by name."""
     known = {**(others or {}), **{each.name: each for each in functions}}
     for each in functions:
-        _Verifier(each, known).run()
+        _Verifier(each, known).verify_function()
 
 
 class _Verifier:
@@ -175,18 +175,18 @@ class _Verifier:
         self.labels = {each.label for each in function.blocks}
         self.types |= dict.fromkeys(self.slots, "ptr") | _GLOBAL_TYPES
 
-    def run(self) -> None:
+    def verify_function(self) -> None:
         for block in self.function.blocks:
             if not block.body:
-                raise InvalidCode(f"{self.function.name}: block {block.label} is empty")
+                raise InvalidCodeError(f"{self.function.name}: block {block.label} is empty")
             last = block.body[-1]
             for each in block.body:
                 if (each.op in BLOCK_ENDS) != (each is last):
-                    self.fail(each, f"block {block.label} does not end with its only branch")
+                    self.raise_invalid_code(each, f"block {block.label} does not end with its only branch")
                 self.check_instruction(each)
 
-    def fail(self, instruction: Instruction, reason: str) -> NoReturn:
-        raise InvalidCode(f"{self.function.file}, line {instruction.line}, {self.function.name}: {reason} ({instruction})")
+    def raise_invalid_code(self, instruction: Instruction, reason: str) -> NoReturn:
+        raise InvalidCodeError(f"{self.function.file}, line {instruction.line}, {self.function.name}: {reason} ({instruction})")
 
     def check_instruction(self, instruction: Instruction) -> None:
         """Check the operands and the result of an instruction."""
@@ -195,15 +195,15 @@ class _Verifier:
         for operand in operands:
             name = operand.name
             if known.get(name) != operand.type and name[0] in "%@":
-                self.fail(instruction, f"{name} is {known.get(name, 'not known')}, not {operand.type}")
+                self.raise_invalid_code(instruction, f"{name} is {known.get(name, 'not known')}, not {operand.type}")
         gives = "" if result is None else result.type
         if not _matches_operation(op, types, gives):
-            self.fail(instruction, "the operation does not support these types")
+            self.raise_invalid_code(instruction, "the operation does not support these types")
         if op in _VARIADIC_OPERATIONS:
             self._check_extra_rules(instruction, types, gives)
         if result is not None:
             if result.name in known:
-                self.fail(instruction, "the name is defined twice")
+                self.raise_invalid_code(instruction, "the name is defined twice")
             known[result.name] = gives
 
     def _check_extra_rules(self, instruction: Instruction, types: tuple[str, ...], result_type: str) -> None:
@@ -212,15 +212,15 @@ class _Verifier:
         if op in ("load", "store"):
             slot = self.slots.get(operands[-1].name)
             if slot is not None and slot[0] != "[" and slot != (result_type or types[0]):
-                self.fail(instruction, f"the place is {slot}")
+                self.raise_invalid_code(instruction, f"the place is {slot}")
         elif op == "call":
             if not self._check_call(extra, types, result_type or "void"):
-                self.fail(instruction, "the types of the call differ from those of the function")
+                self.raise_invalid_code(instruction, "the types of the call differ from those of the function")
         elif op == "return":
             if self.function.result != (types[0] if types else "void"):
-                self.fail(instruction, f"gives back {types}, not {self.function.result}")
+                self.raise_invalid_code(instruction, f"gives back {types}, not {self.function.result}")
         elif not self.labels.issuperset(extra):
-            self.fail(instruction, "no such block")
+            self.raise_invalid_code(instruction, "no such block")
 
     def _check_call(self, name: str, types: tuple[str, ...], result_type: str) -> bool:
         function = self.known.get(name)

@@ -30,7 +30,7 @@ from antdsl.machine_code.kernels.values import Array, KernelItem, Number, flatte
 from antdsl.machine_code.llvm_module import LlvmModule
 
 PythonFunction = Callable[..., Any]
-F = TypeVar("F", bound=PythonFunction)
+DecoratedFunction = TypeVar("DecoratedFunction", bound=PythonFunction)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,10 +58,10 @@ class KernelPart:
         }
 
 
-def _make_decorator(attribute: str) -> Callable[[F], F]:
+def _make_decorator(attribute: str) -> Callable[[DecoratedFunction], DecoratedFunction]:
     """Return a decorator that marks a function as a part of kernels with this attribute."""
 
-    def mark_function(function: F) -> F:
+    def mark_function(function: DecoratedFunction) -> DecoratedFunction:
         function.part = KernelPart(function, attribute)  # type: ignore[attr-defined, arg-type]
         return function
 
@@ -100,11 +100,11 @@ class Kernel:
         with self._lock:
             if self._loaded_call is None:
                 llvm_compiler.require_llvm()
-                types, host = self.types(), llvm_compiler.host_target()
+                types, host = self.types(), llvm_compiler.find_host_target()
                 code = code_cache.load_code(self.text_key(host), lambda: self.text(host))
                 self._loaded_call = self.__call__ = run = self.make_caller(code)
                 self._get_parallel_call = cache(
-                    lambda: _guard_if_checked(
+                    lambda: _add_fault_guard(
                         make_parallel_caller(self.__name__, code, types, self._read_description(code), run), code, CHECKS_ENABLED
                     )
                 )
@@ -112,7 +112,7 @@ class Kernel:
 
     def make_caller(self, code: llvm_compiler.LoadedCode, checked: bool = CHECKS_ENABLED) -> Callable[..., Any]:
         """Return a Python function that calls this kernel in loaded code."""
-        guarded_call: Callable[..., Any] = _guard_if_checked(
+        guarded_call: Callable[..., Any] = _add_fault_guard(
             make_caller(self.__name__, code, self.types(), self._read_description(code)), code, checked
         )
         return guarded_call
@@ -132,11 +132,11 @@ class Kernel:
         """Return whether its machine code is available, in memory or from another run."""
         if self._loaded_call is not None:
             return True
-        return code_cache.is_code_available(self.text_key(llvm_compiler.host_target()))
+        return code_cache.is_code_available(self.text_key(llvm_compiler.find_host_target()))
 
     def text_key(self, target: llvm_compiler.Target) -> str:
         """Return the key of its sources, or its text if the sources have no key."""
-        return source_key.source_key(self.part, self.types()) or self.text(target)
+        return source_key.compute_source_key(self.part, self.types()) or self.text(target)
 
     def types(self) -> list[Any]:
         """Return the types of its annotations; for a record, the types of its fields."""
@@ -167,7 +167,7 @@ def render_kernels(kernels: Sequence[Kernel], target: llvm_compiler.Target, chec
     return (
         "\n".join(
             [
-                f"; {llvm_compiler.ALL_PASSES_COMMENT}",
+                f"; {llvm_compiler.ALL_PASSES_MARKER}",
                 module.text(),
                 *functions,
                 *entries,
@@ -215,7 +215,7 @@ def _description_name(name: str) -> str:
     return f"about.{name}"
 
 
-def _guard_if_checked(run: Any, code: llvm_compiler.LoadedCode, checked: bool) -> Any:
+def _add_fault_guard(run: Any, code: llvm_compiler.LoadedCode, checked: bool) -> Any:
     """Return `run`; in a checked build, a function that calls it and raises KernelFault for failed checks."""
     return guard_call(run, code) if checked and run is not None else run
 

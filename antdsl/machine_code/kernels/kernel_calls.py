@@ -16,7 +16,7 @@ from antdsl.machine_code.kernels import direct
 from antdsl.machine_code.kernels.direct import ArgumentSpec
 from antdsl.machine_code.kernels.direct.argument_text import INTEGER_KIND, REAL_KIND, RESULT_WORDS, TRUTH_KIND, UNSIGNED_KIND
 from antdsl.machine_code.kernels.types import INT, ArrayType, ScalarType
-from antdsl.machine_code.memory import array_address
+from antdsl.machine_code.memory import get_array_address
 
 _CTYPES_FORMATS = {"double": "d", "float": "d", "i64": "q", "u64": "Q", "i1": "q"}
 _RESULT_KINDS = {"double": REAL_KIND, "float": REAL_KIND, "i64": INTEGER_KIND, "u64": UNSIGNED_KIND, "i1": INTEGER_KIND}
@@ -85,7 +85,7 @@ def make_parallel_caller(
     def call_alone(*arguments: Any) -> list[Any]:
         return [single_call(*arguments[:-2])]
 
-    run = workers_text.load_code().function_address("run")
+    run = workers_text.load_code().get_function_address("run")
     function: Callable[..., Any] | None = direct.make_builtin(name, code, [*specs, *range_specs], words, kinds, call_alone, run)
     return function
 
@@ -181,13 +181,13 @@ def _describe_array(name: str, spec: ArgumentSpec, array: Any) -> tuple[int, ...
     if not array.flags.aligned:
         raise ValueError(f"{name} needs an array that is aligned to its elements")
     if not spec.is_strided:
-        return (array_address(array), *shape)
+        return (get_array_address(array), *shape)
     size, (one, two) = dtype.itemsize, array.strides
     if (one % size or two % size) and array.size:
         raise ValueError(f"{name} needs strides that are multiples of the element size")
     if array.flags.c_contiguous:
-        place = array_address(array)
+        place = get_array_address(array)
     else:
         turned = array.T
-        place = array_address(turned) if turned.flags.c_contiguous else array.__array_interface__["data"][0]
+        place = get_array_address(turned) if turned.flags.c_contiguous else array.__array_interface__["data"][0]
     return (place, *shape, one // size, two // size)

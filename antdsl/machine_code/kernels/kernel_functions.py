@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED
-from antdsl.machine_code.kernels.values import Number, literal_number
+from antdsl.machine_code.kernels.values import Number, make_literal_number
 
 if TYPE_CHECKING:
     from antdsl.machine_code.kernels.statements import StatementWriter
@@ -77,7 +77,7 @@ def _make_intrinsic(stem: str) -> Callable[..., Number]:
 def _emit_absolute(w: StatementWriter, a: Number) -> Number:
     if a.kind in (DOUBLE, FLOAT):
         return w.op("fabs", a.kind, a)
-    return w.select(w.compare("lt", a, literal_number(0)), w.negate(a), a)
+    return w.select(w.compare("lt", a, make_literal_number(0)), w.negate(a), a)
 
 
 def _emit_minimum(w: StatementWriter, *values: Number) -> Number:
@@ -99,7 +99,7 @@ def _emit_maximum(w: StatementWriter, *values: Number) -> Number:
 
 def _emit_is_finite(w: StatementWriter, a: Number) -> Number:
     a = w.to_float(a)
-    return w.compare("lt", w.op("fabs", a.kind, a), w.convert(literal_number(math.inf), a.kind))
+    return w.compare("lt", w.op("fabs", a.kind, a), w.convert(make_literal_number(math.inf), a.kind))
 
 
 def _emit_is_nan(w: StatementWriter, a: Number) -> Number:
@@ -121,8 +121,8 @@ def _emit_float_bits(w: StatementWriter, a: Number) -> Number:
 
 
 def _emit_nearest_integer(w: StatementWriter, a: Number) -> Number:
-    bits = _emit_float_bits(w, w.apply_operator(ast.Pass(), ast.Add(), a, literal_number(_ROUNDING_MAGIC)))
-    return w.apply_operator(ast.Pass(), ast.Sub(), bits, literal_number(float_to_bits(_ROUNDING_MAGIC)))
+    bits = _emit_float_bits(w, w.apply_operator(ast.Pass(), ast.Add(), a, make_literal_number(_ROUNDING_MAGIC)))
+    return w.apply_operator(ast.Pass(), ast.Sub(), bits, make_literal_number(float_to_bits(_ROUNDING_MAGIC)))
 
 
 def _emit_float_from_bits(w: StatementWriter, a: Number) -> Number:

@@ -22,7 +22,7 @@ def rebuild_like(model: Any, parts: Iterable[Any]) -> Any:
 
 
 @cache
-def field_types(record: Any) -> Any:
+def get_field_types(record: Any) -> Any:
     """Return the types of a record class's fields, as a record of this class. Raises TypeError for a field without a kernel
     type."""
     world = vars(sys.modules[record.__module__])
@@ -69,4 +69,4 @@ def _expand_records(annotation: Any) -> Any:
     `tuple[..]`."""
     if isinstance(annotation, GenericAlias):
         return tuple(_expand_records(each) for each in annotation.__args__)
-    return field_types(annotation) if is_record(annotation) else annotation
+    return get_field_types(annotation) if is_record(annotation) else annotation

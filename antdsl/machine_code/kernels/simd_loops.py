@@ -17,9 +17,9 @@ from antdsl.machine_code.kernels.element_access import ALL_LANES
 from antdsl.machine_code.kernels.ir import IrFunction
 from antdsl.machine_code.kernels.kernel_unit import KernelUnit, StackVariable, result_type
 from antdsl.machine_code.kernels.records import rebuild_like
-from antdsl.machine_code.kernels.statements import StatementWriter, assigned_names
+from antdsl.machine_code.kernels.statements import StatementWriter, count_assigned_names
 from antdsl.machine_code.kernels.types import INT, TRUTH
-from antdsl.machine_code.kernels.values import KernelItem, Number, flatten_item, literal_number, rename_item, type_key
+from antdsl.machine_code.kernels.values import KernelItem, Number, flatten_item, make_literal_number, make_type_key, rename_item
 from antdsl.machine_code.number_kinds import LANE_COUNT
 
 _EXIT_STATEMENTS = (ast.Break, ast.Continue, ast.Return)
@@ -73,7 +73,7 @@ class SimdWriter(StatementWriter):
             is_consecutive
             and self.mask == ALL_LANES
             and name not in self.variables
-            and assigned_names(self.definition)[name] == 1
+            and count_assigned_names(self.definition)[name] == 1
         ):
             self.variables[name] = item  # its value is still known to be consecutive over iterations
         else:
@@ -97,7 +97,7 @@ class SimdWriter(StatementWriter):
         """Write code by `write` that runs with `mask` as its mask, if the mask holds for at least one iteration."""
         outer_mask, reached, then, end = self.mask, self.reached_mask, self.make_label("then"), self.make_label("done")
         if mask.literal_value is None:
-            self.branch(self.any_lane(mask), then, end)
+            self.branch(self.emit_any_lane(mask), then, end)
             self.begin_block(then)
         self.mask = self.reached_mask = mask
         write()
@@ -117,11 +117,11 @@ class SimdWriter(StatementWriter):
         fresh = set(self.unwritten_slots)
         condition = self.broadcast(condition)
         outer_mask = self.mask
-        self._write_where(self.logical_and(outer_mask, condition), lambda: self.write_block(true_body))
+        self._write_where(self.emit_logical_and(outer_mask, condition), lambda: self.write_block(true_body))
         new_places = self.unwritten_slots - fresh
         self.unwritten_slots &= fresh
         if false_body:
-            self._write_where(self.logical_and(outer_mask, self.invert(condition)), lambda: self.write_block(false_body))
+            self._write_where(self.emit_logical_and(outer_mask, self.emit_not(condition)), lambda: self.write_block(false_body))
         self.unwritten_slots -= new_places
         self._write_remaining([*true_body, *false_body])
 
@@ -129,13 +129,13 @@ class SimdWriter(StatementWriter):
         """After `body`, remove from the mask the iterations that `body` has ended by `break`, `continue` or `return`."""
         if _has_exits(body):
             assert self.mask is not None
-            self.mask = self.logical_and(self.mask, self.load(self.loop_masks[-1].active_mask, TRUTH, LANE_COUNT))
+            self.mask = self.emit_logical_and(self.mask, self.load(self.loop_masks[-1].active_mask, TRUTH, LANE_COUNT))
 
     def _clear_mask(self, place: Number) -> None:
         """Remove the active iterations from the mask in a stack slot."""
         assert self.mask is not None
         self.store_number(
-            place, self.op("and", TRUTH, self.load(place, TRUTH, LANE_COUNT), self.invert(self.broadcast(self.mask)))
+            place, self.op("and", TRUTH, self.load(place, TRUTH, LANE_COUNT), self.emit_not(self.broadcast(self.mask)))
         )
 
     def exit_loop(self, is_break: bool) -> None:
@@ -156,10 +156,10 @@ class SimdWriter(StatementWriter):
         self.jump(head)
         self.begin_block(head)
         self.mask = self.load(turns.remaining_mask, TRUTH, LANE_COUNT)
-        active_mask = self.logical_and(self.mask, self.broadcast(self.emit_condition(test)))
+        active_mask = self.emit_logical_and(self.mask, self.broadcast(self.emit_condition(test)))
         self.store_number(turns.remaining_mask, active_mask)
         self.store_number(turns.active_mask, active_mask)
-        self.branch(self.any_lane(active_mask), inner, end)
+        self.branch(self.emit_any_lane(active_mask), inner, end)
         self.begin_block(inner)
         reached = self.reached_mask
         self.mask = self.reached_mask = active_mask
@@ -174,7 +174,7 @@ class SimdWriter(StatementWriter):
         self.loop_masks.pop()
         self.mask, self.is_reachable = outer_mask, True
         if any(isinstance(each, ast.Return) for statement in body for each in ast.walk(statement)):
-            self.mask = self.logical_and(outer_mask, self.load(self.loop_masks[-1].active_mask, TRUTH, LANE_COUNT))
+            self.mask = self.emit_logical_and(outer_mask, self.load(self.loop_masks[-1].active_mask, TRUTH, LANE_COUNT))
 
     def write_range_loop(
         self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt], write: Callable[[], None] | None = None
@@ -197,19 +197,19 @@ class SimdWriter(StatementWriter):
         self.jump(head)
         self.begin_block(head)
         at = self.load(number, INT, lanes)
-        active_mask = self.logical_and(
+        active_mask = self.emit_logical_and(
             self.load(turns.remaining_mask, TRUTH, LANE_COUNT), self.compare("lt" if step > 0 else "gt", at, end)
         )
         active_mask = self.broadcast(active_mask)
         self.store_number(turns.remaining_mask, active_mask)
         self.store_number(turns.active_mask, active_mask)
-        self.branch(self.any_lane(active_mask), inner, exit_label)
+        self.branch(self.emit_any_lane(active_mask), inner, exit_label)
         self.begin_block(inner)
         reached = self.reached_mask
         self.mask, self.reached_mask, self.variables[name] = active_mask, active_mask, at
         write()
         self.reached_mask = reached
-        self.store_number(number, self.apply_operator(ast.Pass(), ast.Add(), at, literal_number(step)))
+        self.store_number(number, self.apply_operator(ast.Pass(), ast.Add(), at, make_literal_number(step)))
         self.jump(head)
         self.begin_block(exit_label)
         self.variables.pop(name, None)
@@ -237,7 +237,7 @@ class SimdWriter(StatementWriter):
         self.branch(self.compare("lt" if step > 0 else "gt", at, end), inner, exit_label)
         self.begin_block(inner)
         yield at
-        self.store_number(number, self.apply_operator(ast.Pass(), ast.Add(), at, literal_number(step)))
+        self.store_number(number, self.apply_operator(ast.Pass(), ast.Add(), at, make_literal_number(step)))
         self.jump(head)
         self.begin_block(exit_label)
 
@@ -261,7 +261,7 @@ class SimdWriter(StatementWriter):
         if self.mask is None:
             super().write_return(node, item)
             return
-        if self.has_return and type_key(self._broadcast_item(item)) != type_key(self.result):
+        if self.has_return and make_type_key(self._broadcast_item(item)) != make_type_key(self.result):
             item = self.match_item(node, item, self.result)
         if not self.has_return:
             self.result_variables = [self.make_variable(self.broadcast(each)) for each in flatten_item(item)]
@@ -296,8 +296,8 @@ class SimdWriter(StatementWriter):
             return
         begin, end = self.convert(begin, INT), self.convert(end, INT)
         count = self.op("sub", INT, end, begin)
-        rest = self.op("and", INT, count, literal_number(-LANE_COUNT))
-        none = self.op("slt", TRUTH, count, literal_number(0))
+        rest = self.op("and", INT, count, make_literal_number(-LANE_COUNT))
+        none = self.op("slt", TRUTH, count, make_literal_number(0))
         middle = self.select(none, begin, self.op("add", INT, begin, rest))
         known, loops = dict(self.variables), self.loops
         with self._write_scalar_loop(begin, middle, LANE_COUNT) as at:
@@ -349,7 +349,7 @@ def write_function(unit: KernelUnit, part: Any, inputs: list[KernelItem], in_lan
     call.
 
     `in_lanes`: whether it runs several iterations in SIMD lanes. Its last argument is then the mask of the active iterations."""
-    key = (part, ",".join(type_key(each) for each in inputs) + ("," if in_lanes else ""))
+    key = (part, ",".join(make_type_key(each) for each in inputs) + ("," if in_lanes else ""))
     if key not in unit.specialisations:
         name = f"@{part.function.__name__}.{len(unit.specialisations)}"
         unit.specialisations[key] = name, None

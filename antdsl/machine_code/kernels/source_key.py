@@ -18,7 +18,7 @@ import numpy as np
 from antdsl import machine_code
 from antdsl.limits import MIB
 from antdsl.machine_code.kernels.checks import CHECKS_ENABLED
-from antdsl.machine_code.kernels.records import field_types, is_record, resolve_annotation
+from antdsl.machine_code.kernels.records import get_field_types, is_record, resolve_annotation
 from antdsl.machine_code.kernels.types import ArrayType, ScalarType
 from antdsl.safe_read import read_size_limited
 
@@ -29,7 +29,7 @@ class _UnknownSource(Exception):
     """Error for a value that cannot be compared between runs."""
 
 
-def source_key(part: Any, types: list[Any]) -> str | None:
+def compute_source_key(part: Any, types: list[Any]) -> str | None:
     """Return a key that identifies the text of a kernel with arguments of these types; None if there is none. No text begins like
     a key."""
     parts: list[str] = [_hash_compiler_sources(), f"checked {CHECKS_ENABLED}", *map(_describe_type, types)]
@@ -49,11 +49,11 @@ def _describe_type(type: Any) -> str:
     if isinstance(type, tuple):
         names = getattr(type, "_fields", ())
         return f"{type.__class__.__qualname__}{names}({','.join(map(_describe_type, type))})"
-    return _cached_repr(type)
+    return _get_cached_repr(type)
 
 
 @cache
-def _cached_repr(type: Any) -> str:
+def _get_cached_repr(type: Any) -> str:
     return repr(type)
 
 
@@ -118,7 +118,7 @@ def _describe_value(value: Any, names: list[str], parts: list[str], literal_valu
                 parts.append(name)
                 _describe_value(inner, [], parts, literal_value)
     elif is_record(value):
-        parts.append(f"record {value.__module__} {_describe_type(field_types(value))}")
+        parts.append(f"record {value.__module__} {_describe_type(get_field_types(value))}")
     elif isinstance(value, tuple):
         parts.append(f"{type(value).__qualname__} {len(value)}")
         for each in value:

@@ -14,7 +14,15 @@ from antdsl.machine_code.kernels.kernel_functions import simd_range
 from antdsl.machine_code.kernels.kernel_unit import KernelUnit, LoopLabels, StackVariable, result_type
 from antdsl.machine_code.kernels.records import rebuild_like
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED
-from antdsl.machine_code.kernels.values import Array, KernelItem, Number, flatten_item, has_arrays, literal_number, type_key
+from antdsl.machine_code.kernels.values import (
+    Array,
+    KernelItem,
+    Number,
+    flatten_item,
+    has_arrays,
+    make_literal_number,
+    make_type_key,
+)
 
 _MAX_UNROLLED_ITERATIONS = 4  # longer loops over constants are not unrolled
 
@@ -37,7 +45,7 @@ class StatementWriter(ExpressionEmitter):
         names = [each.arg for each in self.definition.args.args]
         if len(names) != len(inputs):
             self.fail(self.definition, f"{len(inputs)} arguments for {len(names)}")
-        changed = assigned_names(self.definition)
+        changed = count_assigned_names(self.definition)
         for name, item in zip(names, inputs, strict=True):
             if name in changed:
                 self.assign(self.definition, name, item)
@@ -62,7 +70,7 @@ class StatementWriter(ExpressionEmitter):
         """Return a value of the module as literals."""
         if isinstance(value, tuple):
             return rebuild_like(value, (self._literal_item(each) for each in value))
-        return literal_number(value)
+        return make_literal_number(value)
 
     def load_variables(self, item: Any) -> KernelItem:
         if isinstance(item, tuple):
@@ -90,7 +98,7 @@ class StatementWriter(ExpressionEmitter):
         return StackVariable(item.kind, self.allocate_slot(item.kind, item.lanes), item.lanes)
 
     def _assign_into(self, node: ast.AST, name: str, destination: Any, item: KernelItem) -> None:
-        """Assign an item to existing variables. Raises NotInSubset for another type."""
+        """Assign an item to existing variables. Raises NotInSubsetError for another type."""
         if isinstance(destination, tuple) and type(destination) is type(item) and len(destination) == len(item):
             for one, other in zip(destination, item, strict=True):
                 self._assign_into(node, name, one, other)
@@ -146,7 +154,11 @@ class StatementWriter(ExpressionEmitter):
         flat_array = Array(array.element_type, array.address, (count,), None, array.origin)
         with_number = ast.Name(id="~k")
         self._write_counted_loop(
-            "~k", literal_number(0), count, 1, lambda: self._store_item(node, flat_array, self.emit_number(with_number), item)
+            "~k",
+            make_literal_number(0),
+            count,
+            1,
+            lambda: self._store_item(node, flat_array, self.emit_number(with_number), item),
         )
 
     # --- statements ----------------------------------------------------------------------------------------------------
@@ -159,7 +171,7 @@ class StatementWriter(ExpressionEmitter):
             self.write_statement(each)
 
     def write_statement(self, node: ast.stmt) -> None:
-        """Write one statement. Raises NotInSubset for unsupported syntax."""
+        """Write one statement. Raises NotInSubsetError for unsupported syntax."""
         self.node, self.line = node, node.lineno
         match node:
             case ast.Expr(value=ast.Constant()) | ast.Pass():
@@ -180,7 +192,7 @@ class StatementWriter(ExpressionEmitter):
                 array = self.emit_item(of)
                 if not isinstance(array, Array):
                     self.fail(node, "only elements of arrays can be changed")
-                old_value = self._emit_index(augmented_target(node), array, index)
+                old_value = self._emit_index(get_augmented_target(node), array, index)
                 new_value = self.apply_operator(node, operator, old_value, self.emit_number(value))
                 self._store_item(node, array, self.compute_offset(node, array, index), new_value)
             case ast.If(test=test, body=then, orelse=other):
@@ -259,11 +271,11 @@ class StatementWriter(ExpressionEmitter):
             step = int(numbers[2].literal_value or 0) if len(numbers) == 3 else 1
             if step == 0:
                 self.fail(node, "the step must be a literal other than 0")
-            begin, end = (literal_number(0), numbers[0]) if len(numbers) == 1 else numbers[:2]
+            begin, end = (make_literal_number(0), numbers[0]) if len(numbers) == 1 else numbers[:2]
             if begin.literal_value is not None and end.literal_value is not None:
                 turns = range(int(begin.literal_value), int(end.literal_value), step)
                 if len(turns) <= _MAX_UNROLLED_ITERATIONS:
-                    self.write_unrolled_loop(node, target, [literal_number(k) for k in turns], body)
+                    self.write_unrolled_loop(node, target, [make_literal_number(k) for k in turns], body)
                     return
             if known is simd_range:
                 self.write_simd_loop(target.id, begin, end, body)
@@ -282,7 +294,7 @@ class StatementWriter(ExpressionEmitter):
             self._assign_target(node, target, self._emit_index(iterable, items, ast.Name(id=at)))
             self.write_block(body)
 
-        self.write_range_loop(at, literal_number(0), items.lengths[0], 1, body, write_iteration)
+        self.write_range_loop(at, make_literal_number(0), items.lengths[0], 1, body, write_iteration)
 
     def write_range_loop(
         self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt], write: Callable[[], None] | None = None
@@ -338,13 +350,13 @@ class StatementWriter(ExpressionEmitter):
         self.assign(self.definition, name, at)
         self._write_iteration(LoopLabels(following, exit_label), write)
         self.begin_block(following)
-        self.store_number(number, self.op("add", INT, at, literal_number(step)))
+        self.store_number(number, self.op("add", INT, at, make_literal_number(step)))
         self.jump(head)
         self.begin_block(exit_label)
 
     def write_return(self, node: ast.AST, item: KernelItem) -> None:
-        """Write `return`. Raises NotInSubset if an earlier result has another type."""
-        if self.has_return and type_key(item) != type_key(self.result):
+        """Write `return`. Raises NotInSubsetError if an earlier result has another type."""
+        if self.has_return and make_type_key(item) != make_type_key(self.result):
             item = self.match_item(node, item, self.result)
         if has_arrays(item):
             self.fail(node, "a kernel cannot return arrays")
@@ -363,8 +375,8 @@ class StatementWriter(ExpressionEmitter):
         self.emit_void("return", aggregate)
 
     def match_item(self, node: ast.AST, item: KernelItem, other: KernelItem) -> KernelItem:
-        """Return `item` converted to the type of `other`, an earlier result of the function. Raises NotInSubset if that is not
-        possible."""
+        """Return `item` converted to the type of `other`, an earlier result of the function. Raises NotInSubsetError if that is
+        not possible."""
         if isinstance(item, tuple) and type(item) is type(other) and len(item) == len(other):
             return rebuild_like(item, (self.match_item(node, a, b) for a, b in zip(item, other, strict=True)))
         if isinstance(item, Number) and isinstance(other, Number) and (item.literal_value is not None or item.kind == other.kind):
@@ -373,11 +385,11 @@ class StatementWriter(ExpressionEmitter):
 
 
 @lru_cache(maxsize=512)
-def assigned_names(definition: ast.FunctionDef) -> Counter[str]:
+def count_assigned_names(definition: ast.FunctionDef) -> Counter[str]:
     """Return the names that a function assigns, each with its number of assignments."""
     return Counter(each.id for each in ast.walk(definition) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store))
 
 
-def augmented_target(node: ast.AugAssign) -> ast.expr:
+def get_augmented_target(node: ast.AugAssign) -> ast.expr:
     """Return the target that an augmented assignment changes."""
     return node.target

@@ -51,11 +51,11 @@ if TYPE_CHECKING:
     U8: TypeAlias = Any
     BOOL: TypeAlias = Any
 
-    T = TypeVar("T", bound=np.generic)
-    Array1: TypeAlias = NDArray[T]
-    Array2: TypeAlias = NDArray[T]
-    Array3: TypeAlias = NDArray[T]
-    Strided2: TypeAlias = NDArray[T]
+    DtypeVariable = TypeVar("DtypeVariable", bound=np.generic)
+    Array1: TypeAlias = NDArray[DtypeVariable]
+    Array2: TypeAlias = NDArray[DtypeVariable]
+    Array3: TypeAlias = NDArray[DtypeVariable]
+    Strided2: TypeAlias = NDArray[DtypeVariable]
 
 else:
 

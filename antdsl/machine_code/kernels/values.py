@@ -35,7 +35,7 @@ class Number:
     type: str = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        self.type = llvm_type(self.kind, self.lanes)
+        self.type = format_llvm_type(self.kind, self.lanes)
 
     @property
     def has_several_lanes(self) -> bool:
@@ -60,7 +60,7 @@ class Number:
 
 
 @cache
-def llvm_type(kind: str, lanes: int = 1) -> str:
+def format_llvm_type(kind: str, lanes: int = 1) -> str:
     """Return the type of a kind in LLVM's language."""
     one = LLVM_TYPE_BY_KIND.get(kind, kind)
     return f"<{lanes} x {one}>" if lanes > 1 else one
@@ -80,7 +80,7 @@ class Array:
     origin: int = -1  # number of the kernel's argument, -1 for scratch
 
 
-def literal_number(value: Any) -> Number:
+def make_literal_number(value: Any) -> Number:
     """Return a literal as a number. Raises TypeError for any other value."""
     if isinstance(value, bool):
         return Number(TRUTH, "true" if value else "false", value)
@@ -117,11 +117,11 @@ def has_arrays(item: KernelItem) -> bool:
     return any(map(has_arrays, item)) if isinstance(item, tuple) else isinstance(item, Array)
 
 
-def type_key(item: KernelItem) -> str:
+def make_type_key(item: KernelItem) -> str:
     """Return a text for the types of an item. A function is written once for all arguments with equal texts."""
     if isinstance(item, tuple):
         record = "" if type(item) is tuple else f"{type(item).__module__}.{type(item).__qualname__}"
-        return f"{record}({','.join(type_key(each) for each in item)})"
+        return f"{record}({','.join(make_type_key(each) for each in item)})"
     if isinstance(item, Array):
         return f"[{item.element_type.name}{len(item.lengths)}{'s' if item.steps else ''}.{item.origin}]"
     return f"{item.kind}{item.lanes}" if item.has_several_lanes else str(item.kind)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from antdsl.machine_code.kernels.ir import IrBuilder, Value
+from antdsl.machine_code.kernels.ir import IrBuilder, NumberType
 from antdsl.machine_code.kernels.values import Number
 from antdsl.machine_code.number_kinds import F32, LANE_COUNT
 
 
-class Vectors(IrBuilder[Value]):
+class VectorBuilder(IrBuilder[NumberType]):
     """Writer of operations that move numbers between lanes."""
 
-    def broadcast(self, value: Value) -> Value:
+    def broadcast(self, value: NumberType) -> NumberType:
         """Return the value broadcast to all lanes."""
         if value.has_several_lanes:
             return value
@@ -22,11 +22,13 @@ class Vectors(IrBuilder[Value]):
         first = self.op("insertelement", value.kind, none, value, x=0)
         return self.op("shufflevector", value.kind, first, none, x=f"<{LANE_COUNT} x i32> zeroinitializer")
 
-    def extract_lane(self, value: Number, lane: int) -> Value:
+    def extract_lane(self, value: Number, lane: int) -> NumberType:
         """Return the number in one lane."""
         return self.op("extractelement", value.kind, value, x=lane, lanes=1)
 
-    def combine_lanes(self, values: Iterable[Value], lanes: int = LANE_COUNT, base_vector: Value | None = None) -> Value:
+    def combine_lanes(
+        self, values: Iterable[NumberType], lanes: int = LANE_COUNT, base_vector: NumberType | None = None
+    ) -> NumberType:
         """Return a vector with these single numbers in its first lanes. The remaining lanes come from `base_vector`, or are
         undefined if it is None."""
         for lane, value in enumerate(values):
@@ -35,19 +37,19 @@ class Vectors(IrBuilder[Value]):
         assert base_vector is not None
         return base_vector
 
-    def shuffle(self, a: Number, b: Number, order: Sequence[int]) -> Value:
+    def shuffle(self, a: Number, b: Number, order: Sequence[int]) -> NumberType:
         """Return a vector with the lanes at the indices `order` of a list: the lanes of `a`, then those of `b`."""
         text = f"<{len(order)} x i32> <{', '.join(f'i32 {each}' for each in order)}>"
         return self.op("shufflevector", a.kind, a, b, x=text, lanes=len(order))
 
-    def rotate_lanes(self, value: Number, lane_offset: int) -> Value:
+    def rotate_lanes(self, value: Number, lane_offset: int) -> NumberType:
         """Return a value in which each lane has the number of the lane `lane_offset` further on; after the last lane follows the
         first."""
         return self.shuffle(
             value, Number(value.kind, "poison", lanes=LANE_COUNT), [(k + lane_offset) % LANE_COUNT for k in range(LANE_COUNT)]
         )
 
-    def transpose_rows(self, rows: Sequence[Number]) -> list[Value]:
+    def transpose_rows(self, rows: Sequence[Number]) -> list[NumberType]:
         """Return the four columns of eight rows with four numbers each, in as few instructions as possible."""
         eight = range(LANE_COUNT)
         if rows[0].kind == F32:

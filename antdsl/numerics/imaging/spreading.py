@@ -23,7 +23,7 @@ class DiscTable(NamedTuple):
 
 
 @kernel
-def spread_lines(lines: Array2[F32], values: Array2[F32], max_steps: I64, sums: Array3[F32], begin: I64, end: I64) -> None:
+def add_line_averages(lines: Array2[F32], values: Array2[F32], max_steps: I64, sums: Array3[F32], begin: I64, end: I64) -> None:
     """Add the values (n, c) of samples to the pixels of their lines, in equal parts.
 
     `lines` (n, 4): column and row of both ends, in pixels. `sums` (h, w, c)."""
@@ -42,7 +42,7 @@ def spread_lines(lines: Array2[F32], values: Array2[F32], max_steps: I64, sums: 
 
 
 @kernel
-def spread_discs(
+def add_disc_averages(
     pixels: Array1[I64],
     values: Array2[F32],
     radius_steps: Array1[I64],

@@ -15,7 +15,7 @@ Floats = NDArray[Any]
 
 # Rotated, so that no plane across an axis of the world follows the lattice.
 PATTERN_ROTATION = np.array([[0.36, 0.48, -0.80], [-0.80, 0.60, 0.0], [0.48, 0.64, 0.60]], np.float32)
-_PERIOD = 32  # the pattern repeats after this many wavelengths
+_LATTICE_PERIOD = 32  # the pattern repeats after this many wavelengths
 
 
 def compute_value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, Floats]:
@@ -33,7 +33,7 @@ def compute_value_noise(points: Floats, wavelength: float, seed: int) -> tuple[F
 @lru_cache(maxsize=32)
 def make_noise_table(seed: int) -> Floats:
     """Return random values within −1..1 for the points of a periodic lattice."""
-    values = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, _PERIOD**3).astype(np.float32)
+    values = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, _LATTICE_PERIOD**3).astype(np.float32)
     values.setflags(write=False)
     return values
 
@@ -41,7 +41,7 @@ def make_noise_table(seed: int) -> Floats:
 @lru_cache(maxsize=8)
 def make_grain_table(seed: int) -> Floats:
     """Return, for each lattice cell, three coordinates of its grain and the grain's tone, within −1..1."""
-    draw = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, (_PERIOD**3, 4)).astype(np.float32)
+    draw = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, (_LATTICE_PERIOD**3, 4)).astype(np.float32)
     draw.setflags(write=False)
     return draw.reshape(-1)
 

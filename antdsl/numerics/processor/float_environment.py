@@ -1,7 +1,7 @@
 """The floating-point environment of a thread. A host may change the rounding from nearest, or flush denormal numbers to zero.
 
-A thread inherits the environment from the thread that starts it. Results that are computed within `standard_floats` do not depend
-on it."""
+A thread inherits the environment from the thread that starts it. Results that are computed within `use_standard_floats` do not
+depend on it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def set_standard_floats() -> None:
 
 
 @contextmanager
-def standard_floats() -> Iterator[None]:
+def use_standard_floats() -> Iterator[None]:
     """Use the standard float environment within the context, and restore the old one afterwards. If the environment is already
     standard, this costs about a microsecond."""
     library = None if has_standard_floats() else _load_c_library()

@@ -22,14 +22,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.memory import array_address
+from antdsl.machine_code.memory import get_array_address
 from antdsl.numerics import parallel
 from antdsl.numerics.processor.host import PARTS_PER_THREAD
 from antdsl.numerics.row_hash.loops import (
-    CONTIGUOUS_WORD,
-    HALVES_WORD,
-    ROW_NUMBER_WORD,
-    STRIDED_WORD,
+    CONTIGUOUS_WORD_KIND,
+    HALF_WORDS_KIND,
+    ROW_NUMBER_WORD_KIND,
+    STRIDED_WORD_KIND,
     TABLE_HEADER_WORDS,
     TABLE_WORDS_PER_WORD,
     build_llvm_text,
@@ -140,7 +140,7 @@ class HashTable:
 
     def __init__(self, columns: Sequence[NDArray[Any]], keys: Callable[[int], NDArray[np.int64]], *, ids: bool) -> None:
         self._column_forms = [_ColumnForm(each.dtype, each.strides, each.shape[1:], each.flags.c_contiguous) for each in columns]
-        words: list[tuple[int, list[_WordPart]]] = [] if ids else [(ROW_NUMBER_WORD, [])]
+        words: list[tuple[int, list[_WordPart]]] = [] if ids else [(ROW_NUMBER_WORD_KIND, [])]
         half: list[_WordPart] = []
         for k, column in enumerate(columns):
             size = column.itemsize
@@ -149,14 +149,14 @@ class HashTable:
                 raise ValueError("a column of fewer than four bytes per value must be contiguous")
             for offset in (0,) if column.ndim == 1 else [column.strides[1] * part for part in range(column.shape[1])]:
                 if size == 8:
-                    words.append((CONTIGUOUS_WORD if step == size else STRIDED_WORD, [(k, offset, step)]))
+                    words.append((CONTIGUOUS_WORD_KIND if step == size else STRIDED_WORD_KIND, [(k, offset, step)]))
                 elif half:
-                    words.append((HALVES_WORD, [*half, (k, offset, step)]))
+                    words.append((HALF_WORDS_KIND, [*half, (k, offset, step)]))
                     half = []
                 else:
                     half = [(k, offset, step)]
         if half:
-            words.append((HALVES_WORD, half * 2))
+            words.append((HALF_WORDS_KIND, half * 2))
         table: list[int] = []
         self._address_slots: list[list[tuple[int, int]]] = [
             [] for _ in columns
@@ -181,7 +181,7 @@ class HashTable:
                 return False
             if piece != form.is_contiguous:
                 return False
-            begin = array_address(column) if form.is_contiguous else column.ctypes.data
+            begin = get_array_address(column) if form.is_contiguous else column.ctypes.data
             for slot, offset in self._address_slots[k]:
                 self._table[slot] = begin + offset
         return True
@@ -192,9 +192,11 @@ class HashTable:
         chunks = 1 if threads < 2 else max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
         if len(self._chunk_headers) != chunks or self._chunks[-1, 2] != count:
             self._chunk_headers = np.zeros((chunks, TABLE_HEADER_WORDS), np.int64)
-            self._chunk_headers[:, 2:] = len(self._table) // TABLE_WORDS_PER_WORD, array_address(self._table)
+            self._chunk_headers[:, 2:] = len(self._table) // TABLE_WORDS_PER_WORD, get_array_address(self._table)
             ends = [count * k // chunks for k in range(chunks + 1)]
-            self._chunks = np.array([(array_address(self._chunk_headers[k]), *ends[k : k + 2]) for k in range(chunks)], np.int64)
+            self._chunks = np.array(
+                [(get_array_address(self._chunk_headers[k]), *ends[k : k + 2]) for k in range(chunks)], np.int64
+            )
         self._chunk_headers[:, :2] = 0
         parallel.call_for_each_row(_load_function(), self._chunks, threads)
         first, second = (sum(column) for column in self._chunk_headers[:, :2].T.tolist())

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 from antdsl.machine_code import llvm_compiler
 from antdsl.machine_code.entry_functions import write_inner_function
-from antdsl.machine_code.library import library_text
+from antdsl.machine_code.library import make_library_text
 from antdsl.machine_code.llvm_module import LlvmModule
 
-CONTIGUOUS_WORD, STRIDED_WORD, ROW_NUMBER_WORD, HALVES_WORD = range(4)  # kinds of words
+CONTIGUOUS_WORD_KIND, STRIDED_WORD_KIND, ROW_NUMBER_WORD_KIND, HALF_WORDS_KIND = range(4)  # kinds of words
 # Words of a table for each of the row's words: kind, two addresses each before the bytes of a step, four keys
 TABLE_WORDS_PER_WORD = 9
 TABLE_HEADER_WORDS = 4  # words of a call's table: both sums, number of words per row, address of the table of words
@@ -62,7 +62,7 @@ def _format_vector_constant(value: int) -> str:
     return "<" + ", ".join([f"i64 {value}"] * ROWS_PER_STEP) + ">"
 
 
-@library_text
+@make_library_text
 def build_llvm_text(target: llvm_compiler.Target) -> str:
     """Return the text to compile: a function of the table that adds the sums of rows from the first to before the last."""
     module = LlvmModule(target)
@@ -112,7 +112,7 @@ def _write_word_sums(w: _TextBuilder) -> None:
     begins = [
         w.add_pointer(column, "i8", w.add_value(f"mul i64 %first, {step}")) for column, step in zip(columns, steps, strict=True)
     ]
-    kind_tests = [w.add_value(f"icmp eq i64 {kind}, {each}") for each in (CONTIGUOUS_WORD, HALVES_WORD)]
+    kind_tests = [w.add_value(f"icmp eq i64 {kind}, {each}") for each in (CONTIGUOUS_WORD_KIND, HALF_WORDS_KIND)]
     in_place = w.add_value("xor i1 %few, true")
     pairs = kind_tests[1]
     for step in steps:
@@ -121,8 +121,8 @@ def _write_word_sums(w: _TextBuilder) -> None:
     w.append("br i1 %as.it.is, label %add, label %other\nother:\n  br i1 %as.pairs, label %pairs, label %gather")
     w.begin_block("gather")
     w.append(
-        f"switch i64 {kind}, label %halves [ i64 {CONTIGUOUS_WORD}, label %strided  i64 {STRIDED_WORD}, label %strided"
-        f"  i64 {ROW_NUMBER_WORD}, label %numbers ]"
+        f"switch i64 {kind}, label %halves [ i64 {CONTIGUOUS_WORD_KIND}, label %strided  i64 {STRIDED_WORD_KIND}, label %strided"
+        f"  i64 {ROW_NUMBER_WORD_KIND}, label %numbers ]"
     )
     w.begin_block("strided")
     _gather_values(w, "strided.loop", "strided", begins[0], steps[0], "i64", None)

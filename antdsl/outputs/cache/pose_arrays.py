@@ -43,7 +43,7 @@ from antdsl.outputs.cache import frame_loops
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.program.tables.columns import CLIP_COLUMNS, STANCE_COLUMNS
 from antdsl.runtime.feet.soles import compute_local_soles
-from antdsl.runtime.feet.wearers import measure_lowering
+from antdsl.runtime.feet.wearers import compute_crouch_lowering
 from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import CrowdData, WorldSetting
 
@@ -115,7 +115,7 @@ def make_feet_arrays(world: World, key: str, scale: float) -> dict[str, NDArray[
             for each in STANCE_COLUMNS
             if feet.soles or each.field != _SOLE_FIELD
         },
-        feet.id_ranks(),
+        feet.compute_id_ranks(),
     )
     of = parallel.make_contiguous(
         feet.shown.swapaxes(1, 2), feet.swing.T, feet.rise, feet.slope
@@ -123,7 +123,7 @@ def make_feet_arrays(world: World, key: str, scale: float) -> dict[str, NDArray[
     outputs = values["P"].reshape(n, 3 * legs), values["down"], values["rise"], values["tilt"]
     parallel.run_in_parts(partial(frame_loops.write_feet, *of, ranks, scale, *outputs), n, world.options.threads)
     values["phase"][ranks] = feet.phase
-    lowering = measure_lowering(world, key)
+    lowering = compute_crouch_lowering(world, key)
     if lowering is not None:
         values["rise"] -= lowering * np.float32(scale)
     if feet.soles:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from struct import Struct
 
 from antdsl.atomic_write import BytesParts
-from antdsl.numerics.check_sums import crc32
+from antdsl.numerics.check_sums import compute_crc32
 
 MAX_SHORT_SIZE = (1 << 31) - 1  # larger sizes and offsets are written in eight bytes
 MAX_SHORT_COUNT = (1 << 16) - 1  # members; the format stores larger counts in eight bytes
@@ -62,7 +62,7 @@ def make_stored_file(members: Iterable[tuple[MemberForm, memoryview]]) -> Stored
     entries: list[bytes] = []
     at = 0
     for form, rest in members:
-        check = crc32(rest, form.head_crc).to_bytes(4, "little")
+        check = compute_crc32(rest, form.head_crc).to_bytes(4, "little")
         prefix, suffix = form.header
         header = prefix + check + suffix
         headers.append(header)
@@ -108,7 +108,7 @@ def make_member_form(name: str, head: bytes, content_size: int) -> MemberForm:
     )
     prefix, suffix = _split_around_field(_make_blank_entry(words, flags, size, 0), _ENTRY_CRC_OFFSET)
     entry = prefix, *_split_around_field(suffix, _ENTRY_OFFSET_OFFSET - _ENTRY_CRC_OFFSET - 4)
-    return MemberForm(head, size, crc32(head), words, flags, _split_around_field(local, _LOCAL_CRC_OFFSET), entry)
+    return MemberForm(head, size, compute_crc32(head), words, flags, _split_around_field(local, _LOCAL_CRC_OFFSET), entry)
 
 
 def _split_around_field(record: bytes, offset: int) -> tuple[bytes, bytes]:
@@ -172,7 +172,7 @@ class _BlockReader:
             piece = self._read_next(count)
             if not piece:
                 raise NotStored
-            checksum, count = crc32(piece, checksum), count - len(piece)
+            checksum, count = compute_crc32(piece, checksum), count - len(piece)
         return checksum
 
     def read_rest(self) -> Iterator[bytes]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from antdsl.atomic_write import atomic_file, write_atomically
 from antdsl.bodies.body import rotate_vectors
-from antdsl.numerics.records import select_by_prefix, take_rows
+from antdsl.numerics.records import select_by_prefix, select_record_rows
 from antdsl.outputs.cache.cache_reader import Arrays, CacheError
 from antdsl.outputs.cache.frame_agents import find_species_rows, get_agent_ids, get_species_numbers, make_agent_keys
 from antdsl.outputs.cache.npz import encode_npz
@@ -183,7 +183,7 @@ def _read_stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> It
         events = EventRows(kind, of["species"].astype(np.int64), of["id"], place, normal, what, species, other, depth)
         if kind == "contact":
             new = np.array([pair not in known_pairs for pair in _list_contact_pairs(arrays)], np.bool_)
-            events = take_rows(events, new)
+            events = select_record_rows(events, new)
         yield events
 
 

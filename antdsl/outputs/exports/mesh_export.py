@@ -10,7 +10,7 @@ import numpy as np
 
 from antdsl.atomic_write import atomic_path
 from antdsl.bodies.body import rotate_vectors
-from antdsl.numerics.records import take_rows
+from antdsl.numerics.records import select_record_rows
 from antdsl.outputs.exports.mesh_files import MeshPart, write_mesh
 from antdsl.outputs.exports.poses_export import FEWER_AGENTS_ADVICE, NO_AGENTS_MESSAGE, BodyKey, list_crowds_by_body
 from antdsl.outputs.gallery import Gallery
@@ -139,7 +139,7 @@ def _pose_batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[
     orient = np.asarray(crowd.orient, np.float64)[rows]
     placed = rotate_vectors(orient, points.astype(np.float64)) * crowd.scale[rows, None, None] + crowd.position[rows, None]
     across = rotate_vectors(orient, normals.astype(np.float64))
-    own, tint = encode_srgb(worn.compute_colours(take_rows(crowd.driven_pose, rows))) / 255.0, worn.tint_weights[:, None]
+    own, tint = encode_srgb(worn.compute_colours(select_record_rows(crowd.driven_pose, rows))) / 255.0, worn.tint_weights[:, None]
     parts = []
     for k, row in enumerate(rows.tolist()):
         number, colours = int(crowd.ids[row]), own[k % len(own)] * (1 - tint) + tint * crowd.colour[row]

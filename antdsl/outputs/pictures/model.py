@@ -12,7 +12,7 @@ from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.poses import WorldPoses
 from antdsl.bodies.library import load_library_body
 from antdsl.bodies.posed_body import NO_DRIVEN_POSE, PosedBody
-from antdsl.numerics.records import take_rows
+from antdsl.numerics.records import select_record_rows
 from antdsl.scene.light_model import DEFAULT_LIGHT, LightSettings
 from antdsl.scene.looks import compute_drawn_radius
 
@@ -96,7 +96,10 @@ class Crowd:
 
         `body`: the crowd's body, or its `fine_body` or `coarse_body`."""
         return body.pose_vertices(
-            take_rows(self.machine_clips, rows), len(rows), self.select_feet(rows), driven_pose=take_rows(self.driven_pose, rows)
+            select_record_rows(self.machine_clips, rows),
+            len(rows),
+            self.select_feet(rows),
+            driven_pose=select_record_rows(self.driven_pose, rows),
         )
 
     def select_feet(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> BodySpaceFeet | None:
@@ -104,13 +107,13 @@ class Crowd:
         unknown."""
         if self.feet is None:
             return None
-        return take_rows(self.feet, rows).convert_to_body_space(
+        return select_record_rows(self.feet, rows).convert_to_body_space(
             *(np.asarray(each)[rows] for each in (self.position, self.orient, self.scale))
         )
 
     def select_rows(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
         """Return the crowd with only the agents in `rows`. It has no feelers, since their rows are not agents."""
-        return take_rows(replace(self, feelers=None), rows)
+        return select_record_rows(replace(self, feelers=None), rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

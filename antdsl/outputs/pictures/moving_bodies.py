@@ -10,7 +10,7 @@ from antdsl.bodies.body import build_orientations, build_rotation_matrices, comp
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.bodies.shapes import build_item_mesh
 from antdsl.casting.picture_rays import PictureRays
-from antdsl.numerics.records import take_rows
+from antdsl.numerics.records import select_record_rows
 from antdsl.outputs.pictures import surface_materials
 from antdsl.outputs.pictures.blur.shutter import Shutter
 from antdsl.outputs.pictures.camera import CameraView
@@ -290,7 +290,7 @@ def _pose_bodies(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: A
     bright = decode_srgb(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
     tint = body.tint_weights[None, :, None]
     tint = tint + (1 - tint) * (0.6 * plain[rows].astype(np.float32))[:, None, None]
-    colour = bright * tint + body.compute_colours(take_rows(crowd.driven_pose, rows)) * (1 - tint)
+    colour = bright * tint + body.compute_colours(select_record_rows(crowd.driven_pose, rows)) * (1 - tint)
     place = np.asarray(crowd.position, np.float64)[rows]
     return _make_part(np.matmul(local * long, turn), place, then, body.faces, np.matmul(normal, turn), colour, 0.5)
 

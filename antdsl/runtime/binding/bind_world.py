@@ -22,7 +22,7 @@ from antdsl.ground.solid import UnusableMeshReason, Volume
 from antdsl.ground.solid_feelers import SolidProximityQueries
 from antdsl.machine_code import llvm_compiler
 from antdsl.numerics import stages
-from antdsl.numerics.processor.float_environment import standard_floats
+from antdsl.numerics.processor.float_environment import use_standard_floats
 from antdsl.plan import ir
 from antdsl.plan.traverse import collect_required_nodes
 from antdsl.runtime.backends import BACKENDS
@@ -59,7 +59,7 @@ def _make_note_run(setting: WorldSetting) -> NoteRun | None:
     return NoteRun.of(setting)
 
 
-@standard_floats()
+@use_standard_floats()
 def bind(
     plan: ir.Plan, setting: WorldSetting, options: Options | None = None, *, binding_cache: BindingCache | None = None
 ) -> World:
@@ -76,7 +76,7 @@ def bind(
     return world
 
 
-@standard_floats()
+@use_standard_floats()
 def bind_empty(
     plan: ir.Plan,
     setting: WorldSetting,

@@ -26,17 +26,17 @@ from antdsl.numerics.kernel_vectors import (
     project_to_plane,
 )
 from antdsl.runtime.body_positions import LIFT_REGISTERS, compute_body_positions
-from antdsl.runtime.feet.wearers import Wearers
+from antdsl.runtime.feet.wearers import BodyWearers
 
 POSITION_ROW, UP_ROW = 0, 6  # first of the three rows of the position and of the direction up
-SIZE, PLAY = 12, 13
+SIZE_ROW, TRUNK_PLAY_ROW = 12, 13
 _TABLE_ROWS = 14
 _MAX_SHIFT_WITH_TRUNK_PLAY = 0.05  # body lengths; with a larger shift, a trunk does not follow the feet
 _MIN_SIZE = 1e-12
 _F = np.float32
 
 
-def compute_body_table(population: Wearers, buffer_name: str, threads: int) -> NDArray[np.float64]:
+def compute_body_table(population: BodyWearers, buffer_name: str, threads: int) -> NDArray[np.float64]:
     """Return the table of the bodies of a population, float64[14, n].
 
     `buffer_name`: the buffer for the table, which the next call with the same name overwrites."""
@@ -44,18 +44,18 @@ def compute_body_table(population: Wearers, buffer_name: str, threads: int) -> N
     (bodies,) = population.get_buffers(buffer_name, 1, (_TABLE_ROWS, n), np.float64)
     if n:
         columns = vec.get_vector_registers(now, "heading"), vec.get_vector_registers(now, "up"), now["size"]
-        work = partial(_place_bodies, np.ascontiguousarray(compute_body_positions(population).T), *columns, bodies)
+        work = partial(_write_body_table, np.ascontiguousarray(compute_body_positions(population).T), *columns, bodies)
         parallel.run_in_parts(work, n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
-        bodies[PLAY] = 1.0
+        bodies[TRUNK_PLAY_ROW] = 1.0
         if LIFT_REGISTERS[0] in now:
             x, y, z = (now[name].astype(np.float64) for name in LIFT_REGISTERS)
-            free = _MAX_SHIFT_WITH_TRUNK_PLAY * np.maximum(bodies[SIZE], _MIN_SIZE)
-            bodies[PLAY] -= np.minimum(np.sqrt(x * x + y * y + z * z) / free, 1.0)
+            free = _MAX_SHIFT_WITH_TRUNK_PLAY * np.maximum(bodies[SIZE_ROW], _MIN_SIZE)
+            bodies[TRUNK_PLAY_ROW] -= np.minimum(np.sqrt(x * x + y * y + z * z) / free, 1.0)
     return bodies
 
 
 @kernel
-def _place_bodies(
+def _write_body_table(
     position: Array2[F64], heading: VectorColumns, up: VectorColumns, size: Array1[F32], bodies: Array2[F64], begin: I64, end: I64
 ) -> None:
     """Write the table columns of bodies from `begin` to before `end`."""
@@ -78,24 +78,24 @@ def compute_orthonormal_axes(heading: Vec3, up: Vec3) -> tuple[Vec3, Vec3, Vec3]
     return ahead, straight, cross(ahead, straight)
 
 
-class Body(NamedTuple):
+class FootedBody(NamedTuple):
     """A body in the world: its `position` (mm), its unit vectors ahead, up and to the side, and its `size` (mm)."""
 
     position: Vec3
-    ahead: Vec3
+    forward_direction: Vec3
     up: Vec3
     side_direction: Vec3
     size: F64
 
 
 @inlined
-def read_body(bodies: Array2[F64], i: I64) -> Body:
-    """Return the body in column `i` of a table."""
-    place = bodies[0, i], bodies[1, i], bodies[2, i]
-    ahead = bodies[3, i], bodies[4, i], bodies[5, i]
-    up = bodies[6, i], bodies[7, i], bodies[8, i]
-    aside = bodies[9, i], bodies[10, i], bodies[11, i]
-    return Body(place, ahead, up, aside, bodies[12, i])
+def read_footed_body(bodies: Array2[F64], row: I64) -> FootedBody:
+    """Return the body in column `row` of a table."""
+    place = bodies[0, row], bodies[1, row], bodies[2, row]
+    ahead = bodies[3, row], bodies[4, row], bodies[5, row]
+    up = bodies[6, row], bodies[7, row], bodies[8, row]
+    aside = bodies[9, row], bodies[10, row], bodies[11, row]
+    return FootedBody(place, ahead, up, aside, bodies[12, row])
 
 
 @inlined
@@ -111,7 +111,7 @@ def prefetch_columns(table: Any, rows: I64, group_size: I64, begin: I64, end: I6
 
 
 @inlined
-def local_to_world(body: Body, x: F32, y: F32, z: F32) -> Vec3:
+def transform_to_world(body: FootedBody, x: F32, y: F32, z: F32) -> Vec3:
     """Return the world position (mm) of a point that is given in float32 body lengths."""
     place, ahead, up, aside, size = body
     a, b, c = np.float64(x) * size, np.float64(y) * size, np.float64(z) * size
@@ -123,7 +123,7 @@ def local_to_world(body: Body, x: F32, y: F32, z: F32) -> Vec3:
 
 
 @inlined
-def world_to_local(body: Body, position: Vec3) -> Vec3F32:
+def transform_to_body(body: FootedBody, position: Vec3) -> Vec3F32:
     """Return a world position (mm) relative to a body, in float32 body lengths: ahead, above, aside."""
     place, ahead, up, aside, size = body
     by = _F(1.0 / max(size, _MIN_SIZE))

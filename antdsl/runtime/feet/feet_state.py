@@ -17,13 +17,13 @@ from antdsl.program.tables.columns import FEET_COLUMNS
 
 Array = NDArray[Any]
 
-STANDING_SWING = np.float32(-1)  # value of `swing` for a standing foot
-NO_GROUND, PLANE_GROUND = -2, -1  # values of `on`
+SWING_PHASE_OF_STANDING_FOOT = np.float32(-1)  # value of `swing` for a standing foot
+NO_GROUND_NUMBER, PLANE_GROUND_NUMBER = -2, -1  # values of `on`
 _COLUMNS = {column.name: column for column in FEET_COLUMNS}
-_SHAPES = {name: column.shape for name, column in _COLUMNS.items()} | {"covered": (2, "n", "L"), "stood": (3, "n")}
+_SHAPE_BY_COLUMN = {name: column.shape for name, column in _COLUMNS.items()} | {"covered": (2, "n", "L"), "stood": (3, "n")}
 
 
-def zeros_by_leg(shape: Sequence[int], dtype: DTypeLike = np.float64) -> Array:
+def make_zeros_by_leg(shape: Sequence[int], dtype: DTypeLike = np.float64) -> Array:
     """Return an array of zeros [..., n, L] with a memory layout leg by leg.
 
     Operations on all legs then run along all agents at once, where n is large and L small. NumPy preserves that order in
@@ -31,27 +31,27 @@ def zeros_by_leg(shape: Sequence[int], dtype: DTypeLike = np.float64) -> Array:
     return np.zeros((*shape[:-2], shape[-1], shape[-2]), dtype).swapaxes(-1, -2)
 
 
-def _empty_columns(count: int, legs: int, soles: int) -> dict[str, Any]:
+def _make_empty_columns(count: int, legs: int, soles: int) -> dict[str, Any]:
     """Return all columns of `Feet` for `count` agents, filled with zeros."""
     shapes = {name: column.compute_dimensions(n=count, L=legs, S=soles) for name, column in _COLUMNS.items()}
     return {
-        name: zeros_by_leg(shapes[name], column.type) if _is_by_leg(name) else np.zeros(shapes[name], column.type)
+        name: make_zeros_by_leg(shapes[name], column.type) if _is_by_leg(name) else np.zeros(shapes[name], column.type)
         for name, column in _COLUMNS.items()
     }
 
 
 def _is_by_leg(name: str) -> bool:
     """Return whether a column has values for each leg, as its last axis."""
-    return _SHAPES[name][-1] in ("L", "S")
+    return _SHAPE_BY_COLUMN[name][-1] in ("L", "S")
 
 
-def _agent_axis(name: str) -> int:
+def _find_agent_axis(name: str) -> int:
     """Return the axis of a column that enumerates agents."""
-    return _SHAPES[name].index("n")
+    return _SHAPE_BY_COLUMN[name].index("n")
 
 
 @dataclass(slots=True, eq=False)
-class Feet:
+class FeetState:
     """The feet of n agents with L legs. Positions are mm in world coordinates, components first. S is L for bodies with flat
     soles, else 0.
 
@@ -93,9 +93,9 @@ class Feet:
     _cached_ranks: NDArray[np.int32] | None = field(default=None, init=False)
 
     @staticmethod
-    def empty(legs: int, soles: int = 0) -> Feet:
+    def make_empty(legs: int, soles: int = 0) -> FeetState:
         """Return the feet of an empty population."""
-        return Feet(**_empty_columns(0, legs, soles))
+        return FeetState(**_make_empty_columns(0, legs, soles))
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -113,17 +113,17 @@ class Feet:
     @property
     def is_standing(self) -> NDArray[np.bool_]:
         """Return which feet stand, bool[n, L]."""
-        return np.asarray(self.swing == STANDING_SWING)
+        return np.asarray(self.swing == SWING_PHASE_OF_STANDING_FOOT)
 
-    def stored_arrays(self) -> dict[str, Array]:
+    def get_stored_arrays(self) -> dict[str, Array]:
         """Return the stored arrays, by name, without copying."""
         return {name: getattr(self, name) for name in _COLUMNS}
 
-    def sorted_by_id(self) -> Feet:
+    def sort_by_id(self) -> FeetState:
         """Return the feet with rows sorted by id."""
         return self.match_ids(np.sort(self.ids))[0]
 
-    def id_ranks(self) -> NDArray[np.int32]:
+    def compute_id_ranks(self) -> NDArray[np.int32]:
         """Return the rank of each row in the order of ids."""
         if self._cached_ranks is None:
             self._cached_ranks = invert_order(sort_stably(self.ids))
@@ -135,21 +135,21 @@ class Feet:
         at, known = match_ids(ids, self.ids.take(order))
         return order.take(at, mode="clip") if order.size else at, known
 
-    def copy_common_agents(self, previous_feet: Feet) -> None:
+    def copy_common_agents(self, previous_feet: FeetState) -> None:
         """Copy the values of all agents that are also in `previous_feet` from there."""
         at, known = previous_feet._find_id_rows(self.ids)
-        for name, array in self.stored_arrays().items():
-            rows: tuple[Any, ...] = (slice(None),) * _agent_axis(name)
+        for name, array in self.get_stored_arrays().items():
+            rows: tuple[Any, ...] = (slice(None),) * _find_agent_axis(name)
             array[(*rows, known)] = getattr(previous_feet, name)[(*rows, at[known])]
 
-    def match_ids(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
+    def match_ids(self, ids: NDArray[np.int64]) -> tuple[FeetState, NDArray[np.intp]]:
         """Return the feet in the order of `ids`, and the rows of agents that had no feet. Their values are zero."""
         if np.array_equal(ids, self.ids):
             return self, np.zeros(0, np.intp)
         at, known = self._find_id_rows(ids)
         new = np.flatnonzero(~known)
-        columns: dict[str, Any] = {name: _select_rows(name, getattr(self, name), at, new) for name in _SHAPES}
-        return Feet(**columns | {"ids": ids.copy()}), new
+        columns: dict[str, Any] = {name: _select_rows(name, getattr(self, name), at, new) for name in _SHAPE_BY_COLUMN}
+        return FeetState(**columns | {"ids": ids.copy()}), new
 
 
 def _select_rows(name: str, array: Array | None, source_rows: NDArray[np.intp], new_rows: NDArray[np.intp]) -> Array | None:
@@ -158,10 +158,10 @@ def _select_rows(name: str, array: Array | None, source_rows: NDArray[np.intp], 
     Body positions of the previous step have NaN there."""
     if array is None:
         return None
-    axis, is_by_leg = _agent_axis(name), _is_by_leg(name)
+    axis, is_by_leg = _find_agent_axis(name), _is_by_leg(name)
     if not array.shape[axis]:
         shape = (*array.shape[:axis], len(source_rows), *array.shape[axis + 1 :])
-        picked = zeros_by_leg(shape, array.dtype) if is_by_leg else np.zeros(shape, array.dtype)
+        picked = make_zeros_by_leg(shape, array.dtype) if is_by_leg else np.zeros(shape, array.dtype)
     elif is_by_leg:
         picked = array.swapaxes(-1, -2).take(source_rows, axis=-1).swapaxes(-1, -2)
     else:
@@ -172,32 +172,32 @@ def _select_rows(name: str, array: Array | None, source_rows: NDArray[np.intp], 
     return picked
 
 
-def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
+def feet_hash(feet: Mapping[str, FeetState], threads: int = 1) -> str:
     """Return a hash of the feet of all species, or an empty text without feet. `state_hash` does not include feet."""
     if not feet:
         return ""
     digest = sha256()
     for name in sorted(feet):
         digest.update(f"\0{name}\0{len(feet[name])}".encode())
-        arrays = feet[name].stored_arrays()
+        arrays = feet[name].get_stored_arrays()
         ids = arrays.pop("ids")
         if not feet[name].soles:
-            arrays = {key: array for key, array in arrays.items() if "S" not in _SHAPES[key]}
-        columns = feet[name].row_hasher.split_columns(list(arrays.values()), [_agent_axis(key) == 1 for key in arrays])
+            arrays = {key: array for key, array in arrays.items() if "S" not in _SHAPE_BY_COLUMN[key]}
+        columns = feet[name].row_hasher.split_columns(list(arrays.values()), [_find_agent_axis(key) == 1 for key in arrays])
         digest.update(describe_columns(tuple(arrays), arrays.values()) + feet[name].row_hasher.hash_rows(ids, columns, threads))
     return digest.hexdigest()[:32]
 
 
-def feet_from_arrays(arrays: Mapping[str, Array], feet: Feet, ids: NDArray[np.int64]) -> Feet:
+def restore_feet(arrays: Mapping[str, Array], feet: FeetState, ids: NDArray[np.int64]) -> FeetState:
     """Return the feet from arrays that `Feet.stored_arrays` returned. `feet`: feet of the same body.
 
     Raises ValueError if the arrays do not match the legs and ids. Columns of flat soles may be missing if the body has none."""
-    columns = _empty_columns(len(ids), feet.legs, feet.soles)
+    columns = _make_empty_columns(len(ids), feet.legs, feet.soles)
     for name, column in columns.items():
-        array = arrays.get(name, column if "S" in _SHAPES[name] and not feet.soles else None)
+        array = arrays.get(name, column if "S" in _SHAPE_BY_COLUMN[name] and not feet.soles else None)
         if array is None or array.dtype != column.dtype or array.shape != column.shape:
             raise ValueError(f"`{name}` is missing or of another shape")
         column[...] = array
     if not np.array_equal(columns["ids"], ids):
         raise ValueError("the `ids` differ")
-    return Feet(**columns)
+    return FeetState(**columns)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import parallel
 from antdsl.runtime.feet import soles, stepping, trunk
-from antdsl.runtime.feet.body_tables import POSITION_ROW, SIZE, UP_ROW, compute_body_table
-from antdsl.runtime.feet.feet_state import NO_GROUND, STANDING_SWING, Feet, zeros_by_leg
+from antdsl.runtime.feet.body_tables import POSITION_ROW, SIZE_ROW, UP_ROW, compute_body_table
+from antdsl.runtime.feet.feet_state import NO_GROUND_NUMBER, SWING_PHASE_OF_STANDING_FOOT, FeetState, make_zeros_by_leg
 from antdsl.runtime.feet.foothold_search import FootGround, FootholdRequests, find_footholds
 from antdsl.runtime.feet.gaits import REST_X_ROW, REST_Z_ROW, Gaits
-from antdsl.runtime.feet.wearers import Wearers, find_wearers
+from antdsl.runtime.feet.wearers import BodyWearers, get_body_wearers
 from antdsl.runtime.world import World
 from antdsl.scene.crowds.body_choice import find_species_of_key
 from antdsl.scene.setting import LegsData
@@ -34,12 +34,12 @@ class LegsOfBody:
 
 def place_initial_feet(world: World) -> None:
     """Place the feet of all agents with legs on the ground, if feet are simulated."""
-    prepare_feet(world)
+    prepare_feet_of_bodies(world)
     if world.feet:
         step_feet(world)
 
 
-def prepare_feet(world: World) -> None:
+def prepare_feet_of_bodies(world: World) -> None:
     """Give a world empty feet for each body with legs, if feet are simulated."""
     world.feet, world.legs_by_species, world.foot_ground = {}, {}, None
     if not world.options.feet or world.periodic is not None:  # feet stay where they stand, also when their agent wraps
@@ -47,7 +47,7 @@ def prepare_feet(world: World) -> None:
     for name, legs in world.setting.legs.items():
         if find_species_of_key(name) in world.populations:
             soles = len(legs.foot) if legs.has_flat_soles else 0
-            world.feet[name], world.legs_by_species[name] = Feet.empty(len(legs.foot), soles), LegsOfBody(legs)
+            world.feet[name], world.legs_by_species[name] = FeetState.make_empty(len(legs.foot), soles), LegsOfBody(legs)
     if world.feet:
         world.foot_ground = FootGround(world)
 
@@ -55,12 +55,12 @@ def prepare_feet(world: World) -> None:
 def record_ground_covered(world: World) -> None:
     """Record how far the rest position of each foot moved over the ground in this step, before the ground itself moves."""
     for name, feet in world.feet.items():
-        population, walkers = find_wearers(world, name), world.legs_by_species[name]
+        population, walkers = get_body_wearers(world, name), world.legs_by_species[name]
         feet, new = feet.match_ids(population.ids)
         world.feet[name] = feet
         n = len(feet)
         bodies = compute_body_table(population, "bodies before the ground moves", world.options.threads)
-        feet.covered, feet.stood = zeros_by_leg((2, n, feet.legs), np.float32), bodies[POSITION_ROW : POSITION_ROW + 3]
+        feet.covered, feet.stood = make_zeros_by_leg((2, n, feet.legs), np.float32), bodies[POSITION_ROW : POSITION_ROW + 3]
         if n:
             is_new = np.zeros(n, np.bool_)
             is_new[new] = True
@@ -74,7 +74,7 @@ def record_ground_covered(world: World) -> None:
 def step_feet(world: World) -> None:
     """Move all feet to their positions in the new frame."""
     for name in world.feet:
-        _FeetStep(world, name, find_wearers(world, name), world.legs_by_species[name]).run()
+        _FeetStep(world, name, get_body_wearers(world, name), world.legs_by_species[name]).run_step()
 
 
 def _transpose_legs(array: NDArray[Any]) -> NDArray[Any]:
@@ -85,7 +85,7 @@ def _transpose_legs(array: NDArray[Any]) -> NDArray[Any]:
 class _FeetStep:
     """One step of the feet of n agents with the same body, with L legs."""
 
-    def __init__(self, world: World, name: str, population: Wearers, walkers: LegsOfBody) -> None:
+    def __init__(self, world: World, name: str, population: BodyWearers, walkers: LegsOfBody) -> None:
         assert world.foot_ground is not None
         self.world, self.foot_ground, self.species_legs, self.gaits = world, world.foot_ground, walkers, walkers.gaits
         self.population = population
@@ -95,7 +95,7 @@ class _FeetStep:
         self.bodies = compute_body_table(population, "bodies", self.threads)
         feet, (n, legs) = self.feet, self.feet.swing.shape
         if feet.covered is None:
-            feet.covered = zeros_by_leg((2, n, legs), np.float32)
+            feet.covered = make_zeros_by_leg((2, n, legs), np.float32)
         place_columns = tuple(_transpose_legs(each) for each in (feet.place, feet.start, feet.shown))
         states = tuple(_transpose_legs(each) for each in (feet.swing, feet.on, feet.found))
         self.covered = _transpose_legs(feet.covered)
@@ -109,11 +109,11 @@ class _FeetStep:
         (self.undermined,) = population.get_buffers("undermined", 1, (legs, n), np.bool_)
         (self.requests,) = population.get_buffers("requests of feet", 1, (n * legs,), np.int64)
 
-    def run(self) -> None:
+    def run_step(self) -> None:
         """Advance all feet by one frame."""
         feet, n = self.feet, len(self.feet)
         if n:
-            self._follow_ground()
+            self._move_feet_with_ground()
             self._place_newborn_feet()
             self._find_undermined_feet()
             self._plan_swings()
@@ -121,14 +121,16 @@ class _FeetStep:
             step_inputs = self.bodies, self.gaits.legs, self._compute_trunk_steps(), self.columns, self.pace, self.targets, last
             parallel.run_in_parts(partial(stepping.take_steps, *step_inputs), n, self.threads, _MIN_AGENTS_PER_THREAD)
             if feet.soles:
-                soles.turn_soles(self.world, self.foot_ground, feet, self.bodies[UP_ROW : UP_ROW + 3], self.targets[2].T)
+                soles.rotate_soles_to_ground(
+                    self.world, self.foot_ground, feet, self.bodies[UP_ROW : UP_ROW + 3], self.targets[2].T
+                )
         feet.covered = feet.stood = None
 
-    def _follow_ground(self) -> None:
+    def _move_feet_with_ground(self) -> None:
         """Move feet with the ground below them, and the start points of swings with the bodies."""
         feet = self.feet
         if self.foot_ground.moving_numbers:
-            self.foot_ground.move_places(self.world, feet.on, feet.face, feet.weight, feet.place)
+            self.foot_ground.move_positions_with_ground(self.world, feet.on, feet.face, feet.weight, feet.place)
             if feet.stood is not None:
                 displacement = self.bodies[POSITION_ROW : POSITION_ROW + 3] - feet.stood
                 feet.start += np.where(np.isfinite(displacement), displacement, 0.0)[:, :, None]
@@ -144,9 +146,9 @@ class _FeetStep:
             self.targets, (legs[REST_X_ROW], legs[REST_Z_ROW], np.zeros_like(legs[REST_X_ROW])), strict=False
         ):
             target[:, rows] = rest[:, None]
-        self.targets[-1][:, rows] = stepping.SEEKS_AGAIN
-        self._seek_ground((rows[:, None] << stepping.LEG_BITS | np.arange(feet.legs)).ravel())
-        feet.swing[rows] = np.where(feet.on[rows] == NO_GROUND, _F(1), STANDING_SWING)
+        self.targets[-1][:, rows] = stepping.SEARCHING_FOOT
+        self._find_footholds((rows[:, None] << stepping.REQUEST_LEG_BITS | np.arange(feet.legs)).ravel())
+        feet.swing[rows] = np.where(feet.on[rows] == NO_GROUND_NUMBER, _F(1), SWING_PHASE_OF_STANDING_FOOT)
         feet.start[:, rows] = feet.place[:, rows]
         feet.sole[:, rows] = feet.tread[:, rows]
 
@@ -158,7 +160,7 @@ class _FeetStep:
             volume = self.world.solids.get(name)
             rows = feet.on == k if volume is not None and volume.removed_volume > 0 else None
             if volume is not None and rows is not None and rows.any():
-                length = self.species_legs.legs.length.astype(np.float32) * self.bodies[SIZE][:, None]
+                length = self.species_legs.legs.length.astype(np.float32) * self.bodies[SIZE_ROW][:, None]
                 gap = np.maximum(_DUG_GAP_LEG_SHARE * length[rows], 0.02 * volume.voxel)
                 _transpose_legs(self.undermined)[rows] = volume.sample_distances(feet.place[:, rows].T) > gap
 
@@ -167,16 +169,16 @@ class _FeetStep:
         gaits, dt = self.gaits, self.dt
         times = dt, dt / _F(gaits.rest_cycle_seconds), dt / _F(gaits.max_swing_seconds), gaits.least_reach
         plan_inputs = (
-            self.bodies, self.covered, gaits.legs, gaits.tables, times, self.undermined, self.columns,
+            self.bodies, self.covered, gaits.legs, gaits.kernel_tables, times, self.undermined, self.columns,
             self.pace, self.targets, self.requests,
         )  # fmt: skip
         parts = parallel.run_in_parts(
             partial(stepping.plan_steps, *plan_inputs), len(self.feet), self.threads, _MIN_AGENTS_PER_THREAD
         )
-        self._seek_ground(parallel.join_parts(parts, self.requests)[0])
+        self._find_footholds(parallel.join_parts(parts, self.requests)[0])
 
-    def _seek_ground(self, requests: NDArray[np.int64]) -> None:
-        """Find ground for feet, and store it. `requests`: agents and legs, encoded as `stepping.LEG_BITS` describes."""
+    def _find_footholds(self, requests: NDArray[np.int64]) -> None:
+        """Find ground for feet, and store it. `requests`: agents and legs, encoded as `stepping.REQUEST_LEG_BITS` describes."""
         if requests.size:
             feet, gaits, targets = self.feet, self.gaits, self.targets
             goals, measures = (*targets[:3], targets[-1]), (gaits.legs, gaits.exact_legs)
@@ -193,12 +195,12 @@ class _FeetStep:
             columns = tuple(_transpose_legs(each) for each in (feet.place, feet.on, feet.face, feet.weight))
             seeking.store_ground(hits, columns, self.threads)
             if feet.soles:
-                which = requests >> stepping.LEG_BITS, requests & stepping.LEG_MASK
+                which = requests >> stepping.REQUEST_LEG_BITS, requests & stepping.REQUEST_LEG_MASK
                 up = self.bodies[UP_ROW : UP_ROW + 3, which[0]]
-                soles.measure_treads(self.world, self.foot_ground, feet, which, up)
+                soles.measure_tread_slopes(self.world, self.foot_ground, feet, which, up)
 
     def _compute_trunk_steps(self) -> tuple[np.float32, np.float32, np.float32]:
         """Return the argument `trunk_steps` of `stepping.take_steps`."""
         dt, legs = float(self.dt), self.species_legs.legs
         height = max(float((legs.hip[:, 1] - legs.foot[:, 1]).max()), 1e-3) * trunk.MAX_RISE_HIP_SHARE
-        return _F(dt / (dt + trunk.SETTLE_SECONDS)), _F(dt / (dt + trunk.RISE_SECONDS)), _F(height)
+        return _F(dt / (dt + trunk.TRUNK_SETTLING_SECONDS)), _F(dt / (dt + trunk.TRUNK_RISING_SECONDS)), _F(height)

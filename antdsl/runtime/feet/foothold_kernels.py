@@ -16,11 +16,11 @@ from antdsl.machine_code.kernels import allocate_scratch, inlined, kernel, simd_
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I16, I32, I64, U8, Array1, Array2, Array3
 from antdsl.numerics.kernel_vectors import dot, get_column, minus, plus, store_column
 from antdsl.numerics.sorting import compact_indices
-from antdsl.runtime.feet.body_tables import prefetch_columns, read_body
-from antdsl.runtime.feet.feet_state import NO_GROUND
+from antdsl.runtime.feet.body_tables import prefetch_columns, read_footed_body
+from antdsl.runtime.feet.feet_state import NO_GROUND_NUMBER
 from antdsl.runtime.feet.gaits import HIP_POSITION_ROW, MAX_LEG_STRETCH, MAX_SINK_SHARE
-from antdsl.runtime.feet.stepping import LEG_BITS, LEG_MASK, LIFTS, LegTable, TrunkColumns
-from antdsl.runtime.feet.trunk import tilt_point
+from antdsl.runtime.feet.stepping import LIFTING_FOOT, REQUEST_LEG_BITS, REQUEST_LEG_MASK, LegTable, TrunkColumns
+from antdsl.runtime.feet.trunk import rotate_point_by_slope
 
 _F = np.float32
 NEAR_HIT_LEG_SHARE = 0.3  # share of the leg length: a hit this near to the requested position is used
@@ -28,8 +28,8 @@ RAY_LENGTH_FACTOR = 1.6  # length of the first ray, as a multiple of the distanc
 _PREFETCH_GROUP_SIZE = 64  # rays or requests that are prefetched together
 _MIN_START_HEIGHT_SHARE = 0.2  # share of the leg length: least height of the search above a requested position
 
-# Start face of a ray: number of the ground << FACE_BITS | face; -1 without a start face.
-FACE_BITS, FACE_MASK = 32, 0xFFFFFFFF
+# Start face of a ray: number of the ground << REQUEST_FACE_BITS | face; -1 without a start face.
+REQUEST_FACE_BITS, REQUEST_FACE_MASK = 32, 0xFFFFFFFF
 HitColumns = tuple[Array1[F64], Array2[F64], Array1[I16], Array1[I32], Array2[F64]]  # as `GroundHits.columns`
 # Hip, target position, up of the body, greatest distance of the foot joint from the hip, and its height above the ground.
 SeekerColumns = tuple[Array2[F64], Array2[F64], Array2[F64], Array1[F64], Array1[F64]]
@@ -52,7 +52,7 @@ def aim_first_rays(
 ) -> None:
     """Compute the first ray of each request for ground from `begin` to before `end`, from the hip to the foot's target.
 
-    `requests`: agents and legs, encoded as `stepping.LEG_BITS` describes. `measures`: `Gaits.legs` and `Gaits.exact`.
+    `requests`: agents and legs, encoded as `stepping.REQUEST_LEG_BITS` describes. `measures`: `Gaits.legs` and `Gaits.exact`.
     Writes to `seekers` the positions of hips at landing and the target positions of feet, and to `rays` the displacements of the
     rays and their start faces. `start_faces`: the start face of each agent.
     `is_quick`: set for feet that lift; they search again when they land."""
@@ -65,16 +65,16 @@ def aim_first_rays(
         stop = min(group + _PREFETCH_GROUP_SIZE, end)
         until = min(stop + _PREFETCH_GROUP_SIZE, end)
         if stop < until:
-            following, last = requests[stop] >> LEG_BITS, (requests[until - 1] >> LEG_BITS) + 1
+            following, last = requests[stop] >> REQUEST_LEG_BITS, (requests[until - 1] >> REQUEST_LEG_BITS) + 1
             prefetch_columns(bodies, 13, 8, following, last)
             prefetch_columns(covered_ground, 2 * count, 16, following, last)
             for each in (target_x, target_z, left):
                 prefetch_columns(each, count, 16, following, last)
         for k in range(group, stop):
-            i, leg = requests[k] >> LEG_BITS, requests[k] & LEG_MASK
-            place, ahead, up, aside, size = read_body(bodies, i)
+            i, leg = requests[k] >> REQUEST_LEG_BITS, requests[k] & REQUEST_LEG_MASK
+            place, ahead, up, aside, size = read_footed_body(bodies, i)
             rise, slope = trunks[1], trunks[2]
-            x, y, z = tilt_point(
+            x, y, z = rotate_point_by_slope(
                 (slope[0, i], slope[1, i]),
                 (legs[HIP_POSITION_ROW, leg], legs[HIP_POSITION_ROW + 1, leg], legs[HIP_POSITION_ROW + 2, leg]),
             )
@@ -88,11 +88,11 @@ def aim_first_rays(
                 hips[axis, k], goals[axis, k], ups[axis, k] = hip, goal, up[axis]
                 steps[axis, k] = (goal - hip) * RAY_LENGTH_FACTOR
             longest[k], soles[k] = exact[0, leg] * size * MAX_LEG_STRETCH, exact[1, leg] * size
-            is_quick[k], starts[k] = what[leg, i] == LIFTS, start_faces[i]
+            is_quick[k], starts[k] = what[leg, i] == LIFTING_FOOT, start_faces[i]
 
 
 @kernel
-def cast_on_mesh(
+def cast_foot_rays_on_mesh(
     grid: GridTables,
     rings: RingTables,
     box: tuple[Array1[F64], Array1[F64]],
@@ -121,17 +121,17 @@ def cast_on_mesh(
                 tail, head = origins[axis, k], origins[axis, k] + displacements[axis, k]
                 inside = inside and min(tail, head) <= greatest[axis] and max(tail, head) >= least[axis]
             rays[k - low] = 1 if inside else 0
-            if rings[0].size > 0 and starts[k] >> FACE_BITS == number:
-                prefetch_first_face(rings, starts[k] & FACE_MASK)
+            if rings[0].size > 0 and starts[k] >> REQUEST_FACE_BITS == number:
+                prefetch_first_face(rings, starts[k] & REQUEST_FACE_MASK)
         if rings[0].size > 0:
             for k in simd_range(low, high):
-                if starts[k] >> FACE_BITS == number:
+                if starts[k] >> REQUEST_FACE_BITS == number:
                     a, w = get_column(origins, k), get_column(displacements, k)
-                    t, named = find_hit_by_walk(grid, rings, starts[k] & FACE_MASK, minus(a, zero), w)
+                    t, named = find_hit_by_walk(grid, rings, starts[k] & REQUEST_FACE_MASK, minus(a, zero), w)
                     if named != NEAREST_FACE_UNKNOWN:
                         rays[k - low] = 0
                     if named >= 0:
-                        starts[k] = number << FACE_BITS | named
+                        starts[k] = number << REQUEST_FACE_BITS | named
                         _store_nearer_hit(hits, k, number, t, a, w)
         near = compact_indices(rays, high - low)
         for n in range(near):
@@ -326,8 +326,8 @@ def store_footholds(
 ) -> None:
     """Store the ground found for the requests as the new footholds. A foot without ground hangs at its target position."""
     for k in range(begin, end):
-        i, leg = requests[k] >> LEG_BITS, requests[k] & LEG_MASK
-        foothold = get_column(seekers[1], k) if hits[2][k] == NO_GROUND else get_column(hits[1], k)
+        i, leg = requests[k] >> REQUEST_LEG_BITS, requests[k] & REQUEST_LEG_MASK
+        foothold = get_column(seekers[1], k) if hits[2][k] == NO_GROUND_NUMBER else get_column(hits[1], k)
         for axis in range(3):
             place[axis, leg, i] = foothold[axis]
         thing_numbers[leg, i], face[leg, i] = hits[2][k], hits[3][k]
@@ -362,6 +362,6 @@ def _copy_hit(target_hits: Any, k: Any, hits: Any, n: Any) -> None:
 
 @inlined
 def _clear_hit(hits: Any, k: Any) -> None:
-    hits[0][k], hits[2][k], hits[3][k] = np.inf, NO_GROUND, 0
+    hits[0][k], hits[2][k], hits[3][k] = np.inf, NO_GROUND_NUMBER, 0
     hits[4][0, k], hits[4][1, k] = 0.0, 0.0
     store_column(hits[1], k, (0.0, 0.0, 0.0))

@@ -20,9 +20,9 @@ from antdsl.ground.solid_feelers import SolidProximityQueries
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.feet import foothold_kernels
-from antdsl.runtime.feet.feet_state import NO_GROUND, PLANE_GROUND
-from antdsl.runtime.feet.foothold_kernels import FACE_BITS
-from antdsl.runtime.feet.wearers import Wearers
+from antdsl.runtime.feet.feet_state import NO_GROUND_NUMBER, PLANE_GROUND_NUMBER
+from antdsl.runtime.feet.foothold_kernels import REQUEST_FACE_BITS
+from antdsl.runtime.feet.wearers import BodyWearers
 from antdsl.runtime.moving.moving_geometry import compute_vertices
 from antdsl.runtime.world import World
 
@@ -39,12 +39,12 @@ _NO_RINGS = np.empty(0), np.empty(0, np.int32), np.empty(0, np.float32)  # for a
 class GroundHits:
     """Hits of k rays on the ground.
 
-    `ray_part` float64[k]: the share of the ray's length before the hit; inf without a hit. `position` float64[3, k]: of the hit
-    (mm). `on`, `face`, `weight`: the thing, the triangle and the weights of the hit, as in `Feet`."""
+    `ray_fraction` float64[k]: the share of the ray's length before the hit; inf without a hit. `position` float64[3, k]: of the
+    hit (mm). `thing_numbers`, `face`, `weight`: the thing, the triangle and the weights of the hit, as in `Feet`."""
 
-    ray_part: NDArray[np.float64]
+    ray_fraction: NDArray[np.float64]
     position: Vectors
-    on: NDArray[np.int16]
+    thing_numbers: NDArray[np.int16]
     face: NDArray[np.int32]
     weight: NDArray[np.float64]
 
@@ -52,18 +52,18 @@ class GroundHits:
     def empty(count: int) -> GroundHits:
         """Return hits for `count` rays without any hit."""
         return GroundHits(
-            np.full(count, np.inf), np.zeros((3, count)), np.full(count, NO_GROUND, np.int16), np.zeros(count, np.int32),
+            np.full(count, np.inf), np.zeros((3, count)), np.full(count, NO_GROUND_NUMBER, np.int16), np.zeros(count, np.int32),
             np.zeros((2, count)),
         )  # fmt: skip
 
     @property
     def columns(self) -> Arrays:
         """Return the arrays in the order that kernels expect."""
-        return self.ray_part, self.position, self.on, self.face, self.weight
+        return self.ray_fraction, self.position, self.thing_numbers, self.face, self.weight
 
     def replace_rows(self, rows: Rows, other: GroundHits) -> None:
         """Replace the hits of the given rows."""
-        self.ray_part[rows], self.on[rows], self.face[rows] = other.ray_part, other.on, other.face
+        self.ray_fraction[rows], self.thing_numbers[rows], self.face[rows] = other.ray_fraction, other.thing_numbers, other.face
         self.position[:, rows], self.weight[:, rows] = other.position, other.weight
 
 
@@ -86,18 +86,18 @@ class FootGround:
         }
         # By number of the ground: the bits of a start face above the face number.
         self._start_codes = np.array(
-            [self.names.index(name) << FACE_BITS if name in self.meshes else -1 for name in world.ground.names], np.int64
+            [self.names.index(name) << REQUEST_FACE_BITS if name in self.meshes else -1 for name in world.ground.names], np.int64
         )
         self._walked_meshes: set[int] = set()  # numbers of meshes that agents stand on
 
-    def find_start_faces(self, population: Wearers) -> Rows:
-        """Return the faces below agents, encoded as `foothold_kernels.FACE_BITS` describes. Rays near the bodies start there."""
+    def find_start_faces(self, population: BodyWearers) -> Rows:
+        """Return the faces below agents, encoded as `foothold_kernels.REQUEST_FACE_BITS` describes. Near rays start there."""
         columns = population.footing.columns
         if "face" not in columns or not self._start_codes.size:
             return np.full(len(population), -1)
         mesh, face = columns["mesh"], columns["face"]
         number = np.where(mesh >= 0, self._start_codes[mesh], -1)
-        self._walked_meshes.update((self._start_codes[np.flatnonzero(np.bincount(mesh + 1)[1:])] >> FACE_BITS).tolist())
+        self._walked_meshes.update((self._start_codes[np.flatnonzero(np.bincount(mesh + 1)[1:])] >> REQUEST_FACE_BITS).tolist())
         return np.where(number >= 0, number | face, -1)
 
     def cast_rays(
@@ -119,10 +119,10 @@ class FootGround:
             if not isinstance(obstacle, RayScene) or tables is None:
                 near = _find_rays_at_box(box, origin, displacement)
             else:
-                far = np.empty(len(hits.ray_part), np.int64)
+                far = np.empty(len(hits.ray_fraction), np.int64)
                 rings = obstacle.get_ring_tables(threads) if k in self._walked_meshes else None
                 work = partial(
-                    foothold_kernels.cast_on_mesh,
+                    foothold_kernels.cast_foot_rays_on_mesh,
                     tables,
                     rings or _NO_RINGS,
                     box,
@@ -178,7 +178,7 @@ class FootGround:
             hits.replace_rows(rows, self._make_hits(world, k, distance[nearer], place[nearer].T, face[nearer]))
         return hits
 
-    def move_places(
+    def move_positions_with_ground(
         self, world: World, thing_numbers: NDArray[np.int16], face: NDArray[np.int32], weight: Vectors, place: Vectors
     ) -> None:
         """Update positions `place` [3, …] on moving things to the current positions of these things."""
@@ -214,7 +214,7 @@ class FootGround:
         a, w = (each[:, near_rows] for each in rays)
         begin, step = np.ascontiguousarray(a.T), np.ascontiguousarray(w.T)
         which, part, _, face = obstacle.find_hits_along_step(begin, step, world.options.threads, is_hit_likely)
-        nearer = part < hits.ray_part[near_rows[which]]
+        nearer = part < hits.ray_fraction[near_rows[which]]
         which, part, face = which[nearer], part[nearer], face[nearer]
         hits.replace_rows(near_rows[which], self._make_hits(world, k, part, a[:, which] + w[:, which] * part, face))
 
@@ -224,7 +224,7 @@ class FootGround:
             hits.face = face.astype(np.int32)
             vertices = compute_vertices(world, self.names[k], world.display_frame)
             corners = tuple(vertices[self.meshes[self.names[k]].faces[face, corner]].T for corner in range(3))
-            hits.weight = _barycentric_weights(place, *corners)
+            hits.weight = _compute_barycentric_weights(place, *corners)
         return hits
 
 
@@ -232,7 +232,7 @@ class FootGround:
 class FootholdRequests:
     """Requests of feet for ground.
 
-    `requests` int64[k]: agent and leg, encoded as `stepping.LEG_BITS` describes.
+    `requests` int64[k]: agent and leg, encoded as `stepping.REQUEST_LEG_BITS` describes.
     `columns`: hip, target position and up of the body, (3, k); then two heights or lengths (mm), [k]. These are the largest
     distance of the foot joint from the hip, and the joint's height above its ground.
     `displacement` (3, k): from the hip to beyond the target (mm).
@@ -278,11 +278,11 @@ def find_footholds(world: World, foot_ground: FootGround, requests: FootholdRequ
     work = partial(foothold_kernels.mark_reachable_hits, requests.columns, hits.columns, requests.is_quick, fits, rows)
     (rows,) = parallel.join_parts(parallel.run_in_parts(work, count, threads, _MIN_RAYS_PER_THREAD), rows)
     if rows.size:
-        _search_around(world, foot_ground, requests, hits, fits, rows)
+        _search_with_detour_rays(world, foot_ground, requests, hits, fits, rows)
     return hits
 
 
-def _search_around(
+def _search_with_detour_rays(
     world: World,
     foot_ground: FootGround,
     requests: FootholdRequests,
@@ -313,7 +313,7 @@ def _search_around(
     if lost.size:
         rows, hips = rows[lost], np.ascontiguousarray(hips[:, lost])
         close = foot_ground.find_nearest(world, np.ascontiguousarray(requests.columns[1][:, rows]), reach)
-        sight = np.where(np.isfinite(close.ray_part), (close.position - hips) * (1.0 - _SIGHT_RAY_SHORTENING), 0.0)
+        sight = np.where(np.isfinite(close.ray_fraction), (close.position - hips) * (1.0 - _SIGHT_RAY_SHORTENING), 0.0)
         sight_hits = foot_ground.cast_rays(world, hips, sight, starts[lost])
         foothold_kernels.accept_visible_positions(
             requests.columns, rows, close.columns, sight_hits.columns, hits.columns, 0, len(rows)
@@ -346,10 +346,10 @@ def _cast_on_plane(world: World, origin: Vectors, displacement: Vectors, hits: G
     hit_rows = np.flatnonzero((part >= 0) & (part <= 1))
     place = origin[:, hit_rows] + displacement[:, hit_rows] * part[hit_rows]
     plane_hits = GroundHits.empty(hit_rows.size)
-    plane_hits.ray_part, plane_hits.position, plane_hits.on = (
+    plane_hits.ray_fraction, plane_hits.position, plane_hits.thing_numbers = (
         part[hit_rows],
         place,
-        np.full(hit_rows.size, PLANE_GROUND, np.int16),
+        np.full(hit_rows.size, PLANE_GROUND_NUMBER, np.int16),
     )
     hits.replace_rows(hit_rows, plane_hits)
 
@@ -363,14 +363,14 @@ def _cast_on_solid(
     unit = w / np.maximum(length, 1e-300)
     hits = obstacle.cast_feelers(a, unit, length)
     part = hits.t.astype(np.float64) / np.maximum(length, 1e-300)
-    hit_rows = np.flatnonzero(hits.hit & (part < ground_hits.ray_part[near_rows]))
+    hit_rows = np.flatnonzero(hits.hit & (part < ground_hits.ray_fraction[near_rows]))
     place = a[:, hit_rows] + w[:, hit_rows] * part[hit_rows]
     normal = np.stack([hits.nx[hit_rows], hits.ny[hit_rows], hits.nz[hit_rows]]).astype(np.float64)
     landed = obstacle.volume.project_to_surface(place.T, _normalise_rows(normal.T), 2 * obstacle.volume.voxel)
     good = landed.is_in_reach
     hit_rows = hit_rows[good]
     solid_hits = GroundHits.empty(hit_rows.size)
-    solid_hits.ray_part, solid_hits.position, solid_hits.on = (
+    solid_hits.ray_fraction, solid_hits.position, solid_hits.thing_numbers = (
         part[hit_rows],
         landed.points[good].T,
         np.full(hit_rows.size, k, np.int16),
@@ -391,7 +391,7 @@ def _compute_bounds(vertices: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
     return vertices.min(axis=0), vertices.max(axis=0)
 
 
-def _barycentric_weights(place: Vectors, a: Vectors, b: Vectors, c: Vectors) -> NDArray[np.float64]:
+def _compute_barycentric_weights(place: Vectors, a: Vectors, b: Vectors, c: Vectors) -> NDArray[np.float64]:
     """Return the barycentric weights float64[2, k] of the second and third corner, for positions in triangles."""
     u, v, w = b - a, c - a, place - a
     uu, uv, vv, wu, wv = vec.dot(u, u), vec.dot(u, v), vec.dot(v, v), vec.dot(w, u), vec.dot(w, v)

@@ -48,7 +48,7 @@ class Gaits:
         self.max_swing_seconds = max(
             (1.0 - slow.duty) * (slow.stride / slow.speed if slow.speed > 0 else _REST_CYCLE_SECONDS), 1e-3
         )
-        reach = _rest_reach(legs)
+        reach = _compute_rest_reach(legs)
         self.least_reach = reach.min()
         longest = legs.length * MAX_LEG_STRETCH
         rows = [
@@ -64,12 +64,12 @@ class Gaits:
         self.exact_legs = np.array([legs.length, legs.foot[:, 1]])
 
     @property
-    def tables(self) -> tuple[Floats, Floats, Floats]:
+    def kernel_tables(self) -> tuple[Floats, Floats, Floats]:
         """Return the speeds [g], the stride, duty factor and lift [g, 3], and the phases [g, L] of gaits, from slow to fast."""
         return self.speeds, self.values, self.phases
 
 
-class Gait(NamedTuple):
+class SelectedGait(NamedTuple):
     """A gait: its number, its stride (body lengths), its duty factor, and the lift of its feet (body lengths)."""
 
     number: I64
@@ -79,7 +79,7 @@ class Gait(NamedTuple):
 
 
 @inlined
-def find_gait(gaits: Any, speed: F32, frame_distance: F32, reach: F32) -> Gait:
+def select_gait(gaits: Any, speed: F32, frame_distance: F32, reach: F32) -> SelectedGait:
     """Return the gait of an agent at a speed (body lengths per second).
 
     `frame_distance`: the agent's displacement per frame (body lengths). `reach`: the reach of its shortest leg."""
@@ -99,7 +99,7 @@ def find_gait(gaits: Any, speed: F32, frame_distance: F32, reach: F32) -> Gait:
         stride = stride * speed / fastest
     stride = max(stride, frame_distance * _MIN_FRAMES_PER_CYCLE)
     # A foot stands only while its leg can reach it; an agent that covers more ground per cycle is in the air in between.
-    return Gait(k, stride, min(duty, _TWO * reach / stride), lift)
+    return SelectedGait(k, stride, min(duty, _TWO * reach / stride), lift)
 
 
 def compute_rest_positions(legs: LegsData) -> tuple[Floats, Floats]:
@@ -107,13 +107,13 @@ def compute_rest_positions(legs: LegsData) -> tuple[Floats, Floats]:
 
     A foot rests at its position in the standing body. If a stretched leg could not make a step from there, the rest position is
     nearer to the hip."""
-    down, ahead = legs.foot - legs.hip, _hip_reach(legs)
+    down, ahead = legs.foot - legs.hip, _compute_hip_reach(legs)
     most = ahead * (1.0 - REST_REACH_SHARE)
     x = legs.hip[:, 0] + np.clip(down[:, 0], -most, most)
     return np.asarray(x, np.float32), np.asarray(legs.foot[:, 2], np.float32)
 
 
-def _hip_reach(legs: LegsData) -> NDArray[np.float64]:
+def _compute_hip_reach(legs: LegsData) -> NDArray[np.float64]:
     """Return how far ahead of or behind its hip each foot can be (body lengths), with a slightly lowered trunk."""
     down = legs.hip - legs.foot
     length = legs.length * MAX_LEG_STRETCH
@@ -121,7 +121,7 @@ def _hip_reach(legs: LegsData) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(np.maximum(length * length - height * height - down[:, 2] * down[:, 2], 0.0)))
 
 
-def _rest_reach(legs: LegsData) -> Floats:
+def _compute_rest_reach(legs: LegsData) -> Floats:
     """Return how far ahead of or behind its rest position each foot can be (body lengths)."""
-    reach = _hip_reach(legs) - np.abs(compute_rest_positions(legs)[0].astype(np.float64) - legs.hip[:, 0])
+    reach = _compute_hip_reach(legs) - np.abs(compute_rest_positions(legs)[0].astype(np.float64) - legs.hip[:, 0])
     return np.asarray(np.maximum(reach, 0.05 * legs.length), np.float32)

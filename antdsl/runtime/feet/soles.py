@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from antdsl.casting.rays import RayScene
 from antdsl.ground.solid_feelers import SolidProximityQueries
 from antdsl.numerics import vectors as vec
-from antdsl.runtime.feet.feet_state import NO_GROUND, PLANE_GROUND, STANDING_SWING, Feet
+from antdsl.runtime.feet.feet_state import NO_GROUND_NUMBER, PLANE_GROUND_NUMBER, SWING_PHASE_OF_STANDING_FOOT, FeetState
 from antdsl.runtime.feet.foothold_search import FootGround
 from antdsl.runtime.moving.moving_geometry import compute_vertices
 from antdsl.runtime.world import World
@@ -19,14 +19,16 @@ Rows = NDArray[np.int64]
 Vectors = NDArray[np.float64]  # (3, k)
 
 
-def measure_treads(world: World, foot_ground: FootGround, feet: Feet, which: tuple[Rows, Rows], up: Vectors) -> None:
+def measure_tread_slopes(
+    world: World, foot_ground: FootGround, feet: FeetState, selected_feet: tuple[Rows, Rows], up: Vectors
+) -> None:
     """Write the normals of the ground at footholds to `tread`, on the side of the bodies.
 
-    `which`: the numbers [k] of agents, and of their legs. `up` [3, k]: the up directions of their bodies. Feet without ground get
-    these."""
-    things, place, threads = feet.on[which], feet.place[:, which[0], which[1]], world.options.threads
+    `selected_feet`: the numbers [k] of agents, and of their legs. `up` [3, k]: the up directions of their bodies. Feet without
+    ground get these."""
+    things, place, threads = feet.on[selected_feet], feet.place[:, selected_feet[0], selected_feet[1]], world.options.threads
     normals = np.array(up)
-    normals[:, things == PLANE_GROUND] = np.asarray(world.up, np.float64)[:, None]
+    normals[:, things == PLANE_GROUND_NUMBER] = np.asarray(world.up, np.float64)[:, None]
     for k, name in enumerate(foot_ground.names):
         rows = np.flatnonzero(things == k)
         obstacle, points = world.obstacles.get(name), np.ascontiguousarray(place[:, rows].T)
@@ -34,29 +36,31 @@ def measure_treads(world: World, foot_ground: FootGround, feet: Feet, which: tup
             normals[:, rows] = obstacle.volume.compute_upright_normals(points, up[:, rows].T).T
         elif rows.size and isinstance(obstacle, RayScene):
             is_moving = k in foot_ground.moving_numbers
-            faces = feet.face[which][rows] if is_moving else obstacle.find_closest(points, threads, _NORMAL_SEARCH_MM)[1]
+            faces = feet.face[selected_feet][rows] if is_moving else obstacle.find_closest(points, threads, _NORMAL_SEARCH_MM)[1]
             vertices = compute_vertices(world, name, world.display_frame)
             a, b, c = (vertices[foot_ground.meshes[name].faces[faces, corner]].T for corner in range(3))
             normal = vec.compute_stacked_cross(b - a, c - a)
             normals[:, rows] = normal / np.maximum(vec.length(normal), 1e-300)
-    feet.tread[:, which[0], which[1]] = normals * np.where(vec.dot(normals, up) < 0, -1.0, 1.0)
+    feet.tread[:, selected_feet[0], selected_feet[1]] = normals * np.where(vec.dot(normals, up) < 0, -1.0, 1.0)
 
 
-def turn_soles(world: World, foot_ground: FootGround, feet: Feet, up: Vectors, frames_left: NDArray[np.float32]) -> None:
+def rotate_soles_to_ground(
+    world: World, foot_ground: FootGround, feet: FeetState, up: Vectors, frames_left: NDArray[np.float32]
+) -> None:
     """Turn the soles of n agents: those of standing feet onto their ground, others towards the ground where they will land.
 
     `up`: float64[3, n], the up directions of bodies. `frames_left` [n, L]: the number of frames until a foot lands."""
-    stale = (feet.on == NO_GROUND) | np.isin(feet.on, foot_ground.moving_numbers)
+    stale = (feet.on == NO_GROUND_NUMBER) | np.isin(feet.on, foot_ground.moving_numbers)
     if stale.any():
         rows, legs = np.nonzero(stale)
-        measure_treads(world, foot_ground, feet, (rows, legs), up[:, rows])
-    share = np.where(feet.swing == STANDING_SWING, np.float32(1), 1 / (np.maximum(frames_left, 0) + np.float32(1)))
+        measure_tread_slopes(world, foot_ground, feet, (rows, legs), up[:, rows])
+    share = np.where(feet.swing == SWING_PHASE_OF_STANDING_FOOT, np.float32(1), 1 / (np.maximum(frames_left, 0) + np.float32(1)))
     turned = feet.sole + (feet.tread - feet.sole) * share
     size = vec.length(turned)
     feet.sole[:] = np.where(size > 0, turned / np.where(size > 0, size, 1), feet.tread)
 
 
-def compute_local_soles(feet: Feet) -> NDArray[np.float32]:
+def compute_local_soles(feet: FeetState) -> NDArray[np.float32]:
     """Return the directions across soles along the axes of the bodies, ahead, up and right: float32[n, L, 3].
 
     They are at most 45 degrees from the up direction of the body."""

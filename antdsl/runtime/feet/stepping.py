@@ -33,14 +33,14 @@ from antdsl.machine_code.kernels import (
 from antdsl.numerics.kernel_vectors import dot, minus
 from antdsl.runtime.feet import trunk
 from antdsl.runtime.feet.body_tables import (
-    PLAY,
+    TRUNK_PLAY_ROW,
     compute_orthonormal_axes,
-    local_to_world,
     prefetch_columns,
-    read_body,
-    world_to_local,
+    read_footed_body,
+    transform_to_body,
+    transform_to_world,
 )
-from antdsl.runtime.feet.feet_state import NO_GROUND, STANDING_SWING
+from antdsl.runtime.feet.feet_state import NO_GROUND_NUMBER, SWING_PHASE_OF_STANDING_FOOT
 from antdsl.runtime.feet.gaits import (
     FOOT_Y_ROW,
     HIP_POSITION_ROW,
@@ -52,7 +52,7 @@ from antdsl.runtime.feet.gaits import (
     REST_OFFSET_ROW,
     REST_X_ROW,
     REST_Z_ROW,
-    find_gait,
+    select_gait,
 )
 
 _F = np.float32
@@ -69,10 +69,10 @@ _MISSED_LIFT_REACH_SHARE = _F(0.3)  # share of the reach: a foot farther behind 
 _MIN_HIP_HEIGHT_SHARE = _F(0.1)  # share of the leg length: least height of the hip above the foot in distance tests
 _PHASE_OVERSHOOT = _F(1e-3)  # share of a cycle; the phase starts this much after the turn of the first foot
 _PREFETCH_GROUP_SIZE = 16  # number of agents that are prefetched together
-_MIN_COVER, _MIN_DIVISOR, _MAX_STANCE_FRAMES = _F(1e-6), _F(1e-9), _F(1e4)
+_MIN_COVERED_DISTANCE, _MIN_DIVISOR, _MAX_STANCE_FRAMES = _F(1e-6), _F(1e-9), _F(1e4)
 
-STAYS, LIFTS, LANDS, SEEKS_AGAIN = 0, 1, 2, 3  # values of `what`: the action of a foot in this step
-LEG_BITS, LEG_MASK = 16, 0xFFFF  # a request is: number of the agent << LEG_BITS | number of the leg
+STAYING_FOOT, LIFTING_FOOT, LANDING_FOOT, SEARCHING_FOOT = 0, 1, 2, 3  # values of `what`: the action of a foot in this step
+REQUEST_LEG_BITS, REQUEST_LEG_MASK = 16, 0xFFFF  # a request is: number of the agent << REQUEST_LEG_BITS | number of the leg
 
 LegTable = Array2[F32]  # as `Gaits.legs`
 GaitTables = tuple[Array1[F32], Array2[F32], Array2[F32]]  # as `Gaits.tables`
@@ -102,7 +102,7 @@ def measure_ground_covered(
     `last_pose`: position, heading and up of bodies at the end of the last frame. For `new` agents the result is 0."""
     position, heading, up = last_pose
     for i in simd_range(begin, end):
-        place, ahead, _, aside, size = read_body(bodies, i)
+        place, ahead, _, aside, size = read_footed_body(bodies, i)
         forward = np.float64(heading[0, i]), np.float64(heading[1, i]), np.float64(heading[2, i])
         above = np.float64(up[0, i]), np.float64(up[1, i]), np.float64(up[2, i])
         ahead_before, _, aside_before = compute_orthonormal_axes(forward, above)
@@ -136,9 +136,9 @@ def plan_steps(
     """Advance the phase of agents from `begin` to before `end`, and decide which of their feet lift and land, and where.
 
     Returns the index of the first request in `requests`, and the number of requests. `requests`: receives, from index
-    L * `begin` on, the feet that need ground, encoded as `LEG_BITS` describes. `undermined`: feet that lost their ground to
-    digging. `times`: frame duration (s), cycles per frame of an agent that puts its feet back, least share of a swing per frame,
-    and least reach of a leg (body lengths)."""
+    L * `begin` on, the feet that need ground, encoded as `REQUEST_LEG_BITS` describes. `undermined`: feet that lost their ground
+    to digging. `times`: frame duration (s), cycles per frame of an agent that puts its feet back, least share of a swing per
+    frame, and least reach of a leg (body lengths)."""
     count = legs.shape[1]
     dt, rests, swings, shortest = times
     place, start, _ = feet[0]
@@ -161,7 +161,7 @@ def plan_steps(
         for each in (rise, phase, stride, lift):
             prefetch(each, stop)
         for i in simd_range(group, stop):
-            body = read_body(bodies, i)
+            body = read_footed_body(bodies, i)
             lean, raised = (slope[0, i], slope[1, i]), rise[i] / _F(body.size)
             frame_distance = _ZERO
             for leg in range(count):
@@ -169,18 +169,18 @@ def plan_steps(
                     covered_ground[0, leg, i] * covered_ground[0, leg, i] + covered_ground[1, leg, i] * covered_ground[1, leg, i]
                 )
             frame_distance = frame_distance / _F(max(1, count))
-            gait, long, duty, high = find_gait(gaits, frame_distance / dt, frame_distance, shortest)
+            gait, long, duty, high = select_gait(gaits, frame_distance / dt, frame_distance, shortest)
             stride[i], lift[i] = long, high
             ahead = frame_distance / long
             still = ahead < _SLOW_CYCLES_PER_FRAME
             slow[i] = still
             restless, stands = False, True
             for leg in range(count):
-                local_foot = world_to_local(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
+                local_foot = transform_to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
                 at[0, leg, i], at[1, leg, i], at[2, leg, i] = local_foot
-                away = _rest_distance(legs, leg, local_foot, _hip_position(legs, leg, lean, raised))
+                away = _compute_rest_distance(legs, leg, local_foot, _compute_hip_position(legs, leg, lean, raised))
                 off[leg, i] = away
-                down = swing[leg, i] == STANDING_SWING
+                down = swing[leg, i] == SWING_PHASE_OF_STANDING_FOOT
                 if swing[leg, i] >= _ZERO or (down and away > legs[REST_OFFSET_ROW, leg] + rest_offset[leg, i]):
                     restless = True
                 if not down or not away <= legs[REST_OFFSET_ROW, leg]:
@@ -197,10 +197,10 @@ def plan_steps(
                 gap = min(gap, wait)
             advance = gap + _PHASE_OVERSHOOT if stands and not still and gap > ahead else ahead
             rate = min(max(ahead / (_ONE - duty), swings), _ONE)
-            stance = max(_ONE / max(ahead, _MIN_COVER) - _ONE / rate, _ZERO)  # number of frames of the stance
+            stance = max(_ONE / max(ahead, _MIN_COVERED_DISTANCE) - _ONE / rate, _ZERO)  # number of frames of the stance
             for leg in range(count):
                 local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
-                hip = _hip_position(legs, leg, lean, raised)
+                hip = _compute_hip_position(legs, leg, lean, raised)
                 x, z = local_foot[0] - legs[REST_X_ROW, leg], local_foot[2] - legs[REST_Z_ROW, leg]
                 cover_x, cover_z = covered_ground[0, leg, i], covered_ground[1, leg, i]
                 leg_phase = _wrap_phase(phase[i] + gaits[2][gait, leg])
@@ -215,15 +215,15 @@ def plan_steps(
                 lost = (
                     off[leg, i] > _MAX_OFFSET_REACHES * legs[LEG_REACH_ROW, leg]
                     or undermined[leg, i]
-                    or _is_too_far(legs, leg, local_foot, hip, _STRETCHED_LEG_SHARE)
+                    or _is_foot_too_far(legs, leg, local_foot, hip, _STRETCHED_LEG_SHARE)
                 )
-                down = swing[leg, i] == STANDING_SWING
+                down = swing[leg, i] == SWING_PHASE_OF_STANDING_FOOT
                 lifts = down and (due or lost)
                 flies = lifts or swing[leg, i] >= _ZERO
                 if lifts:
                     for axis in range(3):
                         start[axis, leg, i] = place[axis, leg, i]
-                progress, increment = STANDING_SWING, rate
+                progress, increment = SWING_PHASE_OF_STANDING_FOOT, rate
                 frames = _ZERO
                 if flies:
                     over = next_phase - duty
@@ -245,15 +245,15 @@ def plan_steps(
                 target_x[leg, i], target_z[leg, i], left[leg, i], share[leg, i] = to_x, to_z, frames, progress
                 miss_x, miss_z = local_foot[0] - to_x, local_foot[2] - to_z
                 most = legs[REST_OFFSET_ROW, leg] if still else _NEW_SEARCH_LEG_SHARE * legs[LEG_LENGTH_ROW, leg]
-                again = miss_x * miss_x + miss_z * miss_z > most * most or on[leg, i] == NO_GROUND
-                again = lands and (again or _is_too_far(legs, leg, local_foot, hip, _MAX_LEG_STRETCH))
-                what[leg, i] = (SEEKS_AGAIN if again else LANDS) if lands else (LIFTS if lifts else STAYS)
+                again = miss_x * miss_x + miss_z * miss_z > most * most or on[leg, i] == NO_GROUND_NUMBER
+                again = lands and (again or _is_foot_too_far(legs, leg, local_foot, hip, _MAX_LEG_STRETCH))
+                what[leg, i] = (SEARCHING_FOOT if again else LANDING_FOOT) if lands else (LIFTING_FOOT if lifts else STAYING_FOOT)
             phase[i] = _wrap_phase(phase[i] + advance)
     many = 0
     for i in range(begin, end):
         for leg in range(count):
-            if what[leg, i] == LIFTS or what[leg, i] == SEEKS_AGAIN:
-                requests[begin * count + many] = i << LEG_BITS | leg
+            if what[leg, i] == LIFTING_FOOT or what[leg, i] == SEARCHING_FOOT:
+                requests[begin * count + many] = i << REQUEST_LEG_BITS | leg
                 many += 1
     return begin * count, many
 
@@ -296,29 +296,31 @@ def take_steps(
         for each in (rise, stride, lift):
             prefetch(each, stop)
         for i in simd_range(group, stop):
-            body = read_body(bodies, i)
+            body = read_footed_body(bodies, i)
             size = _F(body.size)
             lean, raised = (slope[0, i], slope[1, i]), rise[i] / size
             for leg in range(count):
-                lands = what[leg, i] >= LANDS
-                swing[leg, i] = STANDING_SWING if lands and on[leg, i] != NO_GROUND else share[leg, i]
-                local_foot = world_to_local(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
+                lands = what[leg, i] >= LANDING_FOOT
+                swing[leg, i] = SWING_PHASE_OF_STANDING_FOOT if lands and on[leg, i] != NO_GROUND_NUMBER else share[leg, i]
+                local_foot = transform_to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
                 at[0, leg, i], at[1, leg, i], at[2, leg, i] = local_foot
                 if not slow[i]:
                     rest_offset[leg, i] = _ZERO
                 elif lands:
-                    rest_offset[leg, i] = _rest_distance(legs, leg, local_foot, _hip_position(legs, leg, lean, raised))
-            height, ahead, aside = trunk.fit_plane(at, on, count, i)
-            play = _F(bodies[PLAY, i])
+                    rest_offset[leg, i] = _compute_rest_distance(
+                        legs, leg, local_foot, _compute_hip_position(legs, leg, lean, raised)
+                    )
+            height, ahead, aside = trunk.fit_plane_to_feet(at, on, count, i)
+            play = _F(bodies[TRUNK_PLAY_ROW, i])
             height, ahead, aside = min(max(height, -highest * play), highest), ahead * play, aside * play
             tilt = lean[0] + (ahead - lean[0]) * slower, lean[1] + (aside - lean[1]) * slower
             raised = raised + (height - raised) * (faster if height > raised else slower)
-            high = trunk.lower_trunk(at, swing, legs, raised, tilt, -highest * play, i) * size
+            high = trunk.compute_lowered_trunk_rise(at, swing, legs, raised, tilt, -highest * play, i) * size
             torn = False
             for leg in range(count):
                 local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
-                if swing[leg, i] == STANDING_SWING and _is_too_far(
-                    legs, leg, local_foot, _hip_position(legs, leg, tilt, high / size), _STRETCHED_LEG_SHARE
+                if swing[leg, i] == SWING_PHASE_OF_STANDING_FOOT and _is_foot_too_far(
+                    legs, leg, local_foot, _compute_hip_position(legs, leg, tilt, high / size), _STRETCHED_LEG_SHARE
                 ):
                     torn = True
             if not torn:  # otherwise the trunk stays, so that all standing feet remain in reach
@@ -326,11 +328,13 @@ def take_steps(
             lean, raised = (slope[0, i], slope[1, i]), rise[i] / size
             for leg in range(count):
                 if swing[leg, i] >= _ZERO:
-                    swing_start = world_to_local(body, (start[0, leg, i], start[1, leg, i], start[2, leg, i]))
+                    swing_start = transform_to_body(body, (start[0, leg, i], start[1, leg, i], start[2, leg, i]))
                     local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
-                    hip = _hip_position(legs, leg, lean, raised)
-                    x, y, z = _swing_position(legs, leg, (swing_start, local_foot, hip), swing[leg, i], stride[i], lift[i])
-                    foot = local_to_world(body, x, y, z)
+                    hip = _compute_hip_position(legs, leg, lean, raised)
+                    x, y, z = _compute_swing_position(
+                        legs, leg, (swing_start, local_foot, hip), swing[leg, i], stride[i], lift[i]
+                    )
+                    foot = transform_to_world(body, x, y, z)
                     current_place[0, leg, i], current_place[1, leg, i], current_place[2, leg, i] = foot
                 else:
                     for axis in range(3):
@@ -347,16 +351,16 @@ def _wrap_phase(turns: Any) -> Any:
 
 
 @inlined
-def _hip_position(legs: Any, leg: Any, slope: Any, rise: Any) -> Any:
+def _compute_hip_position(legs: Any, leg: Any, slope: Any, rise: Any) -> Any:
     """Return the position of a leg's hip, for a trunk that leans by `slope` and is raised."""
-    x, y, z = trunk.tilt_point(
+    x, y, z = trunk.rotate_point_by_slope(
         slope, (legs[HIP_POSITION_ROW, leg], legs[HIP_POSITION_ROW + 1, leg], legs[HIP_POSITION_ROW + 2, leg])
     )
     return x, y + rise, z
 
 
 @inlined
-def _rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
+def _compute_rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
     """Return the distance (body lengths) of a foot from its rest position.
 
     This is the lesser of two distances: along the ground, and from the line from the hip through the rest position."""
@@ -368,7 +372,7 @@ def _rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
 
 
 @inlined
-def _is_too_far(legs: Any, leg: Any, local_foot: Any, hip: Any, max_share: Any) -> Any:
+def _is_foot_too_far(legs: Any, leg: Any, local_foot: Any, hip: Any, max_share: Any) -> Any:
     """Return whether a foot is farther from its hip than the share `max_share` of its leg length, with the trunk as low as
     allowed."""
     length = legs[LEG_LENGTH_ROW, leg]
@@ -380,7 +384,7 @@ def _is_too_far(legs: Any, leg: Any, local_foot: Any, hip: Any, max_share: Any) 
 
 
 @inlined
-def _swing_position(legs: Any, leg: Any, end_points: Any, progress: Any, stride: Any, lift: Any) -> Any:
+def _compute_swing_position(legs: Any, leg: Any, end_points: Any, progress: Any, stride: Any, lift: Any) -> Any:
     """Return the position of a foot on its arc, no farther from the hip than the leg reaches."""
     swing_start, local_foot, hip = end_points
     eased = progress * progress * (_THREE - _TWO * progress)

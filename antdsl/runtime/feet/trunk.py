@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import inlined
-from antdsl.runtime.feet.feet_state import NO_GROUND, STANDING_SWING
+from antdsl.runtime.feet.feet_state import NO_GROUND_NUMBER, SWING_PHASE_OF_STANDING_FOOT
 from antdsl.runtime.feet.gaits import FOOT_Y_ROW, HIP_POSITION_ROW, SQUARED_LENGTH_ROW
 
 Floats = NDArray[np.float32]
@@ -20,21 +20,24 @@ _ZERO, _ONE, _INFINITE = _F(0), _F(1), _F(np.inf)
 
 MAX_TRUNK_SLOPE = _F(0.35)  # maximum slope of the trunk relative to the body's up: 19 degrees
 MAX_RISE_HIP_SHARE = 0.3  # share of the hip height: maximum offset of the trunk
-SETTLE_SECONDS, RISE_SECONDS = (0.06, 0.2)  # time constants (s) of a new tilt or lower height, and of a greater height
+TRUNK_SETTLING_SECONDS, TRUNK_RISING_SECONDS = (
+    0.06,
+    0.2,
+)  # time constants (s) of a new tilt or lower height, and of a greater height
 _PLANE_FIT_DAMPING = _F(0.02)  # damping (squared length): keeps a plane through feet that are close together level
 _MIN_PLANE_FEET = _F(3)  # least number of feet for a plane; with fewer, the trunk does not tilt
 _MIN_SQUARED_SLOPE = _F(1e-6)
 
 
 @inlined
-def fit_plane(points: Any, ground_numbers: Any, legs: Any, i: Any) -> Any:
+def fit_plane_to_feet(points: Any, ground_numbers: Any, legs: Any, i: Any) -> Any:
     """Fit a plane to the ground below the feet of agent `i`. Return its height, and its slopes ahead and aside.
 
     `points` [3, L, n]: the ground position of each foot. `ground_numbers` [L, n]: the thing that the foot stands on, as
     `Feet.on`."""
     count, mean_x, mean_y, mean_z = _ZERO, _ZERO, _ZERO, _ZERO
     for leg in range(legs):
-        weight = _ONE if ground_numbers[leg, i] != NO_GROUND else _ZERO
+        weight = _ONE if ground_numbers[leg, i] != NO_GROUND_NUMBER else _ZERO
         count = count + weight
         mean_x, mean_y = mean_x + points[0, leg, i] * weight, mean_y + points[1, leg, i] * weight
         mean_z = mean_z + points[2, leg, i] * weight
@@ -42,7 +45,7 @@ def fit_plane(points: Any, ground_numbers: Any, legs: Any, i: Any) -> Any:
     mean_x, mean_y, mean_z = mean_x * per, mean_y * per, mean_z * per
     xx, zz, xz, xy, zy = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
     for leg in range(legs):
-        weight = _ONE if ground_numbers[leg, i] != NO_GROUND else _ZERO
+        weight = _ONE if ground_numbers[leg, i] != NO_GROUND_NUMBER else _ZERO
         x, y = (points[0, leg, i] - mean_x) * weight, (points[1, leg, i] - mean_y) * weight
         z = (points[2, leg, i] - mean_z) * weight
         xx, zz, xz, xy, zy = xx + x * x, zz + z * z, xz + x * z, xy + x * y, zy + z * y
@@ -58,22 +61,22 @@ def fit_plane(points: Any, ground_numbers: Any, legs: Any, i: Any) -> Any:
 
 
 @inlined
-def lower_trunk(points: Any, swing_phases: Any, legs: Any, rise: Any, slope: Any, min_rise: Any, i: Any) -> Any:
+def compute_lowered_trunk_rise(points: Any, swing_phases: Any, legs: Any, rise: Any, slope: Any, min_rise: Any, i: Any) -> Any:
     """Return the rise of a trunk, lowered as far as the legs of its standing feet require. The trunk leans by `slope`."""
     most = _INFINITE
     for leg in range(legs.shape[1]):
-        x, y, z = tilt_point(
+        x, y, z = rotate_point_by_slope(
             slope, (legs[HIP_POSITION_ROW, leg], legs[HIP_POSITION_ROW + 1, leg], legs[HIP_POSITION_ROW + 2, leg])
         )
         dx, dz = points[0, leg, i] - x, points[2, leg, i] - z
         square = legs[SQUARED_LENGTH_ROW, leg] - dx * dx - dz * dz
-        if swing_phases[leg, i] == STANDING_SWING and square > _ZERO:
+        if swing_phases[leg, i] == SWING_PHASE_OF_STANDING_FOOT and square > _ZERO:
             most = min(most, points[1, leg, i] + legs[FOOT_Y_ROW, leg] + np.sqrt(max(square, _ZERO)) - y)
     return max(min(rise, most), min(rise, min_rise))
 
 
 @inlined
-def tilt_point(slope: Any, point: Any) -> Any:
+def rotate_point_by_slope(slope: Any, point: Any) -> Any:
     """Rotate a point of a trunk from the trunk's up to the normal of a plane.
 
     `slope`: the plane's slopes ahead and aside."""

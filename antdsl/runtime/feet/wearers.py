@@ -19,7 +19,7 @@ from antdsl.scene.crowds.body_choice import find_number_of_key, find_species_of_
 _REGISTERS = (*(f"{name}.{axis}" for name in ("heading", "up") for axis in AXES), "size")
 
 
-class Wearers(Protocol):
+class BodyWearers(Protocol):
     """Agents with one body: all of a population, or some of its rows."""
 
     @property
@@ -45,7 +45,7 @@ class Wearers(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WearersInRows:
+class BodyWearersInRows:
     """The agents of a population in the given `rows`, which all have the body `key`. Implements `Wearers`."""
 
     population: Population
@@ -66,7 +66,7 @@ class WearersInRows:
         return self.population.footing.select_rows(self.rows)
 
 
-def find_wearers(world: World, key: str) -> Wearers:
+def get_body_wearers(world: World, key: str) -> BodyWearers:
     """Return the agents that have the body `key`."""
     population = world.populations[find_species_of_key(key)]
     parts = group_rows_by_body(population, world.setting)
@@ -75,10 +75,10 @@ def find_wearers(world: World, key: str) -> Wearers:
         return population
     names = (*_REGISTERS, *(name for name in LIFT_REGISTERS if name in population.now))
     registers = {name: population.now[name].take(rows) for name in names}
-    return WearersInRows(population, key, rows, population.ids.take(rows), population.position.take(rows, axis=0), registers)
+    return BodyWearersInRows(population, key, rows, population.ids.take(rows), population.position.take(rows, axis=0), registers)
 
 
-def measure_lowering(world: World, key: str) -> NDArray[np.float32] | None:
+def compute_crouch_lowering(world: World, key: str) -> NDArray[np.float32] | None:
     """Return by how much (mm) the bodies `key` are lowered because they crouch, in the order of ids.
 
     None for a species that does not crouch."""

@@ -119,7 +119,7 @@ def _render_mask(operands: list[Any]) -> str:
 
 def guard_call(run: Callable[..., Any], code: LoadedCode) -> Callable[..., Any]:
     """Return a function that calls a checked kernel and raises KernelFault if a check fails."""
-    word = ctypes.c_int64.from_address(code.constant_address(_FAULT_VARIABLE))
+    word = ctypes.c_int64.from_address(code.get_constant_address(_FAULT_VARIABLE))
 
     @wraps(run, assigned=())
     def call_guarded(*arguments: Any) -> Any:

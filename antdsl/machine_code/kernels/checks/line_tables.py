@@ -36,7 +36,7 @@ class LineTables:
 
     def begin_function(self, name: str, file_name: str, line: int) -> str:
         """Add a function. Return the suffix of its head, which refers to its metadata."""
-        file = self._add_node(f'!DIFile(filename: "{_escape_name(_relative_path(file_name))}", directory: "")')
+        file = self._add_node(f'!DIFile(filename: "{_escape_name(_make_relative_path(file_name))}", directory: "")')
         self._first_line = line
         fields = f'name: "{name}", scope: !{file}, file: !{file}, line: {line}, type: !3, unit: !0'
         self._function = f"!{self._add_node(f'distinct !DISubprogram({fields}, spFlags: DISPFlagDefinition)')}"
@@ -51,7 +51,7 @@ class LineTables:
         return [*_HEADER_LINES, *(f"!{number} = {text}" for text, number in self._nodes.items())]
 
 
-def _relative_path(file: str) -> str:
+def _make_relative_path(file: str) -> str:
     path = Path(file)
     return path.relative_to(_SOURCE_ROOT).as_posix() if path.is_relative_to(_SOURCE_ROOT) else path.name
 

@@ -87,12 +87,12 @@ def make_builtin(
         return None
     count = sum(len(each.path) == 1 for each in specs)
     head = [
-        code.function_address(name),
+        code.get_function_address(name),
         count,
         id(fallback),
         len(specs),
         len(result_kinds),
-        ctypes.addressof(_api_addresses()),
+        ctypes.addressof(_get_api_addresses()),
         parallel_run,
         table_words,
         *result_kinds,
@@ -100,7 +100,7 @@ def make_builtin(
     descriptor = struct.pack(f"={len(head)}q", *head).ljust(8 * reading.HEADER_WORDS, b"\0") + b"".join(
         map(_pack_argument, specs)
     )
-    method = _MethodDefinition(name.encode(), _load_code().function_address("direct"), _FASTCALL_FLAG, None)
+    method = _MethodDefinition(name.encode(), _load_code().get_function_address("direct"), _FASTCALL_FLAG, None)
     make = ctypes.pythonapi.PyCFunction_NewEx
     make.argtypes, make.restype = (ctypes.c_void_p, ctypes.py_object, ctypes.py_object), ctypes.py_object
     return make(
@@ -134,7 +134,7 @@ def _pack_argument(argument: ArgumentSpec) -> bytes:
 
 @cache
 def _load_code() -> llvm_compiler.LoadedCode:
-    return reading.text.code()
+    return reading.build_llvm_text.code()
 
 
 @cache
@@ -179,7 +179,7 @@ def is_supported() -> bool:
 
 
 @cache
-def _api_addresses() -> ctypes.Array[ctypes.c_int64]:
+def _get_api_addresses() -> ctypes.Array[ctypes.c_int64]:
     """Return the addresses of all functions and objects in the text, in the order of `PYTHON_API_CALLS` and `PYTHON_OBJECTS`."""
     calls = [ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0 for name in reading.PYTHON_API_CALLS]
     addresses = [*calls, *map(id, reading.PYTHON_OBJECTS.values())]

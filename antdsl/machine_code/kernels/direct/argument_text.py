@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.machine_code import llvm_compiler
-from antdsl.machine_code.library import library_text, read_llvm_file
+from antdsl.machine_code.library import make_library_text, read_llvm_file
 
 MAX_TABLE_WORDS = 256  # maximum length of a call's table, 2 kB on the stack
 MAX_JOB_PARTS = 64  # maximum number of parts of a job
@@ -38,8 +38,8 @@ def measure_bytes_data_offset() -> int:
     return object.__basicsize__ + 16  # after the length and a hash
 
 
-@library_text
-def text(_: llvm_compiler.Target) -> str:
+@make_library_text
+def build_llvm_text(_: llvm_compiler.Target) -> str:
     """Return the text, in LLVM's language, of the function `PyObject *direct(PyObject *description, PyObject *const *given,
     Py_ssize_t count)`."""
     head = object.__basicsize__

@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import parallel
-from antdsl.numerics.imaging.spreading import CHANNEL_COUNT, RADIUS_STEPS_PER_PIXEL, DiscTable, add_layer_behind, spread_discs
+from antdsl.numerics.imaging.spreading import (
+    CHANNEL_COUNT,
+    RADIUS_STEPS_PER_PIXEL,
+    DiscTable,
+    add_disc_averages,
+    add_layer_behind,
+)
 from antdsl.outputs.pictures.camera import CameraView
 from antdsl.outputs.pictures.shading_rows import Floats
 
@@ -51,7 +57,7 @@ def blur_layers(view: CameraView, static: PictureLayer, bodies: PictureLayer, th
             values = np.concatenate([layer.light[pixels], layer.cover[pixels, None]], axis=1)
             steps = np.rint(np.abs(radius[pixels]) * RADIUS_STEPS_PER_PIXEL).astype(np.int64)
             table = _make_disc_table(int(steps.max()))
-            work = partial(spread_discs, pixels, values, steps, table, wide, sums)
+            work = partial(add_disc_averages, pixels, values, steps, table, wide, sums)
             parallel.run_in_parts(work, high, threads, _ROWS_PER_PART)
             parallel.run_in_parts(partial(add_layer_behind, sums, total), high, threads, _ROWS_PER_PART)
     flat = total.reshape(-1, CHANNEL_COUNT)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.numerics.imaging.spreading import spread_lines
+from antdsl.numerics.imaging.spreading import add_line_averages
 from antdsl.outputs.pictures.blur.depth_of_field import PictureLayer
 from antdsl.outputs.pictures.light import apply_tone_curve
 from antdsl.outputs.pictures.shading import PictureLighting, compute_moving_light
@@ -52,7 +52,7 @@ def smear_bodies(lighting: PictureLighting) -> PictureLayer:
             lines = np.concatenate([views[0].project(point - path)[0], views[2].project(point + path)[0]], axis=1)
             weight = np.full((len(aim), 1), 1 / count, np.float32)
             values = np.concatenate([light * weight, weight, part.t[:, None] * weight], axis=1).astype(np.float32)
-            spread_lines(lines.astype(np.float32), values, _MAX_LINE_STEPS, sums, 0, len(lines))
+            add_line_averages(lines.astype(np.float32), values, _MAX_LINE_STEPS, sums, 0, len(lines))
     flat = sums.reshape(-1, 5)
     weight = flat[:, 3]
     cover = np.minimum(weight / _SOLID_COVER, 1)
@@ -72,7 +72,7 @@ def smear_surfaces(stage: StaticStage, lighting: PictureLighting, light: Floats)
         point = begin + far[own, None].astype(np.float64) * samples.direction[own]
         lines = np.concatenate([shutter.first.project(point)[0], shutter.last.project(point)[0]], axis=1)
         values = np.concatenate([light[own], np.ones((len(point), 1)), far[own, None]], axis=1).astype(np.float32)
-        spread_lines(lines.astype(np.float32), values, _MAX_LINE_STEPS, sums, 0, len(lines))
+        add_line_averages(lines.astype(np.float32), values, _MAX_LINE_STEPS, sums, 0, len(lines))
     flat = sums.reshape(-1, 5)
     weight = flat[:, 3]
     seen = weight > 1e-3

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.fields.threshold_cells import CellsNearThreshold
-from antdsl.machine_code.memory import array_address
+from antdsl.machine_code.memory import get_array_address
 from antdsl.numerics import randomness
 from antdsl.plan import ir
 from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME
@@ -63,7 +63,7 @@ class AddressTables:
         self.code, self._padded_arrays = code, padded_arrays
         self.numbers = np.zeros(max(len(code.layout.number_indices), 1), np.int64)
         self.pointers = np.zeros(len(code.layout.pointer_indices), np.int64)
-        self.pointers[0] = array_address(self.numbers)
+        self.pointers[0] = get_array_address(self.numbers)
         self.lanes = LaneMemories(code)
         self.version = 0  # version of the pointers
         self._views = {np.dtype(kind): self.numbers.view(kind) for kind in (np.int64, np.float64, np.float32, np.int32, np.bool_)}
@@ -124,13 +124,13 @@ class AddressTables:
             self._written_sources[0], changed = stored_senses, True
             for number, part, place in self._sense_entries:
                 has, parts = stored_senses[self.code.lazy_nodes[number]]
-                words[place] = array_address(has if part == "has" else parts[part])
+                words[place] = get_array_address(has if part == "has" else parts[part])
         for search, grid in enumerate(grids, 1):
             if grid is not self._written_sources[search]:
                 self._written_sources[search], changed = grid, True
                 for number, name, place in self._grid_entries:
                     if number == search - 1:
-                        words[place] = 0 if grid[name] is None else array_address(grid[name])
+                        words[place] = 0 if grid[name] is None else get_array_address(grid[name])
         for number, (find, place) in enumerate(self._finder_entries):
             at = find(world, population)
             if at != self._written_addresses[number]:
@@ -290,7 +290,7 @@ class AddressTables:
             field, least = world.fields[str(name)], numbers[place]
             if reached is None or not reached.has_same_settings(field, least):
                 reached = CellsNearThreshold(field, least, int(str(count)))
-            return array_address(reached.update_counts(world.options.threads))
+            return get_array_address(reached.update_counts(world.options.threads))
 
         return find_threshold_cells
 
@@ -315,9 +315,9 @@ def _watch_field(field_name: str, names: list[tuple[AddressKey, int]]) -> Watche
     def write_field_addresses(world: World, population: Population, field: PheromoneField, words: TableWords) -> None:
         for (what, *arguments), place in names:
             if what == "places":
-                words[place] = array_address(field.sensed_positions)
+                words[place] = get_array_address(field.sensed_positions)
             else:
-                words[place] = array_address(
+                words[place] = get_array_address(
                     field.cells.get_nearest_cells(int(str(arguments[0]))) if arguments else getattr(field, str(what))
                 )
 

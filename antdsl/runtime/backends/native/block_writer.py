@@ -156,7 +156,7 @@ class BlockWriter(FunctionWriter):
             self.offset = offset
             self.row = self.begin + offset
             root = self.compiler.root_scope
-            mask = (offset + e.lane_numbers() < rows) & ~e.load_lanes(self.array_address("quarantined"), self.row, BOOL)
+            mask = (offset + e.make_lane_numbers() < rows) & ~e.load_lanes(self.array_address("quarantined"), self.row, BOOL)
             if root.rows in self.schedule.stored_slots and self.stage == 0:
                 e.store_lanes(self.stage_array_address(root.rows, 0, BOOL), offset, mask)
             e.known[-1][root.rows] = mask

@@ -67,9 +67,9 @@ def _build_ready(
     """Compile a plan's blocks for this processor, and return the code. Each `next` does one piece of the work.
 
     Raises CodeUnavailable."""
-    if why := llvm_compiler.unavailability_reason():
+    if why := llvm_compiler.find_unavailability_reason():
         raise CodeUnavailable(why)
-    host = llvm_compiler.host_target()
+    host = llvm_compiler.find_host_target()
     text = cache(lambda: write_program(plan, blocks, facts, host))
     if stored is None:
         subject = stored_blocks.number_plan(plan, blocks, facts, host)
@@ -102,7 +102,7 @@ def _get_unit_text(text: Callable[[], NativeProgram], name: str) -> str:
 def find_stored_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> stored_blocks.StoredBlocks | None:
     """Return the compiled blocks of a plan that an earlier run stored, or None. They make it unnecessary to write the text."""
     subject = (
-        stored_blocks.number_plan(plan, blocks, facts, llvm_compiler.host_target()) if llvm_compiler.is_available() else None
+        stored_blocks.number_plan(plan, blocks, facts, llvm_compiler.find_host_target()) if llvm_compiler.is_available() else None
     )
     return None if subject is None else stored_blocks.read_blocks(subject)
 

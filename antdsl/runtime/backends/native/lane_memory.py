@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.casting.nearby import FeelerQuery
-from antdsl.machine_code.memory import array_address
+from antdsl.machine_code.memory import get_array_address
 from antdsl.machine_code.number_kinds import BOOL, F32, F64, I32, I64, LANE_COUNT
 from antdsl.plan import ir
 from antdsl.runtime.backends.block_compiler import BlockInstruction
@@ -34,7 +34,7 @@ class LaneMemory:
 
     def __init__(self, code: BlockCode, pointers: NDArray[np.int64]) -> None:
         self.code, self.pointers = code, np.zeros_like(pointers)
-        self.address = array_address(self.pointers)
+        self.address = get_array_address(self.pointers)
         self.arrays: Arrays = {}
         self.list_columns: list[list[NDArray[Any]]] = []
         self.fault_notes = np.zeros(1, np.int64)
@@ -84,7 +84,7 @@ class LaneMemory:
         if len(self._candidates) < candidates:
             self._candidates = np.zeros(candidates, np.int32)  # for one agent, with distances
         for number, (key, _) in enumerate(self._keys):
-            self._lane_addresses[number] = array_address(self._find_array(key))
+            self._lane_addresses[number] = get_array_address(self._find_array(key))
 
     def _find_array(self, key: AddressKey) -> NDArray[Any]:
         """Return the array of this part for a key of the layout."""

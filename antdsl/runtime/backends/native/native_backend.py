@@ -92,7 +92,7 @@ class NativeBackend(NumpyBackend):
     def messages(self) -> list[str]:
         """Return messages for the user about differences from the requested execution. None of them changes a result."""
         sentences = [] if self._unavailable_reason is None else [self._unavailable_reason]
-        return sentences + code_cache.messages()
+        return sentences + code_cache.take_messages()
 
     def wait_for_code(self, world: World) -> None:
         """Wait until all blocks can run as machine code from the next step on, or until this has failed."""
@@ -115,7 +115,7 @@ class NativeBackend(NumpyBackend):
         the user sees its result soon. With `must_wait`, return when the code is ready."""
         if self.ready_code is not None or self._unavailable_reason is not None:
             return
-        if self._is_timed and llvm_compiler.is_available() and not llvm_compiler.host_target().is_x86:
+        if self._is_timed and llvm_compiler.is_available() and not llvm_compiler.find_host_target().is_x86:
             return  # other processors may forbid reading the counter
         facts = WorldFacts.from_setting(world.setting, is_timed=self._is_timed)
         ready = find_ready_code(world.plan, facts)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.machine_code.kernels.values import llvm_type
+from antdsl.machine_code.kernels.values import format_llvm_type
 from antdsl.machine_code.lanes import LaneBuilder, Lanes
 from antdsl.machine_code.number_kinds import BOOL, F32, F64, I8, I32, I64, LANE_COUNT, PTR
 from antdsl.numerics import randomness
@@ -55,7 +55,7 @@ def _emit_random_words(w: Any, site: str, block: int) -> list[Lanes]:
     """Return the four random words of each agent for a site of the program, from its id. `block`: the number of the words."""
 
     def emit_words() -> list[Lanes]:
-        e, wide = w.builder, llvm_type(I64, LANE_COUNT)
+        e, wide = w.builder, format_llvm_type(I64, LANE_COUNT)
         out = e.allocate(4, wide)
         shared = [
             w.read_uniform(I64, "philox", w.species, site, block, word, is_scalar=True)
@@ -79,7 +79,7 @@ def _get_philox_function(w: FunctionWriter) -> str:
         first, low, last, k0, k1 = map(e.broadcast, shared)
         words: Any = randomness.draw_words_of_ids(ids, first, low, last, (k0, k1))
         for k, word in enumerate(words):
-            e.store_number(e.address(out, k, llvm_type(I64, LANE_COUNT)), word)
+            e.store_number(e.address(out, k, format_llvm_type(I64, LANE_COUNT)), word)
         e.end(name, (ids, *shared, out), attribute="noinline")
     return name
 
@@ -271,7 +271,7 @@ def _emit_field_strongest(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> A
     asks = e.mask_to_i64(w.mask[-1] & has_cell)
     with e.write_if(asks != 0):
         _prefetch_neighbour_cells(w, field, held, positions, block, int(count))
-    with e.write_loop(LANE_COUNT) as lane, e.write_if(e.has_bit(asks, lane)):  # cells of one agent are adjacent in memory
+    with e.write_loop(LANE_COUNT) as lane, e.write_if(e.emit_bit_test(asks, lane)):  # cells of one agent are adjacent in memory
         mine = e.load_scalar(home_cells, lane, I32)
         best, at = _emit_first_strongest(e, held, e.address(block, e.convert(mine, I64) * int(count), I32), int(count), mine)
         e.store_number(e.address(most, lane, F64), best)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.memory import array_address, copy_padded, has_padding
+from antdsl.machine_code.memory import copy_padded, get_array_address, has_padding
 from antdsl.machine_code.number_kinds import LANE_COUNT
 from antdsl.runtime.backends.native.address_layout import AddressKey
 from antdsl.runtime.world import Population
@@ -36,7 +36,7 @@ class PaddedArrays:
         known = self._padded_by_id.get(id(array))
         if known is None:
             new = array if has_padding(array) else copy_padded(array)
-            known = self._padded_by_id[id(array)] = (array, new, array_address(new))
+            known = self._padded_by_id[id(array)] = (array, new, get_array_address(new))
             self._padded_by_id[id(new)] = (new, *known[1:])
         # a caller, such as a spec query, continues with the array without padding: it may have changed
         elif known[1] is not array:
@@ -98,10 +98,10 @@ class PaddedCopy:
         """Return the address of the padded result of `make`. It is made again when `source` is another object."""
         if source is not self._source_stamp:
             self._source_stamp, self._padded = source, make()
-            self._address = array_address(self._padded)
+            self._address = get_array_address(self._padded)
         return self._address
 
     def _resize_copy(self, rows: int, dtype: Any) -> None:
         if len(self._padded) != rows + LANE_COUNT:
             self._padded = np.zeros(rows + LANE_COUNT, dtype)
-            self._address = array_address(self._padded)
+            self._address = get_array_address(self._padded)

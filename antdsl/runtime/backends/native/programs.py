@@ -119,7 +119,7 @@ def write_program(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, targ
                 for part, kind in enumerate(ir.TUPLE_KINDS_BY_OPERATION.get(each.subject.op, (each.subject.kind,))):
                     code.layout.find_array_index(each.slot, part, LANE_TYPE_BY_KIND[kind])
     return NativeProgram(
-        module.text(), module.functions, {name: module.extract_unit_text(name) for name in module.entry_names()}, output
+        module.text(), module.functions, {name: module.extract_unit_text(name) for name in module.list_entry_names()}, output
     )
 
 

@@ -30,13 +30,13 @@ def _emit_deposit(b: BlockWriter, instruction: BlockInstruction, statement: ir.R
     laid = mask & (cell >= 0) & (amount != 0)
     prefetch_cells(b, name, b.array_address("field", name, "pending_deposits"), 8)
     with e.write_if(e.any_lane(laid)):
-        wide = e.clamp(e.convert(amount, F64), e.make_constant(-MAX_DEPOSIT, F64), e.make_constant(MAX_DEPOSIT, F64))
+        wide = e.emit_clamp(e.convert(amount, F64), e.make_constant(-MAX_DEPOSIT, F64), e.make_constant(MAX_DEPOSIT, F64))
         amounts, cells = e.allocate_slot(I64, LANE_COUNT), e.allocate_slot(I32, LANE_COUNT)
         e.store_number(amounts, e.to_int64(wide / DEPOSIT_QUANTUM))
         e.store_number(cells, cell)
         bits = e.mask_to_i64(laid)
         pending = b.array_address("field", name, "pending_deposits")
-        with e.write_loop(LANE_COUNT) as lane, e.write_if(e.has_bit(bits, lane)):
+        with e.write_loop(LANE_COUNT) as lane, e.write_if(e.emit_bit_test(bits, lane)):
             at, increment = e.load_scalar(cells, lane, I32), e.load_scalar(amounts, lane, I64)
             place = e.address(pending, e.convert(at, I64), I64)
             adds = b.field_combination(name) == "add"

@@ -59,7 +59,7 @@ def number_plan(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target
     except (_UnsupportedValue, OSError):
         return None
     text = "program " + blake2b("\n".join(written.parts).encode("utf-8", "surrogatepass"), digest_size=32).hexdigest()
-    key = object_cache.compute_object_key(text, target, versions=object_cache.environment_versions())
+    key = object_cache.compute_object_key(text, target, versions=object_cache.list_environment_versions())
     return NumberedPlan(plan, blocks, facts, key, written.numbers, instructions)
 
 
@@ -70,7 +70,7 @@ def text_key(text: str) -> str:
 
 def read_blocks(stored_subject: NumberedPlan) -> StoredBlocks | None:
     """Return the stored blocks of a plan; None if there are none."""
-    data = code_cache.load_data(stored_subject.key)
+    data = code_cache.load_stored_data(stored_subject.key)
     if data is None:
         return None
     nodes = list(stored_subject.nodes)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from antdsl import limits
-from antdsl.machine_code.kernels.values import Number, llvm_type
+from antdsl.machine_code.kernels.values import Number, format_llvm_type
 from antdsl.machine_code.lanes import LaneBuilder, Lanes
 from antdsl.machine_code.number_kinds import BOOL, F32, I8, I32, I64, LANE_COUNT, PTR
 from antdsl.plan import ir
@@ -82,7 +82,9 @@ def emit_neighbour_reduction(b: BlockWriter, instruction: BlockInstruction) -> N
 
 def _load_from_area(e: LaneBuilder, area: Number, k: int, kind: str) -> Lanes:
     """Return the `k`-th operand or result of a search, loaded from the memory `area`."""
-    return e.convert(e.load(e.offset_address(area, OPERAND_STRIDE_BYTES * k), I8 if kind == BOOL else kind, LANE_COUNT), kind)
+    return e.convert(
+        e.load(e.emit_offset_address(area, OPERAND_STRIDE_BYTES * k), I8 if kind == BOOL else kind, LANE_COUNT), kind
+    )
 
 
 def _make_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
@@ -100,7 +102,7 @@ def _make_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
         operands += len(list_reduction_operands(instruction)) + 4
     e = b.builder
     results = 2 * len(nodes)
-    own, out = (e.allocate(count, llvm_type(I64, LANE_COUNT)) for count in (operands, results))
+    own, out = (e.allocate(count, format_llvm_type(I64, LANE_COUNT)) for count in (operands, results))
     group = ReductionGroup(number, together, own, out, e.allocate_slot(I8), near)
     b.top_writers.append(lambda: e.store_number(group.answered_mask, e.make_constant(0, I8, 1)))
     for each in together:
@@ -152,7 +154,7 @@ def _call_search(b: BlockWriter, group: ReductionGroup, requesting: Lanes) -> No
         near.extra_registers = [" ".join(names[k : k + 4]) for k in range(0, len(names), 4)]
         b.code.searches.append(NeighbourSearch(near.other_species, list(near.radius_slots), near.extra_registers))
     for k, value in enumerate(values):
-        e.store_number(e.offset_address(group.operand_area, OPERAND_STRIDE_BYTES * k), e.broadcast(e.to_stored_form(value)))
+        e.store_number(e.emit_offset_address(group.operand_area, OPERAND_STRIDE_BYTES * k), e.broadcast(e.to_stored_form(value)))
     if fresh:
         _write_functions(b, near)
     e.emit_void("call", b.table, b.row, requesting, group.operand_area, group.result_area, x=f"@{near.name}")
@@ -195,7 +197,7 @@ def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
     sums = [RunningReduction(e, node, needs_two_words=False) for node in search_code.nodes]
     for each in sums:
         each.allocate_values()
-    with e.write_loop(e.convert(e.lane_maximum(number), I64)) as k:
+    with e.write_loop(e.convert(e.emit_lane_maximum(number), I64)) as k:
         is_listed = e.convert(k, I32) < number
         pair = measure_pairs(w, search_code, _read_lists(e, buffer, k), place, is_listed)
 
@@ -214,10 +216,10 @@ def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
     fits = asks & ~over
     for result, each in enumerate(sums):
         stored = e.to_stored_form(each.emit_result())
-        start = e.offset_address(out, OPERAND_STRIDE_BYTES * result)
+        start = e.emit_offset_address(out, OPERAND_STRIDE_BYTES * result)
         e.store_number(start, e.select_lanes(fits, stored, e.load(start, stored.kind, LANE_COUNT)))
     for stop in search_code.overflow_slots.values():
-        start = e.offset_address(out, OPERAND_STRIDE_BYTES * stop)
+        start = e.emit_offset_address(out, OPERAND_STRIDE_BYTES * stop)
         e.store_number(start, e.select_lanes(fits, e.make_constant(0, I8), e.load(start, I8, LANE_COUNT)))
     with e.write_if(e.any_lane(over)):
         e.emit_void("call", w.table, row, e.mask_to_i64(over), own, out, x=f"@{search_code.name}.many")
@@ -228,7 +230,7 @@ def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
 def _read_lists(e: LaneBuilder, buffer: Lanes, k: Lanes) -> Lanes:
     """Return the element at index `k` of each of the eight agents' lists."""
     first = e.address(buffer, k, I32)
-    return e.combine_lanes(e.load(e.offset_address(first, 4 * _LIST_STRIDE * lane), I32) for lane in range(LANE_COUNT))
+    return e.combine_lanes(e.load(e.emit_offset_address(first, 4 * _LIST_STRIDE * lane), I32) for lane in range(LANE_COUNT))
 
 
 class _CandidateTest:
@@ -273,7 +275,7 @@ class _CandidateTest:
         def load_broadcast(place: Number) -> Lanes:
             return e.broadcast(e.load_scalar(place, lane, F32))
 
-        own = [load_broadcast(e.offset_address(self._stack, 32 * k)) for k in range(3)]
+        own = [load_broadcast(e.emit_offset_address(self._stack, 32 * k)) for k in range(3)]
         heading = [load_broadcast(each) for each in self._heading]
         sets = [(load_broadcast(limit), None if least is None else load_broadcast(least)) for limit, least in self._sets]
 
@@ -308,7 +310,7 @@ def _list_candidates(
     e = w.builder
     buffer = w.array_address("candidates")
     candidate_count, match_count, number, own_place = (e.allocate_slot(I32, LANE_COUNT) for _ in range(4))
-    begins, ends = (e.allocate(_ROWS_PER_LOOKUP, llvm_type(I32, LANE_COUNT)) for _ in range(2))
+    begins, ends = (e.allocate(_ROWS_PER_LOOKUP, format_llvm_type(I32, LANE_COUNT)) for _ in range(2))
     total, numbers = e.allocate_slot(I64), e.allocate_slot(I32, LANE_COUNT)
     for slot in (candidate_count, match_count):
         e.store_number(slot, e.make_constant(0, I32))
@@ -329,12 +331,12 @@ def _list_candidates(
             begin, end = (e.load_scalar(each, index, I32) for each in (begins, ends))
             start, many = e.convert(begin, I64), e.convert(end - begin, I64)
             last = e.broadcast(end)
-            e.store_number(numbers, begin + e.convert(e.lane_numbers(), I32))
+            e.store_number(numbers, begin + e.convert(e.make_lane_numbers(), I32))
             with e.write_loop(many, LANE_COUNT) as k:
                 at = start + k
                 for each in fours:  # needed when the list is traversed: eight entries are in at most three cache lines
                     for offset in (0, _CACHE_LINE_BYTES, LANE_COUNT * 16 - 4):
-                        e.prefetch(e.offset_address(quadruple_address(e, each, at), offset))
+                        e.prefetch(e.emit_offset_address(quadruple_address(e, each, at), offset))
                 now = e.load(numbers, I32, LANE_COUNT)
                 e.store_number(numbers, now + LANE_COUNT)
                 inside = test([e.load_lanes(column, at, F32) for column in columns]) & (now < last)
@@ -362,7 +364,7 @@ def _list_candidates(
     over = requesting & (e.load(candidate_count, I32, LANE_COUNT) > MAX_LISTED_CANDIDATES)
     counted = e.select_lanes(requesting & ~over, counted, e.make_constant(0, I32))
     e.store_number(number, counted)
-    most, zero = e.lane_maximum(counted), e.make_constant(0, I32)
+    most, zero = e.emit_lane_maximum(counted), e.make_constant(0, I32)
     with e.write_loop(LANE_COUNT) as lane:  # all lists are traversed to the end of the longest one
         many = e.load_scalar(number, lane, I32)
         own = e.address(buffer, lane * _LIST_STRIDE, I32)

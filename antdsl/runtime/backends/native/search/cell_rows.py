@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.machine_code.kernels.ir import LANE_ORDERS_CONSTANT
-from antdsl.machine_code.kernels.values import Number, llvm_type
+from antdsl.machine_code.kernels.values import Number, format_llvm_type
 from antdsl.machine_code.lanes import LaneBuilder, Lanes
 from antdsl.machine_code.number_kinds import BOOL, F32, F64, I8, I32, I64, LANE_COUNT, PTR
 from antdsl.runtime.backends.native.block_writer import FunctionWriter
@@ -39,8 +39,8 @@ class SearchCells:
         If no cell intersects, the last is below the first."""
         e = self.writer.builder
         most = self.max_index[axis]
-        first = e.clamp((q - half - self.low[axis]) * self.inverse_width[axis], e.make_constant(0.0, F64), most)
-        last = e.clamp((q + half - self.low[axis]) * self.inverse_width[axis], e.make_constant(-1.0, F64), most - 1.0)
+        first = e.emit_clamp((q - half - self.low[axis]) * self.inverse_width[axis], e.make_constant(0.0, F64), most)
+        last = e.emit_clamp((q + half - self.low[axis]) * self.inverse_width[axis], e.make_constant(-1.0, F64), most - 1.0)
         return e.to_int32(np.floor(first)), e.to_int32(np.floor(last))
 
     def find_row_range(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, is_within: Lanes) -> tuple[Lanes, Lanes]:
@@ -105,12 +105,12 @@ class CellRows:
         for each in place:
             usable = usable & np.isfinite(each)
         self.max_radius, self.is_usable = widest, usable
-        self.stack = stack = e.allocate(3, llvm_type(F32, LANE_COUNT))
+        self.stack = stack = e.allocate(3, format_llvm_type(F32, LANE_COUNT))
         for k, each in enumerate(place):
-            e.store_number(e.offset_address(stack, 32 * k), each)
+            e.store_number(e.emit_offset_address(stack, 32 * k), each)
         along = []
         for k, axis in enumerate(cells.axes):
-            value = e.load(e.address(stack, axis, llvm_type(F32, LANE_COUNT)), F32, LANE_COUNT)
+            value = e.load(e.address(stack, axis, format_llvm_type(F32, LANE_COUNT)), F32, LANE_COUNT)
             along.append(e.select_lanes(usable, e.convert(value, F64), cells.low[k]))
         largest = np.maximum(np.maximum(np.abs(along[0]), np.abs(along[1])), np.abs(along[2]))
         r = e.select_lanes(usable, e.convert(widest, F64), e.make_constant(0.0, F64)) * RADIUS_SLACK_FACTOR + (
@@ -136,7 +136,7 @@ class CellRows:
         for slot in (self._slow_offset, self._middle_offset):
             e.store_number(slot, e.make_constant(0, I32, 1))
         depth, self._middle_row_count = (
-            e.lane_maximum(e.select_lanes(self.is_usable, z - a, nothing) + 1)
+            e.emit_lane_maximum(e.select_lanes(self.is_usable, z - a, nothing) + 1)
             for a, z in ((self.slow_first, self.slow_last), (self.middle_first, self.middle_last))
         )
         return e.convert(depth * self._middle_row_count, I64)

@@ -39,14 +39,14 @@ def write_dense_search(b: BlockWriter, search_code: SearchCode) -> None:
         e.named_number(PTR, "%own"),
         e.named_number(PTR, "%out"),
     )
-    with e.write_loop(LANE_COUNT) as lane, e.write_if(e.has_bit(mask, lane)):
+    with e.write_loop(LANE_COUNT) as lane, e.write_if(e.emit_bit_test(mask, lane)):
         row = rows + lane
 
         def load_own_value(k: int) -> Lanes:
-            return e.load_scalar(e.offset_address(own_area, OPERAND_STRIDE_BYTES * k), lane, search_code.operand_kinds[k])
+            return e.load_scalar(e.emit_offset_address(own_area, OPERAND_STRIDE_BYTES * k), lane, search_code.operand_kinds[k])
 
         def store_result(k: int, value: Lanes) -> None:
-            e.store_number(e.address(e.offset_address(out, OPERAND_STRIDE_BYTES * k), lane, value.kind), value)
+            e.store_number(e.address(e.emit_offset_address(out, OPERAND_STRIDE_BYTES * k), lane, value.kind), value)
 
         own = {node: e.broadcast(load_own_value(k)) for node, k in search_code.operand_slots.items()}
         place = [e.broadcast(e.load_scalar(w.array_address("start", f"position.{axis}"), row, F32)) for axis in AXES]
@@ -117,10 +117,10 @@ class _DenseNeighbours:
             begin, count = (e.convert(e.extract_lane(each, 0), I64) for each in row)
             with e.write_loop(count, LANE_COUNT) as k:
                 at = begin + k
-                is_present = k + e.lane_numbers() < count
+                is_present = k + e.make_lane_numbers() < count
                 dx, dy, dz = (e.load_lanes(column, at, F32) - own for column, own in zip(columns, self.own_position, strict=True))
                 square = (dx * dx + dy * dy) + dz * dz
-                numbers = e.convert(at, I32) + e.convert(e.lane_numbers(), I32)
+                numbers = e.convert(at, I32) + e.convert(e.make_lane_numbers(), I32)
                 append_numbers(e, self.buffer, self.count_address, numbers, is_present & (square <= limit))
         count = e.load(self.count_address, I64)
         self._pad_list(count)
@@ -143,7 +143,7 @@ class _DenseNeighbours:
     def load_others(self, index: Lanes) -> NeighbourLanes:
         """Return eight of the listed others, from `index` on."""
         e = self.writer.builder
-        is_present = index + e.lane_numbers() < e.load(self.count_address, I64)
+        is_present = index + e.make_lane_numbers() < e.load(self.count_address, I64)
         at = e.select_lanes(is_present, e.load_lanes(self.buffer, index, I32), e.make_constant(0, I32))
         return measure_pairs(self.writer, self.search, at, self.own_position, is_present)
 

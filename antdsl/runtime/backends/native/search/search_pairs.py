@@ -102,7 +102,7 @@ class NeighbourLanes:
 
         def extract_lanes() -> Lanes:
             fours = (quadruple_address(e, positions, e.extract_lane(self.grid_indices, lane)) for lane in range(LANE_COUNT))
-            return e.combine_lanes(e.load(e.offset_address(four, 12), I32) for four in fours)
+            return e.combine_lanes(e.load(e.emit_offset_address(four, 12), I32) for four in fours)
 
         row_lanes: Lanes = e.get_or_make(("rows", self.rows.name), extract_lanes)
         return row_lanes
