@@ -94,7 +94,7 @@ def is_available() -> bool:
 
 
 def require_llvm() -> None:
-    """Raise MachineCodeUnavailable if no code can be compiled on this machine."""
+    """Raise MachineCodeUnavailableError if no code can be compiled on this machine."""
     if why := find_unavailability_reason():
         raise MachineCodeUnavailableError(why)
 

@@ -96,7 +96,7 @@ class Kernel:
 
     def load_function(self) -> Callable[..., Any]:
         """Return the function that calls the machine code. The code is compiled or loaded if needed. Raises
-        MachineCodeUnavailable."""
+        MachineCodeUnavailableError."""
         with self._lock:
             if self._loaded_call is None:
                 llvm_compiler.require_llvm()

@@ -87,7 +87,7 @@ def bind_empty(
 ) -> World:
     """Return a world as `bind` does, but without agents.
 
-    `origin` (mm): an existing origin to which positions are relative. Raises MachineCodeUnavailable if no kernel can run."""
+    `origin` (mm): an existing origin to which positions are relative. Raises MachineCodeUnavailableError if no kernel can run."""
     llvm_compiler.require_llvm()
     options, binding_cache = options or Options(), binding_cache or BindingCache()
     origin = compute_world_origin(setting) if origin is None else origin
