@@ -49,9 +49,14 @@ crowd:
 """
 
 
+def ants_at(*positions: tuple[float, float], shuffle_rows: int | None = None) -> World:
+    crowd = CrowdData("ant", len(positions), points(*positions))
+    options = Options(backend="numpy", shuffle_rows=shuffle_rows)
+    return bind(plan_of(TEXT), WorldSetting(crowds=(crowd,), seed=3, contacts="hard"), options)
+
+
 def row_of_ants(*ahead: float) -> World:
-    crowd = CrowdData("ant", len(ahead), points(*((x, 0.0) for x in ahead)))
-    return bind(plan_of(TEXT), WorldSetting(crowds=(crowd,), seed=3, contacts="hard"), Options(backend="numpy"))
+    return ants_at(*((x, 0.0) for x in ahead))
 
 
 def count_overlaps(world: World) -> int:
@@ -61,12 +66,13 @@ def count_overlaps(world: World) -> int:
     return int(overlapping(Trunks(crowd.middle.T, axis, crowd.half, crowd.radius, np.ones(len(crowd)))).sum())
 
 
-def move(world: World, row: int, x: float) -> None:
-    """Move an agent to x mm. Its arrays are new ones, as after a walk."""
+def move(world: World, row: int, x: float, z: float = 0.0) -> None:
+    """Move an agent to (x, 0, z) mm. Its arrays are new ones, as after a walk."""
     ants = world.populations["ant"]
     ants.position = ants.position.copy()
     ants.footing = ants.footing.copy()
     ants.position[row, 0] = ants.now["position.x"][row] = x
+    ants.position[row, 2] = ants.now["position.z"][row] = z
     place, *_ = world.ground.find_nearest(ants.position[row : row + 1])
     ants.footing.write_rows(np.array([row]), place)
 
@@ -103,6 +109,41 @@ def test_agents_that_overlapped_at_the_start_keep_their_steps() -> None:
     assert count_overlaps(world) == 2
     take_back_overlapping_steps(world, start, near)
     assert ants.position[:, 0] == pytest.approx([0.0, 0.7])
+
+
+def walk_across(frames: int, shuffle_rows: int | None = None) -> np.ndarray:
+    """The positions (mm) of two agents by frame and id. The first walks along x, and the second along z into its path: both steps
+    together make them overlap, but the step of the first alone does not."""
+    world = ants_at((0.0, 0.0), (1.0, -1.9), shuffle_rows=shuffle_rows)
+    ants = world.populations["ant"]
+    for k, axis in enumerate("xyz"):
+        ants.now[f"heading.{axis}"][:] = ants.start[f"heading.{axis}"][:] = float(k == 0)
+    first, second = ants.rows_by_id()
+    path = []
+    for _ in range(frames):
+        world.frame += 1
+        start = {"ant": Stances(ants)}
+        near = find_near_pairs(CapsuleCrowd(world))
+        move(world, first, ants.position[first, 0] + 0.4)
+        move(world, second, 1.0, ants.position[second, 2] + 0.4)
+        take_back_overlapping_steps(world, start, near)
+        assert count_overlaps(world) == 0
+        path.append(ants.position[[first, second]])
+    return np.array(path)
+
+
+def test_agents_on_paths_that_cross_pass_each_other() -> None:
+    """If both steps are taken back in each frame, neither ever goes on."""
+    path = walk_across(60)
+    assert path[-1, 0, 0] > 8 and path[-1, 1, 2] > 8
+    still = (np.diff(path, axis=0) == 0).all(axis=(1, 2))
+    assert not (still[1:] & still[:-1]).any()  # in two frames, at least one of them goes on
+
+
+def test_turns_depend_on_ids_and_not_on_rows() -> None:
+    assert any(ants_at((0.0, 0.0), (9.0, 0.0), shuffle_rows=k).populations["ant"].ids[0] == 1 for k in range(4))
+    paths = [walk_across(30, shuffle_rows) for shuffle_rows in (None, 0, 1, 2, 3)]
+    assert all(np.array_equal(path, paths[0]) for path in paths[1:])
 
 
 @pytest.fixture(scope="module")

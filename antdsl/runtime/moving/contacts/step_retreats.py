@@ -1,8 +1,9 @@
 """Steps after which bodies still overlap are taken back: the agents of such a pair stay where the substep began.
 
 Contacts bring most bodies apart. Some cannot move far enough: in corners, on ground that was dug, or when clearance shifts their
-bodies after contacts. If both agents of a pair overlapped no other at the start of the substep, they return to their stances
-there. They stand still for one substep, so they neither jump nor turn. Others that have moved into their places return too."""
+bodies after contacts. If both agents of a pair overlapped no other at the start of the substep, one of them returns to its stance
+there, and the other one too if they still overlap. They stand still for one substep, so they neither jump nor turn. Others that
+have moved into their places return too. Both take turns from frame to frame, so that none waits for ever."""
 
 from __future__ import annotations
 
@@ -71,7 +72,11 @@ def take_back_overlapping_steps(world: World, start: Mapping[str, Stances], near
             has_returned = np.zeros(len(crowd), np.bool_)
         is_selected = can_return[i] & can_return[j]
         is_new = np.zeros(len(crowd), np.bool_)
-        is_new[i[is_selected]] = is_new[j[is_selected]] = True
+        first, second = i[is_selected], j[is_selected]
+        # One of the two may go on if that is enough. They take turns, so neither waits for ever. `first` comes first by id.
+        is_first_next = (crowd.agent_keys.take(first) + world.frame) % 2 == 0
+        is_first_next = np.where(has_returned[first] | has_returned[second], has_returned[second], is_first_next)
+        is_new[np.where(is_first_next, first, second)] = True
         is_new &= ~has_returned
         if not is_new.any():
             return
