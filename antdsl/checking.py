@@ -1,5 +1,5 @@
-"""Checks many files. Where the system can fork processes that share loaded modules, all cores are used. Results equal those of
-checking one file after the other."""
+"""Checks many files, on all cores where the system can fork processes that share loaded modules. Results equal those of checking
+one file after the other."""
 
 from __future__ import annotations
 

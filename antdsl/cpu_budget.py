@@ -1,4 +1,4 @@
-"""Limits the processor time of a piece of work. Time that other processes spend for it is charged to the same budget."""
+"""Limits the processor time of a piece of work. The budget also covers time that other processes spend on this work."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class NotRegularFileError(OSError):
 
 
 class FileTooLargeError(OSError):
-    """Error for a file of `size` bytes, if a read may have at most `cap` bytes."""
+    """Error for a file that is larger than allowed. `size`: the size of the file in bytes; `cap`: the largest allowed size."""
 
     def __init__(self, size: int, cap: int) -> None:
         super().__init__(errno.EFBIG, f"it has {size:,} bytes; the limit is {cap:,}")

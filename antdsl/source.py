@@ -43,7 +43,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Characters `start` (included) to `end` (excluded) of a source."""
+    """A range of a source's characters, from `start` to `end`; `end` is excluded."""
 
     source: Source
     start: int

@@ -34,23 +34,21 @@ def home_folder() -> Path:
 
 
 def cache_folder() -> Path:
-    """Return the folder in which programs of this user cache data that they can compute again. Raises OSError without a home
-    folder."""
+    """Return the user's cache folder, for data that programs can compute again. Raises OSError if the user has no home folder."""
     if sys.platform == "win32":
         return _find_local_app_data()
     return home_folder() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
 
 
 def config_folder() -> Path:
-    """Return the folder in which programs of this user read their settings. Raises OSError without a home folder."""
+    """Return the user's configuration folder. Raises OSError if the user has no home folder."""
     if sys.platform == "win32":
         return _find_local_app_data()
     return home_folder() / ("Library/Application Support" if sys.platform == "darwin" else ".config")
 
 
 def state_folder() -> Path:
-    """Return the folder in which programs of this user store data that must survive a restart. Raises OSError without a home
-    folder."""
+    """Return the user's state folder, for data that must survive a restart. Raises OSError if the user has no home folder."""
     return _find_local_app_data() if sys.platform == "win32" else home_folder() / ".local" / "state"
 
 

@@ -1,4 +1,4 @@
-"""The agents of a species, items and fields of a simulation, as arrays that a caller can read and set."""
+"""Agents of a species, items and fields of a simulation, as arrays that a caller can read and set."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MAX_HTML_ROWS = 5
 
 
 def make_unknown_name_error(kind: str, name: object, known: Iterator[str] | tuple[str, ...]) -> AntdslError:
-    """Return the error for a name that is none of `known`. `kind`: the kind of name, such as `species`."""
+    """Return the error for a name that is not in `known`. `kind`: the kind of name, such as `species`."""
     names = sorted(known)
     near = find_nearest_name(str(name), names)
     return AntdslError(
@@ -34,7 +34,7 @@ def make_unknown_name_error(kind: str, name: object, known: Iterator[str] | tupl
 
 
 def make_read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Make an array read-only, because changes of a copy would have no effect. Return the array."""
+    """Make an array read-only and return it. Changing it would have no effect, because it is a copy."""
     array.setflags(write=False)
     return array
 
@@ -49,7 +49,7 @@ def import_pandas() -> Any:
 
 
 def make_table(columns: dict[str, NDArray[Any]], index: NDArray[Any], name: str) -> Any:
-    """Return columns as a DataFrame; vectors have a column for each axis. Raises AntdslError without pandas."""
+    """Return columns as a DataFrame. A vector becomes one column per axis. Raises AntdslError without pandas."""
     pandas = import_pandas()
     flat: dict[str, NDArray[Any]] = {}
     for column, values in columns.items():
@@ -77,11 +77,11 @@ class Crowd:
     """The living agents of one species at the current frame. `crowd["load"]` is an array with one row per agent, by id.
 
     - `position` (mm, scene axes), `velocity` (mm/s), `heading` and `up`: float64 (n, 3)
-    - `state`: the names of states; of other machines `MACHINE.state`; `time_in_state` (s) likewise
+    - `state`: the names of states; for machines other than `main`, `MACHINE.state`. `time_in_state` (s): named in the same way
     - `age` (s), and the attributes of the program, in base units: numbers, vectors, conditions, ids of agents (-1 for none) and
       names of items ("" for none). Positions in attributes are relative to `Simulation.origin`
 
-    Arrays are read-only copies. `crowd["load"] = values` sets an attribute, with one number or one per agent."""
+    Arrays are read-only copies. `crowd["load"] = values` sets an attribute; `values` is one number, or one number per agent."""
 
     def __init__(self, simulation: Simulation, species: str) -> None:
         self._simulation, self.species = simulation, species
@@ -109,7 +109,7 @@ class Crowd:
 
     @property
     def attributes(self) -> tuple[str, ...]:
-        """The names of all attributes of the program and of those that every agent has."""
+        """The names of all attributes: those that the program declares and those that every agent has."""
         registers = self._population.plan.registers
         names = (name.rpartition(".")[0] if name.endswith((".x", ".y", ".z")) else name for name, r in registers.items() if
                  r.role == "attribute")  # fmt: skip
@@ -123,7 +123,8 @@ class Crowd:
         return tuple(name for name, kind in kinds.items() if kind in (ValueKind.F32, ValueKind.BOOL))
 
     def _machine_columns(self) -> dict[str, tuple[str, str]]:
-        """Return, by the name of each array about states, a machine and a part of its register: `state` or `time_in_state`."""
+        """Return, for the name of each array about states, its machine and the part of the machine's register: `state` or
+        `time_in_state`."""
         machines = self._population.plan.machines
         columns = dict[str, tuple[str, str]]()
         for machine in machines:
@@ -132,7 +133,7 @@ class Crowd:
         return columns
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return the array of a name of `names`. Raises AntdslError for another name."""
+        """Return the array called `name`, one of `names`. Raises AntdslError for another name."""
         population, rows = self._population, self._population.rows_by_id()
         if name == "position":
             return make_read_only(population.read_vector(name)[rows] + self._world.origin)
@@ -160,7 +161,7 @@ class Crowd:
     def __setitem__(self, name: str, values: ArrayLike) -> None:
         """Set an attribute of all agents, from the next step on. `values`: one value, or one per agent in the order of ids.
 
-        Raises AntdslError for what is no attribute, another shape, and values that an agent cannot have, such as a size of 0.
+        Raises AntdslError if `name` is no attribute, the shape is wrong, or an agent cannot have a value, such as a size of 0.
         Limits such as `max_turn` may be infinite."""
         population = self._population
         if name not in self.settable:
@@ -207,7 +208,8 @@ class Crowd:
 
 
 class ItemGroup:
-    """The items of one name. `items["load"]`: what each has left, float64 (n,). `items["position"]`: (n, 3) in mm."""
+    """All items of one name. `items["load"]`: the amount that each item has left, float64 (n,). `items["position"]`: (n, 3) in
+    mm."""
 
     def __init__(self, simulation: Simulation, name: str) -> None:
         self._simulation, self.name = simulation, name
@@ -230,7 +232,7 @@ class ItemGroup:
         return len(self._items)
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """Return the array of a name of `names`, a read-only copy. Raises AntdslError for another name."""
+        """Return the array called `name`, one of `names`, as a read-only copy. Raises AntdslError for another name."""
         if name == "position":
             return make_read_only(self._items.position + self._simulation.world.origin)
         if name not in self._items.amounts:
@@ -249,7 +251,8 @@ class ItemGroup:
 
 
 class Field:
-    """A field. `values` (n,): the amount of each cell, or vectors (n, 3). `positions` (n, 3): the middle of each cell in mm."""
+    """A field of the simulation. `values`: the amount in each cell (n,), or vectors (n, 3). `positions`: the centre of each cell
+    (n, 3) in mm."""
 
     def __init__(self, simulation: Simulation, name: str) -> None:
         self._simulation, self.name = simulation, name
@@ -262,13 +265,13 @@ class Field:
 
     @property
     def positions(self) -> NDArray[np.float64]:
-        """The positions (n, 3) of all cells, in mm."""
+        """The centres (n, 3) of all cells, in mm."""
         field = self._find_field()
         return make_read_only(np.asarray(field.cells.position, np.float64) + self._simulation.world.origin)
 
     @property
     def total(self) -> float:
-        """The sum of all cells; of vectors, the sum of their lengths."""
+        """The sum over all cells. For vectors, the sum of their lengths."""
         return float(np.sum(self._find_field().amounts, dtype=np.float64))
 
     def __len__(self) -> int:

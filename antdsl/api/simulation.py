@@ -1,4 +1,4 @@
-"""A scene that Python steps: its agents at the current frame, its params, and functions that observe each step."""
+"""A scene that Python runs step by step: its agents at the current frame, its params, and functions that observe each step."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def open_scene(
 ) -> Simulation:
     """Open a scene and return its simulation at the first frame.
 
-    `seed`, `frames` (first, last): replace those of the scene.
+    `seed`, `frames` (first, last): used instead of the scene's own.
     `set`: values of params and of fields' settings, such as `{"forager.smell": "20 mm"}`. A number, for params only, is in base
     units.
     `roots`: folders outside the scene's own that it may read, by name.
-    `threads`: of a step; results do not depend on it.
+    `threads`: the number of threads for a step; results do not depend on it.
 
     Raises AntdslError with the report if the scene or a program has errors. Warnings are in `Simulation.report`."""
     from antdsl.pipeline import RunChoices
@@ -59,7 +59,7 @@ def open_scene(
 
 
 def read_seed(seed: SupportsIndex) -> int:
-    """Return a seed as an integer, also one of NumPy. Raises AntdslError for another value."""
+    """Return a seed as a Python integer; NumPy integers are accepted. Raises AntdslError for another value."""
     try:
         number = index(seed)
     except TypeError:
@@ -70,7 +70,8 @@ def read_seed(seed: SupportsIndex) -> int:
 
 
 def read_frames(frames: tuple[SupportsIndex, SupportsIndex] | None) -> FrameRange | None:
-    """Return the range from a first to a last frame; None for None. Raises AntdslError for another value."""
+    """Return a range of frames from the first to the last. Return None if `frames` is None. Raises AntdslError for another
+    value."""
     from antdsl.scene.values import FrameRange
 
     if frames is None:
@@ -85,9 +86,9 @@ def read_frames(frames: tuple[SupportsIndex, SupportsIndex] | None) -> FrameRang
 
 
 class Simulation:
-    """A scene during its run. `simulation["ant"]` are the agents of a species; `items` and `fields` are mappings by name.
+    """A running scene. `simulation["ant"]`: the agents of a species. `items` and `fields`: mappings by name.
 
-    `report`: the warnings about the scene. `world`: the run time's own world, without any guarantee."""
+    `report`: the warnings about the scene. `world`: the internal world of the run, which may change in any version."""
 
     def __init__(self, shot: Shot, report: Report, threads: int = 1) -> None:
         from antdsl.measures.run_measures import RunMeasures
@@ -127,7 +128,8 @@ class Simulation:
 
     @property
     def origin(self) -> tuple[float, float, float]:
-        """The point in mm from which positions in attributes are measured. It is zero unless the world is far from zero."""
+        """The point, in mm, from which positions in attributes are measured. It is zero unless the world is far from the
+        coordinate origin."""
         x, y, z = self.world.origin.tolist()
         return x, y, z
 
@@ -180,7 +182,7 @@ class Simulation:
         set_param(self.world, name, number if isinstance(value, str) else float(value))
 
     def _to_shown_unit(self, name: str, value: float) -> float:
-        """Return a param's value, given in base units, in the unit in which the program declares the param."""
+        """Convert a param's value from base units to the unit in which the program declares the param."""
         from antdsl.scene.quantities import parse_quantity
 
         unit = self._shot.program.params[name].unit
@@ -190,7 +192,7 @@ class Simulation:
     def step(self, count: int = 1) -> Simulation:
         """Simulate `count` frames, also beyond the last frame of the scene. Return the simulation.
 
-        Raises AntdslError for a count below 0, if a value of an agent stops being a number, and if a limit is exceeded."""
+        Raises AntdslError if `count` is below 0, a value of an agent becomes NaN or infinite, or a limit is exceeded."""
         from antdsl.runtime import step
 
         if count < 0:
@@ -217,8 +219,8 @@ class Simulation:
             raise
 
     def run(self, until: Callable[[Simulation], bool] | None = None) -> Simulation:
-        """Simulate to the end of the scene. Stop earlier if its `until` condition holds, or if the function `until` returns
-        True. Return the simulation."""
+        """Simulate to the end of the scene. Stop earlier if the scene's `until` condition holds, or if the function `until`
+        returns True. Return the simulation."""
         while self.frame < self.last_frame and not self._measures.is_over:
             self.step()
             if until is not None and until(self):
@@ -232,14 +234,14 @@ class Simulation:
         return observer
 
     def stop_observing(self, observer: Callable[[Simulation], object]) -> None:
-        """Do not call an observer any more. Raises AntdslError if the function is not an observer."""
+        """Stop calling an observer after each step. Raises AntdslError if the function is not an observer."""
         if observer not in self._observers:
             raise AntdslError("this function is not an observer of the simulation", "pass the function that `observe` got")
         self._observers.remove(observer)
 
     @property
     def state_hash(self) -> str:
-        """The hash of the state, which `antdsl run` writes for each frame. Equal hashes are equal simulations."""
+        """The hash of the state, as `antdsl run` writes it for each frame. Equal hashes mean equal states."""
         from antdsl.runtime import state_hash
 
         return state_hash(self.world)

@@ -1,4 +1,4 @@
-"""Sweeps from Python: scenes × values × seeds, simulated by several processes."""
+"""Runs sweeps from Python: every combination of scenes, values and seeds, simulated by several processes."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SweepResult:
-    """The runs of a sweep. `runs`: one dictionary for each: scene, varied values, seed and all measures.
+    """The runs of a sweep. `runs`: one dictionary per run, with the scene, varied values, seed and all measures.
 
-    `failures`: a message for each run that failed; these are not in `runs`.
+    `failures`: a message for each failed run; failed runs are not in `runs`.
     `series`: the measures of the program in each frame of each run, as columns of equal length by name."""
 
     runs: tuple[Mapping[str, Any], ...]
@@ -34,7 +34,7 @@ class SweepResult:
         return import_pandas().DataFrame(list(self.runs))
 
     def series_to_pandas(self) -> Any:
-        """Return a DataFrame with one row per run and frame, and the measures of the program as columns. Raises AntdslError
+        """Return a DataFrame with one row per frame of each run, and the program's measures as columns. Raises AntdslError
         without pandas."""
         return import_pandas().DataFrame(dict(self.series))
 
@@ -53,15 +53,15 @@ def sweep(
     processes: int | None = None,
     on_result: Callable[[Mapping[str, Any]], object] | None = None,
 ) -> SweepResult:
-    """Run scenes over values and seeds, with all combinations of `vary`, and return the measures of each run.
+    """Run each scene with each seed and each combination of the values in `vary`. Return the measures of each run.
 
-    `scenes`: one path or several. `seeds`: a number (1 to N), or the seeds themselves.
+    `scenes`: one path or several. `seeds`: a number N for the seeds 1 to N, or a list of seeds.
     `vary`: the values of params and of fields' settings, such as `{"walker.pace": ["20 mm/s", "40 mm/s"]}`, with their units.
-    `frames` (first, last), `until`: replace those of the scene. `until`: a condition that ends a run, in the words of specs, such
-    as `total(food.load) == 0`.
-    `processes`: by default, one for each core. `on_result`: a function that is called with each run as it ends.
+    `frames` (first, last), `until`: used instead of the scene's own. `until`: a condition that ends a run, in the language of
+    specs, such as `total(food.load) == 0`.
+    `processes`: their number; by default, one for each core. `on_result`: a function that is called with each run as it ends.
 
-    Raises AntdslError with the report if a scene, a name or a value is wrong. Nothing has run then."""
+    Raises AntdslError with the report if a scene, a name or a value is wrong. In this case, no run has started."""
     from itertools import product
 
     from antdsl.executors import ProcessEngine

@@ -20,8 +20,8 @@ MAX_SMALL_SCENE_AGENTS = 2_000  # foraging ants up to which the small scene is t
 
 
 class CaseError(Exception):
-    """Error for a scene that cannot be opened, or cannot have this number of agents. `report`: its findings; the message has all
-    other reasons."""
+    """Error for a scene that cannot be opened, or that cannot be scaled to the requested number of agents. `report`: the findings
+    about the scene; other reasons are in the message only."""
 
     def __init__(self, message: str, report: Report | None = None) -> None:
         super().__init__(message)
@@ -238,5 +238,5 @@ BENCH_CASES: Mapping[str, BenchCase] = {
 
 
 def find_case(name: str) -> BenchCase:
-    """Return the case of a name, or a new case for a scene's path."""
+    """Return the case called `name`. If `name` is the path of a scene, return a new case for this scene."""
     return BENCH_CASES.get(name) or BenchCase(name, "a scene", lambda agents: open_shot(Path(name), agents))

@@ -38,8 +38,8 @@ class BenchJob:
 class StepCost:
     """The cost of a step in seconds.
 
-    `cpu`, `wall`: CPU time and wall-clock time, one number per turn. `phases_cpu`, `phases_wall`: both times of each phase, by
-    its name, as the mean of all turns."""
+    `cpu`, `wall`: CPU time and elapsed time, one number per turn. `phases_cpu`, `phases_wall`: the same two times for each phase,
+    by phase name, averaged over all turns."""
 
     cpu: list[float]
     wall: list[float]
@@ -88,10 +88,10 @@ class SetUpCost:
 
 @dataclass(frozen=True, slots=True)
 class FullRunCost:
-    """The cost of a frame of a run with cache, feet and contacts as in the scene, in seconds.
+    """Seconds per frame of a full run, with cache, feet and contacts as the scene sets them.
 
     `frames`: the number of measured frames.
-    `cpu` and `wall`: time of all threads, including the writer.
+    `cpu`: CPU time of all threads, including the writer; `wall`: elapsed time.
     `step`: CPU seconds of the same steps without writing.
     `feet`: the part of `step` that moves feet."""
 

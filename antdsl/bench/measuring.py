@@ -160,10 +160,10 @@ def _time_code_load(world: World) -> tuple[float | None, list[str]]:
 
 
 def _measure_turns(runners: dict[str, StepFunction], worlds: dict[str, World], steps: int, turns: int) -> dict[str, StepCost]:
-    """Return the cost of a step of each runner, by name. The runners alternate, and each has `turns` turns of `steps` steps.
+    """Return the cost of a step of each runner, by name. The runners alternate; each runs `turns` turns of `steps` steps.
 
-    `runners`: the functions that step, by name. `worlds`: the worlds of those that are backends. Each runner first makes
-    WARM_UP_STEPS uncounted steps."""
+    `runners`: functions that simulate one step, by name. `worlds`: the world of each runner that is a backend. Before the first
+    turn, each runner makes WARM_UP_STEPS uncounted steps."""
     for run in runners.values():
         for _ in range(WARM_UP_STEPS):
             run()
@@ -221,7 +221,7 @@ def count_mean_neighbours(world: World, sight_radius_mm: float) -> float:
 
 
 def choose_run_frames(step: float) -> int:
-    """Return how many frames of a run take about two seconds, within limits. `step`: seconds of a bare step."""
+    """Return the number of frames that a run of about two seconds has, within limits. `step`: seconds of a bare step."""
     return min(max(int(2.0 / max(8.0 * step, 1e-6)), _MIN_RUN_FRAMES), _MAX_STEPS_PER_TURN)
 
 

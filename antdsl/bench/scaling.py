@@ -52,8 +52,8 @@ def scale_setting(setting: WorldSetting, agents: int) -> WorldSetting:
 
 
 def compress_crowds(setting: WorldSetting, area_share: float) -> WorldSetting:
-    """Return the setting with each crowd on the share `area_share` (0 .. 1) of its area, around the same centre. Crowds without a
-    radius do not change."""
+    """Return the setting with each crowd compressed around its centre, to the fraction `area_share` (0 .. 1) of its area. Crowds
+    without a radius do not change."""
     crowds = tuple(
         replace(crowd, place=replace(crowd.place, radius=crowd.place.radius * area_share**0.5)) if crowd.place.radius else crowd
         for crowd in setting.crowds

@@ -49,8 +49,8 @@ class SampledCurve:
         self._sample_tree: Any = None
 
     def find_closest(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> ClosestCurvePoints:
-        """Return the nearest points of the curve to positions (1-D arrays, mm). Of equally near points, the first along the curve
-        counts.
+        """Return the nearest points of the curve to positions (1-D arrays, mm). If several points are equally near, the first
+        along the curve is returned.
 
         The result is exact for the resampled curve. The nearest sample bounds the distance, and only segments within that bound
         plus one piece can contain the nearest point. Positions that are not finite get an infinite distance."""
@@ -86,8 +86,8 @@ class SampledCurve:
         return self.samples[best] + part * self._segment_vectors[best], normalise(tangent)
 
     def _find_nearest_segment(self, positions: Vectors, sample: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the number of the segment nearest to each position, of the segments next to samples int[n,k]. Of equally near
-        segments, the first counts."""
+        """Return the number of the segment nearest to each position. Only segments next to the samples int[n,k] are searched.
+        Of equally near segments, the first counts."""
         segment = np.sort(np.clip(np.concatenate([sample - 1, sample], axis=1), 0, len(self._segment_vectors) - 1), axis=1)
         gaps = np.stack([self._project_on_segment(positions, column)[1] for column in segment.T], axis=1)
         best: NDArray[np.int64] = segment[np.arange(len(positions)), gaps.argmin(axis=1)]
@@ -96,7 +96,7 @@ class SampledCurve:
     def _project_on_segment(
         self, positions: Vectors, segment: NDArray[np.int64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the fraction (0 to 1) along its segment of the point nearest to each position, and the squared distance."""
+        """Project each position onto its segment. Return the fraction (0 to 1) along the segment, and the squared distance."""
         offset, step = positions - self.samples[segment], self._segment_vectors[segment]
         square = self._segment_lengths[segment] ** 2
         projection = (offset[:, 0] * step[:, 0] + offset[:, 1] * step[:, 1]) + offset[:, 2] * step[:, 2]
@@ -106,8 +106,8 @@ class SampledCurve:
 
 
 def resample_curve(points: Vectors, spacing: float) -> Vectors:
-    """Return points [k,3] at equal spacing along a polyline [n,3], both ends included. The spacing is at most `spacing`, unless
-    the number of points reaches its limit."""
+    """Return points [k,3] at equal spacing along a polyline [n,3], both ends included. The spacing is at most `spacing`, or
+    larger if there would be too many points."""
     step = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
     has_length = np.concatenate(([True], step > 0))
     points, arc_lengths = points[has_length], np.concatenate(([0.0], np.cumsum(step[step > 0])))

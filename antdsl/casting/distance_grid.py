@@ -1,5 +1,5 @@
-"""Lower bounds of the distance to the nearest triangle. A coarse grid excludes agents far from all triangles in a few array
-operations."""
+"""Lower bounds of the distance to the nearest triangle. With this coarse grid, a few array operations exclude all agents far
+from triangles."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CellLayout = tuple[Array1[F64], Array1[F64], Array1[I64], F64]  # lowest and hig
 class DistanceGrid:
     """Lower bounds of the distance from positions to a set of triangles, with corners float64[m,3,3] (mm).
 
-    `store_tables`: store the bounds for later runs that need them."""
+    `store_tables`: whether to store the bounds for later runs."""
 
     def __init__(self, corners: NDArray[np.float64], target_cells: int = _TARGET_CELL_COUNT, store_tables: bool = True) -> None:
         self._low = corners.min(axis=(0, 1)) if len(corners) else np.zeros(3)
@@ -44,7 +44,7 @@ class DistanceGrid:
         ]
 
     def _compute_cell_bounds(self, corners: NDArray[np.float64]) -> stored_tables.Tables:
-        """Return the table of lower bounds: for each cell, a distance (mm) within which its points have no triangle."""
+        """Return the table of lower bounds (mm). No point of a cell has a triangle within the cell's bound."""
         free = np.ones(tuple(self._size), bool)
         for cell, _ in iterate_triangle_cells((corners - self._low) / self._width, exact=False):
             cell = np.minimum(cell, self._size - 1)
@@ -58,8 +58,8 @@ class DistanceGrid:
         """Raise the lower bounds of cells near triangles. `distance` returns the distance (mm) of cell centres [n,3] to the
         nearest triangle.
 
-        Refined bounds are too low by at most half the diagonal of a cell, others by twice as much. The method does nothing if the
-        measurement would take longer than it saves a crowd in a few hundred steps."""
+        Refined bounds are too low by at most half the diagonal of a cell, others by twice as much. Nothing is done if the
+        measurement would take longer than a crowd saves by it in a few hundred steps."""
         near = np.flatnonzero(self._cell_bounds < 2 * self._width)
         if near.size > _MAX_REFINED_CELLS:
             return
@@ -70,7 +70,7 @@ class DistanceGrid:
         self._cell_bounds[near] = np.maximum(self._cell_bounds[near], refined_bounds.astype(np.float32))
 
     def compute_lower_bounds(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
-        """Return a distance (mm, float32[n]) from each position within which there is no triangle; 0 near triangles."""
+        """Return a lower bound (mm, float32[n]) of the distance from each position to the nearest triangle; 0 near triangles."""
         least_distances, columns = np.empty(len(x), np.float32), (x, y, z)
         single = all(each.dtype == np.float32 for each in columns)
         if not single:
@@ -143,7 +143,7 @@ def _clamp_coordinate(place: F64, low: F64, high: F64) -> F64:
 
 
 def choose_cell_width(extent: NDArray[np.float64], cells: int) -> float:
-    """Return the edge length of cubes of which about `cells` fill a box. For a thin box, only its long sides count."""
+    """Return the cube size at which about `cells` cubes fill a box. For a thin box, only its long sides count."""
     longest = float(extent.max())
     if not longest > 0:
         return 1.0
@@ -158,8 +158,8 @@ def choose_cell_width(extent: NDArray[np.float64], cells: int) -> float:
 
 
 def limit_cell_width(corners: NDArray[np.float64], width: float) -> float:
-    """Return a cube width of at least `width`. With it, listing the touched cubes takes a few seconds at most. The triangles
-    have corners float64[m,3,3]."""
+    """Return a cube width of at least `width`, large enough that listing the touched cubes takes a few seconds at most. The
+    triangles have corners float64[m,3,3]."""
     lengths, area = measure_sides_and_area(corners)
     perimeter = float(lengths.sum())
     while 3 * area / width**2 + 2 * perimeter / width > _MAX_LISTED_CELLS + 8.0 * len(corners):

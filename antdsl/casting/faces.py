@@ -1,6 +1,5 @@
-"""Triangles in float64: ray intersections, nearest points, and the faces that share a corner.
-
-All results are sums, products, quotients and roots of single elements in one fixed order: the same bits on every processor."""
+"""Triangles in float64: ray intersections, nearest points, and the faces that share a corner. Each element is computed
+separately, with sums, products, quotients and roots in a fixed order. Results therefore have the same bits on every processor."""
 
 from __future__ import annotations
 
@@ -31,7 +30,7 @@ FaceTable = tuple[Array3[F64], Array1[F64], Array1[I64], Array1[I64], Array1[I64
 
 class TriangleFaces:
     """Triangles with corners float64[m,3,3] (mm). `is_short_lived`: build no tables, because few faces are queried. `tolerance`
-    is relative to `largest_coordinate` (mm), by default that of all corners."""
+    is relative to `largest_coordinate` (mm), by default the largest coordinate of all corners."""
 
     def __init__(self, corners: Floats, is_short_lived: bool = False, largest_coordinate: float | None = None) -> None:
         self.corners = corners
@@ -68,8 +67,8 @@ class TriangleFaces:
         return self._normals.take(face, axis=0)
 
     def _get_planes_and_borders(self, face: Index) -> tuple[Floats, Floats]:
-        """Return the planes of faces (`compute_planes`), and the weights below which a point counts as near the border of each
-        face."""
+        """Return the planes of faces (`compute_planes`), and for each face the weight below which a point is treated as near
+        the border."""
         if self._is_short_lived:
             return self._compute_planes(self.corners.take(face, axis=0))
         if self._planes is None:
@@ -80,7 +79,7 @@ class TriangleFaces:
         return rows.take(face, axis=0), rims.take(face)
 
     def _compute_planes(self, corners: Floats) -> tuple[Floats, Floats]:
-        """Return the results of `_get_planes_and_borders` for triangles [k,3,3]."""
+        """Compute the planes and border weights of triangles [k,3,3], for `_get_planes_and_borders`."""
         rows = compute_planes(corners)
         one, two = rows[:, 1, :3], rows[:, 2, :3]
         both = one + two
@@ -152,8 +151,9 @@ class TriangleFaces:
         return *self._planes, *self._corner_tables
 
     def find_nearest(self, points: Floats, face: Index) -> tuple[Floats, Floats, Index]:
-        """Return the nearest position to each point [k,3], its squared distance and its face. The argument `face` is the nearest
-        face in float32. The result is that face or one that meets it at the position: of equally near faces, the first."""
+        """For each point [k,3], return the nearest surface position, its squared distance and its face. The argument `face` is
+        the nearest face in float32. The result is that face or one that meets it at the position: of equally near faces, the
+        first."""
         tables = self.build_kernel_tables()
         if tables is not None:
             face, place, square = face.copy(), np.empty((len(points), 3)), np.empty(len(points))
@@ -178,8 +178,8 @@ class TriangleFaces:
         return place, square, face
 
     def find_faces_at_corner(self, face: Index, weights: Floats) -> tuple[Index, Index]:
-        """Return the faces at the corner of largest weight of each queried face, as pairs: index in `face`, and number of a
-        sharing face, ascending."""
+        """Return the faces that share a corner with each queried face: the corner with the largest weight. The result is pairs:
+        the index in `face`, and the number of a sharing face, ascending."""
         if self._corner_tables is None:
             self._corner_tables = self._weld_corners()
         weld, first, faces = self._corner_tables
@@ -190,7 +190,7 @@ class TriangleFaces:
         return query, faces.take(np.repeat(first.take(corner), count) + step)
 
     def _find_duplicates(self) -> NDArray[np.bool_]:
-        """Return which faces have the same corners as another face."""
+        """Return a mask of the faces that have the same corners as another face."""
         if self._corner_tables is None:
             self._corner_tables = self._weld_corners()
         three = np.sort(self._corner_tables[0].reshape(-1, 3), axis=1)
@@ -325,19 +325,19 @@ def write_nearest_points_on_faces(
 
 @inlined
 def evaluate_plane(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
-    """Return the product of one row of a face's planes with a point's coordinates and 1."""
+    """Evaluate one row of a face's planes at a point: the product with (x, y, z, 1)."""
     return ((planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z) + planes[face, row, 3]
 
 
 @inlined
 def evaluate_plane_slope(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
-    """Return the product of one row of a face's planes with a direction."""
+    """Evaluate one row of a face's planes for a direction: the product with (x, y, z, 0)."""
     return (planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z
 
 
 @inlined
 def _find_minimum_of_three(a: F64, b: F64, c: F64) -> F64:
-    """Return the smallest of three numbers; NaN if any is NaN, as `np.minimum`."""
+    """Return the smallest of three numbers, or NaN if any of them is NaN (like `np.minimum`)."""
     if a != a or b != b or c != c:
         return np.nan
     return min(min(a, b), c)
@@ -345,7 +345,7 @@ def _find_minimum_of_three(a: F64, b: F64, c: F64) -> F64:
 
 @inlined
 def _find_largest_index(a: F64, b: F64, c: F64) -> I64:
-    """Return the index of the largest number, as `np.argmax`: NaN is larger than all numbers, and the first of equals counts."""
+    """Return the index of the largest number, like `np.argmax`. NaN counts as the largest; of equal numbers, the first counts."""
     if a != a or (not (b > a or b != b) and not (c > a or c != c)):
         return 0
     if b != b or (b >= c and c == c):
@@ -376,7 +376,7 @@ def _advance_point(a: Vec3, v: Vec3, s: F64) -> Vec3:
 
 @inlined
 def find_nearest_on_face(corners: Array3[F64], face: I64, p: Vec3) -> Vec3:
-    """Return the nearest point of a face to a point, as `find_nearest_on_triangle`."""
+    """Return the point of a face that is nearest to `p`. Same method as `find_nearest_on_triangle`."""
     a = (corners[face, 0, 0], corners[face, 0, 1], corners[face, 0, 2])
     b = (corners[face, 1, 0], corners[face, 1, 1], corners[face, 1, 2])
     c = (corners[face, 2, 0], corners[face, 2, 1], corners[face, 2, 2])

@@ -1,6 +1,5 @@
-"""Filters of grids: minimum or maximum of the surrounding cells, and distance to the nearest cell that is not free.
-
-Results are bit-identical to those of SciPy's `ndimage`. Importing SciPy takes longer than all filters of a scene."""
+"""Filters of grids: minimum or maximum of the surrounding cells, and distance to the nearest cell that is not free. Results are
+bit-identical to those of SciPy's `ndimage`. SciPy is not used because its import takes longer than all filters of a scene."""
 
 from __future__ import annotations
 
@@ -41,7 +40,7 @@ def _filter_neighbourhood(grid: NDArray[GridValue], rings: int, combine: Any) ->
 
 
 def compute_blocked_distances(is_free: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return, for each cell, the distance to the nearest cell that is not `is_free`, in cells between the centres.
+    """Return, for each cell, the distance to the nearest cell that is not `is_free`, measured in cells, from centre to centre.
 
     At least one cell must not be free. The axes are processed one after another. For each cell, the result is the minimum over
     its line of two terms: the squared value of a cell of the line, plus its squared distance along the line."""

@@ -1,4 +1,4 @@
-"""The first face that each ray hits in a grid of triangles (`triangle_grid`): one ray at a time, cube by cube."""
+"""The first face that each ray hits in a grid of triangles (`triangle_grid`): each ray is followed from cube to cube."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def _prefetch_faces(
 def write_feeler_hits(grid: GridTables, rays: SevenColumns, results: Array2[F32]) -> I64:
     """Write the results of `TriangleGrid.cast_feelers` to the last array: distance and normal.
 
-    The distance is NaN for feelers that the grid cannot resolve. Returns the number of these."""
+    Feelers that the grid cannot resolve get the distance NaN. Returns the number of such feelers."""
     x, y, z, dx, dy, dz, reach = rays
     count = 0
     for i in range(reach.size):
@@ -139,7 +139,7 @@ def write_requested_feelers(
 ) -> I64:
     """Write the results of `TriangleGrid.cast_requested_feelers`, for agents `begin` to `end` (exclusive).
 
-    The distance is NaN for feelers that the grid cannot resolve. Returns the number of these."""
+    Feelers that the grid cannot resolve get the distance NaN. Returns the number of such feelers."""
     x, y, z, clear = positions
     wx, wy, wz, reach = directions
     hit, t, nx, ny, nz = results
@@ -165,9 +165,8 @@ def write_requested_feelers(
 
 @kernel_helper
 def cast_feeler(grid: GridTables, position: Vec3F32, direction: Vec3F32, reach: F32) -> tuple[tuple[F64, F64, F64, F64], I64]:
-    """Return the first hit of a feeler, as distance (mm) and unit normal towards the feeler's origin, and the face that it hits.
-
-    The distance is infinite for no hit, NaN if the grid cannot answer."""
+    """Return the first hit of a feeler, as distance (mm) and unit normal towards the feeler's origin, and the face that was
+    hit. The distance is infinite for no hit, NaN if the grid cannot answer."""
     shape, normals = grid[0], grid[7]
     far = np.float64(reach)
     a = np.float64(position[0]) - shape[6], np.float64(position[1]) - shape[7], np.float64(position[2]) - shape[8]
@@ -183,8 +182,8 @@ def cast_feeler(grid: GridTables, position: Vec3F32, direction: Vec3F32, reach: 
 
 @kernel_helper
 def find_first_hit(grid: GridTables, start: Vec3, displacement: Vec3) -> tuple[F64, I64]:
-    """Return the ray parameter (0 to 1) at which a ray from `start` along the displacement `displacement` hits its first face,
-    and this face."""
+    """Return the first face that a ray hits, and the ray parameter (0 to 1) of the hit. The ray goes from `start` along
+    `displacement`."""
     shape, size, first, face_list, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
     part = 1.0 / shape[3]
     px, py, pz = (start[0] - shape[0]) * part, (start[1] - shape[1]) * part, (start[2] - shape[2]) * part
@@ -275,8 +274,8 @@ def prefetch_rays(
     cells: Array1[I64],
     count: I64,
 ) -> None:
-    """Prefetch the faces near both ends of the rays that `rays` numbers. Origins and displacements are float64[3,k], and origins
-    are relative to `zero`."""
+    """Prefetch the faces near both ends of the rays with the numbers `rays`. Origins and displacements are float64[3,k], and
+    origins are relative to `zero`."""
     for n in range(count):
         _append_end_cubes(grid, minus(get_column(origins, rays[n]), zero), get_column(displacements, rays[n]), cells, n)
     _prefetch_face_lists(grid, cells, count)
@@ -312,7 +311,7 @@ def _prefetch_cube_of_point(grid: GridTables, a: Vec3) -> I64:
 
 @inlined
 def _prefetch_face_list(grid: GridTables, cell: I64) -> None:
-    """Prefetch the first faces of a cube: one cache line has two faces."""
+    """Prefetch the first faces of a cube. One cache line holds two faces."""
     first, face_list, bound = grid[2], grid[3], grid[4]
     k: I64 = first[cell]
     prefetch(face_list, k)

@@ -1,4 +1,4 @@
-"""Lamps as spheres that emit light: how much of it reaches a surface, and where rays to them end.
+"""Lamps as spheres that emit light: how much light reaches a surface, and the target points of rays towards a lamp.
 
 Pictures and the sense `light` use the same lamps. Light decreases with the square of the distance to the centre and with the
 cosine of the angle to the surface's normal."""
@@ -53,10 +53,10 @@ class LightSphere:
         return np.asarray(spots - towards, points.dtype)
 
     def compute_intensity(self, points: AnyFloats, normal: AnyFloats, flat_normal: AnyFloats | None = None) -> AnyFloats:
-        """Return the intensity (n,) of the lamp's light at `points` (n, 3) with normals `normal` (n, 3), without any occlusion.
+        """Return the intensity (n,) of the lamp's light at `points` (n, 3) with normals `normal` (n, 3), ignoring occlusion.
 
-        `flat_normal` (n, 3): the normals of the triangles. Light fades where they face away, so that coarse bodies have no jagged
-        shade."""
+        `flat_normal` (n, 3): the normals of the triangles. Light fades out on triangles that face away from the lamp, so that
+        coarse bodies have no jagged shadow edges."""
         number = points.dtype.type
         towards = self.centre.astype(points.dtype) - points
         square = dot(towards, towards)

@@ -1,6 +1,6 @@
-"""Queries of agents about nearby triangles: distance, feeler hits, and the direction away from the triangles.
+"""Queries about triangles near agents: distance, feeler hits, and the direction away from the triangles.
 
-Agents too far from all triangles to touch them are skipped, by a grid of lower distance bounds. For performance: this applies to
+For performance, agents that are too far from all triangles are skipped, by a grid of lower distance bounds. This applies to
 most agents."""
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def list_query_rows(queries: Sequence[FeelerQuery]) -> list[tuple[int, NDArray[n
 
 
 class ProximityQueries(ABC):
-    """Queries about the triangles near positions. The subclass in `casting.rays` implements the basic queries that these use."""
+    """Queries about the triangles near positions. The basic queries are implemented by the subclass in `casting.rays`."""
 
     origin: Vectors
     _is_short_lived: bool
@@ -80,7 +80,7 @@ class ProximityQueries(ABC):
 
     @abstractmethod
     def _get_facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the normals of faces, on the sides that rays with these directions hit."""
+        """Return the normals of faces, on the side that a ray with the given direction hits."""
 
     @abstractmethod
     def _get_triangle_grid(self) -> TriangleGrid | None:
@@ -91,7 +91,8 @@ class ProximityQueries(ABC):
         """Return approximate distances [n] (mm) from points [n,3] to the nearest face, which limit later searches."""
 
     def measure_clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
-        """Return a distance (mm, float32[n]) within which positions have no face; 0 when near, inf without faces."""
+        """Return a distance (mm, float32[n]) from each position within which there is no face: 0 near a face, infinite if
+        there are no faces."""
         if self._is_empty:
             return np.full(len(x), np.inf, np.float32)
         if self._grid is None:
@@ -116,8 +117,8 @@ class ProximityQueries(ABC):
         """Return the first hits of feelers from positions (x y z) along unit directions (x y z), within `reach` (mm, one or
         float[n]).
 
-        All arrays are 1-D and of one length. Agents too far from everything to touch it are skipped, with the same result. For
-        performance: this applies to most agents."""
+        All arrays are 1-D and of one length. For performance, agents that are too far from all faces are skipped. This does
+        not change the result."""
         (x, y, z), (dx, dy, dz) = positions, directions
         if np.ndim(reach) == 0 or reach.dtype != np.float32:  # type: ignore[union-attr]
             reach = np.broadcast_to(np.asarray(reach, np.float32), (len(x),))
@@ -245,8 +246,8 @@ class ProximityQueries(ABC):
         return (distance * side).astype(np.float32), np.ascontiguousarray(outward.T, np.float32)
 
     def _select_possible_hits(self, rays: Arrays, reach: NDArray[Any]) -> NDArray[np.int64]:
-        """Return the rows of feelers that may hit. A feeler is excluded if the ball that contains it, around its middle, is known
-        to be empty."""
+        """Return the rows of feelers that may hit. A feeler is excluded if the smallest ball around it contains no face,
+        according to the lower bounds."""
         if self._is_empty:
             return np.empty(0, np.int64)
         if self._grid is None:

@@ -1,4 +1,4 @@
-"""Kernels of `triangle_grid` that find the nearest face to one position, and the direction out of the surface there."""
+"""Kernels of `triangle_grid` that find the face nearest to a position, and the direction out of the surface there."""
 
 from __future__ import annotations
 
@@ -22,9 +22,8 @@ _PREFETCHED_FACE_COUNT = 12  # prefetched faces of a row of cubes
 
 @kernel
 def write_signed_distances(grid: GridTables, positions: ThreeColumns, results: Array2[F32], begin: I64, end: I64) -> I64:
-    """Write the signed distance and the direction out of the surface into `results`, for positions `begin` to `end` (exclusive).
-
-    The distance is NaN if the grid cannot answer. Returns the number of these positions."""
+    """Write the signed distance and the direction out of the surface into `results`, for positions `begin` to `end`
+    (exclusive). The distance is NaN if the grid cannot answer. Returns the number of positions with NaN."""
     x, y, z = positions
     count = 0
     for i in range(begin, end):
@@ -114,8 +113,8 @@ def find_nearest_face(grid: GridTables, p: Vec3, max_distance: F64) -> tuple[F64
     """Return the squared distance to a point's nearest face, that face, and the nearest position on it.
 
     If all faces are farther than `max_distance` (mm), the result may be NEAREST_FACE_BEYOND_RANGE or NEAREST_FACE_UNKNOWN
-    instead of a face. NEAREST_FACE_BEYOND_RANGE means that the point is in front of the nearest face, which is not measured. This
-    is certain if bounds of the distances show that a face with the point in front of it is nearer than all others."""
+    instead of a face. NEAREST_FACE_BEYOND_RANGE means that the point is in front of the nearest face, but the distance was not
+    measured. Lower and upper bounds of the distances are enough to know this."""
     shape, size, first, face_list, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
     width, slack = shape[3], shape[4]
     part = 1.0 / width
@@ -220,7 +219,8 @@ def _clamp_index(coordinate: F64, size: I64) -> I64:
 
 @inlined
 def _measure_searched_distance(coordinate: F64, middle: I64, ring: I64, size: I64) -> F64:
-    """Return a distance (in cubes) along an axis. All faces nearer than it are in the rings of cubes searched so far."""
+    """Return the distance (in cubes) along an axis that has been searched completely: all nearer faces are in the rings
+    searched so far."""
     begin, end = middle - ring, middle + ring + 1
     low = np.inf if begin <= 0 else coordinate - np.float64(begin)
     high = np.inf if end >= size else np.float64(end) - coordinate
@@ -229,7 +229,7 @@ def _measure_searched_distance(coordinate: F64, middle: I64, ring: I64, size: I6
 
 @inlined
 def _measure_squared_gap(coordinate: F64, cell: I64) -> F64:
-    """Return the squared distance (in cubes) of a point from a layer of cubes along one axis.
+    """Return the squared distance (in cubes) along one axis between a point and a layer of cubes.
 
     A tolerance allows for faces that extend beyond their cubes."""
     gap = max(max(np.float64(cell) - coordinate, coordinate - np.float64(cell + 1)) - 1e-5, 0.0)

@@ -1,4 +1,4 @@
-"""Imports Open3D at its first use."""
+"""Open3D, imported when it is first used."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PLOTLY_MODULE = "open3d.visualization.draw_plotly"
 
 
 class _DeferredModule(ModuleType):
-    """A placeholder for a module of functions, which is imported when one of them is called."""
+    """A placeholder for a module. It imports the module when one of its functions is called."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
@@ -32,8 +32,8 @@ class _DeferredModule(ModuleType):
 def load_open3d() -> Any:
     """Return the Open3D module, imported at first use.
 
-    Its plotting parts are not imported. They need a web server and an HTTP client (dash, requests), take half of the import time,
-    and bind a socket."""
+    Its plotting parts are not imported. They need a web server and an HTTP client (dash, requests), open a socket, and take
+    half of the import time."""
     if "open3d" not in sys.modules:
         # In a notebook, Open3D would otherwise start its web viewer and print about it.
         os.environ.setdefault("OPEN3D_DISABLE_WEB_VISUALIZER", "true")
@@ -46,7 +46,7 @@ def load_open3d() -> Any:
 
 
 def _describe_load_failure(reason: str) -> str:
-    """Return the message of a failed import, with a correction."""
+    """Return an error message for a failed import, with a remedy."""
     return (
         f"open3d cannot be loaded ({reason}): install the package `open3d-cpu`; on a bare Linux system it also needs "
         "the system packages libegl1 libgl1 libusb-1.0-0"

@@ -36,8 +36,8 @@ class PictureHits:
 class PictureRays:
     """Triangles (vertices [n,3], faces [m,3]) for the rays of a camera.
 
-    Positions are taken relative to the centre of the mesh before their conversion to float32. The bits of a ray's result do not
-    depend on threads or on other rays."""
+    Positions are converted to float32 relative to the centre of the mesh. A ray's result is bit-identical for any threads and
+    other rays."""
 
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
         self.faces = len(faces)

@@ -1,4 +1,4 @@
-"""The cells of a regular lattice that triangles touch, by an exact test, in batches that need little memory."""
+"""Lists the cells of a regular lattice that triangles touch. The test is exact, and works in batches that need little memory."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def _iterate_touched_cells(
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """Yield cells as `iterate_triangle_cells`, for at most `_TRIANGLES_PER_CHUNK` triangles with numbers `triangle_numbers`.
 
-    A needle triangle is cut into slices across its length, each as wide as the needle. Quarters would still be needles: a needle
-    of n cells length would need n²/4 of them."""
+    A long thin triangle is cut across its length into slices as long as they are wide. Cutting it into quarters would give
+    thin triangles again, n²/4 of them for a length of n cells."""
     todo = [(tri, triangle_numbers)]
     while todo:
         tri, triangle_numbers = todo.pop()
@@ -81,7 +81,7 @@ def _drop_repeated_pairs(
 
 
 def _find_thin_triangles(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which triangles are thin: cut into quarters, they would have far more parts than cells."""
+    """Return a mask of thin triangles. Cut into quarters repeatedly, these would have far more parts than cells."""
     sides = [tri[:, (k + 1) % 3] - tri[:, k] for k in range(3)]
     square = np.max([(side * side).sum(axis=1) for side in sides], axis=0)
     normal = np.cross(sides[0], sides[1])

@@ -122,7 +122,7 @@ def _write_clear_balls(grid: GridTables, corners: CornerTables, balls: Array2[F3
 
 @kernel_helper
 def _is_ring_flat(grid: GridTables, corners: CornerTables, f: I64, middle: Vec3) -> BOOL:
-    """Return whether the ring of a face is closed and, seen along the normal, its border goes once around the middle."""
+    """Return whether the ring of a face is flat and closed: seen along the normal, its border goes once around the middle."""
     points, normals = grid[6], grid[7]
     weld, first, face_list, closed = corners
     up = normals[f, 0], normals[f, 1], normals[f, 2]
@@ -154,8 +154,8 @@ def _is_ring_flat(grid: GridTables, corners: CornerTables, f: I64, middle: Vec3)
 
 @kernel_helper
 def _measure_ring_clearance(grid: GridTables, weld: Array1[I64], f: I64, middle: Vec3) -> F64:
-    """Return the distance of a position from all faces outside the ring of face `f`. It is limited by the border of the cubes
-    next to the position's cube."""
+    """Return the distance of a position from all faces outside the ring of face `f`. The result is limited to the border of the
+    cubes next to the position's cube."""
     shape, size, first, face_list, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
     width, clearance = shape[3], np.inf
     p = (middle[0] - shape[0]) / width, (middle[1] - shape[1]) / width, (middle[2] - shape[2]) / width
@@ -199,10 +199,9 @@ def prefetch_first_face(rings: RingTables, face: I64) -> None:
 
 @inlined
 def find_hit_by_walk(grid: GridTables, rings: RingTables, start: I64, a: Vec3, w: Vec3) -> tuple[F64, I64]:
-    """Return the result of `find_first_hit`, found by a walk over faces from the face below the ray's origin `a`.
-
-    The search for this first face begins at the face `start`. The face in the result is NEAREST_FACE_UNKNOWN if a walk cannot
-    answer."""
+    """Return the first hit of a ray, like `find_first_hit`, by a walk over faces. The walk starts at the face below the ray's
+    origin `a`. The search for that face begins at the face `start`. If a walk cannot answer, the face in the result is
+    NEAREST_FACE_UNKNOWN."""
     links, balls = rings[1], rings[2]
     f = _find_face_below(rings, start, a)
     if f < 0 or not _is_in_clear_ball(balls, f, a):
@@ -275,13 +274,13 @@ def _load_side_planes(rings: RingTables, f: I64) -> tuple[Plane, Plane, Plane]:
 
 @inlined
 def _evaluate_plane(plane: Plane, place: Vec3) -> F64:
-    """Return the value of a plane at a position, as `faces.evaluate_plane`."""
+    """Return the value of a plane at a position. Same as `faces.evaluate_plane`."""
     return ((plane[0] * place[0] + plane[1] * place[1]) + plane[2] * place[2]) + plane[3]
 
 
 @inlined
 def _evaluate_plane_slope(plane: Plane, displacement: Vec3) -> F64:
-    """Return the growth of a plane's value along a displacement, as `faces.evaluate_plane_slope`."""
+    """Return how much a plane's value changes along a displacement. Same as `faces.evaluate_plane_slope`."""
     return (plane[0] * displacement[0] + plane[1] * displacement[1]) + plane[2] * displacement[2]
 
 

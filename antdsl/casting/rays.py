@@ -1,4 +1,5 @@
-"""Rays, occlusions, closest points and feelers against triangles. Batches and threads do not change the bits of a result."""
+"""Ray hits, occlusion, closest points and feelers for triangle meshes. Results are bit-identical for any batch size and thread
+count."""
 
 from __future__ import annotations
 
@@ -55,18 +56,18 @@ class RayScene(ProximityQueries):
     """Triangle meshes that rays can be cast at. Vertices are float64[n,3], faces int[m,3]; lengths are in mm.
 
     Open3D computes in float32, relative to the centre for meshes far from the world's origin, and its last bits depend on the
-    processor. So it only proposes faces, of slightly enlarged triangles. Hit points and nearest points are computed in float64,
-    from the proposed face and the faces that share its corner there. Of equally near faces, the first mesh counts, then the first
-    face.
+    processor. Open3D is therefore used only to find candidate faces, on slightly enlarged triangles. Hit points and nearest
+    points are computed in float64, from the proposed face and the faces that share its corner there. If faces are equally near,
+    the one with the lowest mesh number, then face number, is returned.
 
-    A short-lived scene, for a single step, is faster to build but has coarser lower bounds of distances. Without
-    `store_tables`, it stores no table for other runs. The smallest resolved length, the tolerance of `Faces`, is relative to the
-    largest coordinate, or to `largest_coordinate` (mm) if anything beyond that is a backdrop.
+    A short-lived scene, for a single step, is faster to build but has coarser lower bounds of distances. With `store_tables`,
+    tables are stored for later runs. The smallest resolved length, the tolerance of `Faces`, is relative to the largest
+    coordinate, or to `largest_coordinate` (mm) if anything beyond that is a backdrop.
 
     Rays with an end, and nearest-face queries within a distance, use a `TriangleGrid` if that is useful. The grid measures all
     nearby faces in float64. Open3D answers longer rays, and queries too far from all faces. The choice depends on the scene and
     the ray only, so no answer depends on other rays. If two faces without a common corner are closer than float32 resolves, the
-    grid names the nearer one, and Open3D either of them."""
+    grid returns the nearer one, Open3D either of them."""
 
     _is_short_lived = False
     _stores_tables = True
@@ -85,7 +86,7 @@ class RayScene(ProximityQueries):
 
     @classmethod
     def from_meshes(cls, meshes: Sequence[MeshArrays]) -> RayScene:
-        """Return a scene of several meshes; `RayHitArrays.mesh` counts them from 0."""
+        """Return a scene of several meshes. `RayHitArrays.mesh` is the index of the mesh that was hit, from 0."""
         scene = cls.__new__(cls)
         scene._set_meshes(meshes)
         return scene
@@ -114,7 +115,8 @@ class RayScene(ProximityQueries):
 
     @property
     def _widened_scene(self) -> Any:
-        """Return Open3D's scene of slightly enlarged triangles, built on first use: the grid answers most queries of a run."""
+        """Return Open3D's scene of slightly enlarged triangles. It is built on first use, because the grid answers most queries
+        of a run."""
         if self._open3d_scene is None:
             self._open3d_scene = self._build_scene(self._faces.compute_widened_corners())
         return self._open3d_scene
@@ -275,7 +277,7 @@ class RayScene(ProximityQueries):
         return rows.take(near_rows), fractions.take(near_rows), reported.take(near_rows), weights.take(near_rows, axis=0)
 
     def _cast_open3d_rays(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
-        """Return, for prepared rays, the approximate ray parameter at which Open3D reports a hit, and the face over all meshes
+        """Cast prepared rays by Open3D. Return the approximate ray parameter of each hit, and the face number over all meshes
         (-1: none)."""
         answer = self._widened_scene.cast_rays(self._to_tensor(rays), nthreads=threads)
         t = answer["t_hit"].numpy()
@@ -291,7 +293,7 @@ class RayScene(ProximityQueries):
         return mesh, (face - self._first_face_of_mesh.take(mesh)).astype(np.int32)
 
     def _get_facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the normals of faces, on the sides that rays with these directions hit."""
+        """Return the normals of faces, on the side that a ray with the given direction hits."""
         normal = self._faces.get_normals(face)
         projection = (normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1]) + normal[:, 2] * direction[:, 2]
         facing: NDArray[np.float32] = np.where(projection[:, None] > 0, -normal, normal).astype(np.float32)
@@ -321,10 +323,9 @@ class RayScene(ProximityQueries):
     def find_closest(
         self, points: Vectors, threads: int = 1, max_distance: NDArray[Any] | float = np.inf
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], Vectors, NDArray[np.float64]]:
-        """Return the nearest surface point to each point [n,3]: its mesh, face, position [n,3] in float64, and distance [n] (mm).
-
-        Far from the surface, a query costs as much as 10 to 30 rays: use it for the few points that no other search resolves.
-        Beyond `max_distance` (mm, one or float[n]) the result may be an equally near face on another side."""
+        """Return the nearest surface point to each point [n,3]: its mesh, face, position [n,3] in float64, and distance [n]
+        (mm). Far from the surface, a query costs as much as 10 to 30 rays: use it for the few points that no other search
+        resolves. Beyond `max_distance` (mm, one or float[n]), the result may be another, equally near face."""
         n = len(points)
         if self._is_empty or n == 0:
             no_faces = np.full(n, -1, np.int32)
@@ -366,14 +367,13 @@ class RayScene(ProximityQueries):
         return place, distance, face
 
     def _measure_approximate_distances(self, points: Vectors) -> Vectors:
-        """Return distances [n] to the nearest face, or to a face that is as near within float32 error. They limit later
-        searches."""
+        """Return the approximate distance [n] to the nearest face, within float32 error. Later searches use it as a limit."""
         local = points - self.origin
         gap = find_nearest_on_triangle(local, self._faces.corners.take(self._query_open3d_nearest(local, 1), axis=0)) - local
         return np.sqrt((gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]) + gap[:, 2] * gap[:, 2])
 
     def _query_open3d_nearest(self, points: Vectors, threads: int) -> Index:
-        """Return, for each point, the face that Open3D reports as nearest. Points are relative to the scene's origin."""
+        """Return the face that Open3D reports as nearest to each point. Points are relative to the scene's origin."""
         if self._exact_scene is None:
             self._exact_scene = (
                 self._widened_scene
@@ -388,8 +388,8 @@ class RayScene(ProximityQueries):
         return face
 
     def measure_depth_inside(self, points: Vectors, threads: int = 1) -> NDArray[np.float64]:
-        """Return the depth of each point [n,3] inside the meshes, which are assumed to be closed: the distance to the surface in
-        mm.
+        """Return how deep each point [n,3] is inside the meshes: the distance to the surface in mm. Meshes are assumed to be
+        closed.
 
         A point is inside if at least two of three rays from it cross an odd number of faces; outside, the result is 0."""
         depths = np.zeros(len(points))

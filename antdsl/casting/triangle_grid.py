@@ -1,10 +1,9 @@
-"""Triangles in the cubes of a regular grid: the first face that a short ray hits, and the nearest face within some cells, in
-float64.
+"""A regular grid of triangles that finds the first face on a short ray, and the nearest face within a few cells, in float64.
 
 A ray visits the cubes along it (J. Amanatides, A. Woo, A Fast Voxel Traversal Algorithm for Ray Tracing, Eurographics 1987). A
-point visits the cubes around it, ring by ring. Every face listed in a visited cube is measured as in `Faces`. So the answer is
-the same as for a test of all faces: the least distance, then the least face number. The cubes only exclude faces that need no
-test."""
+point visits the cubes around it, ring by ring. Every face listed in a visited cube is measured as in `Faces`. So the result is
+the same as if all faces were tested: the least distance, then the least face number. The grid only skips faces that cannot be
+hit."""
 
 from __future__ import annotations
 
@@ -87,11 +86,11 @@ class TriangleGrid:
     # ---- rays
 
     def find_first_faces(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Floats, Index]:
-        """Return the parameter at which each ray from `origin` [n,3] to `origin + displacement` hits its first face, and this
-        face.
+        """Return the first face that each ray from `origin` [n,3] to `origin + displacement` hits, and the ray parameter of the
+        hit.
 
-        The ray parameter is in lengths of `displacement`. Hits within the tolerance of the start are ignored. The face is NO_FACE
-        if there is none, and FACE_BEYOND_GRID for rays that are too long."""
+        The ray parameter is in lengths of `displacement`. Hits within the tolerance of the start are ignored. The face is
+        NO_FACE if there is none, and FACE_BEYOND_GRID for rays that are too long."""
         t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
         work = partial(grid_rays.write_first_hits, self.tables, origin, displacement, t, face)
         parallel.run_in_parts(work, len(origin), threads, _RAYS_PER_THREAD)
@@ -112,8 +111,8 @@ class TriangleGrid:
         return (hit_rays, results[0], results[1:]), sum([unanswered for _, _, unanswered in parts])
 
     def cast_feelers(self, positions: PointColumns, direction: PointColumns, reach: Float32Array) -> tuple[Float32Array, int]:
-        """Return the hits of feelers from positions along unit directions, up to `reach` (mm). Inputs are float32 columns in the
-        world.
+        """Return the hits of feelers from positions along unit directions, up to `reach` (mm). Inputs are float32 columns in
+        world coordinates.
 
         The result is float32[4,n]: distance (infinite for no hit, NaN if the grid cannot answer) and unit normal towards the
         feeler's origin. Returns also the number of feelers that the grid cannot answer."""
@@ -152,7 +151,7 @@ class TriangleGrid:
 
 
 def _make_contiguous(*columns: Float32Array) -> tuple[Float32Array, ...]:
-    """Return the columns as contiguous arrays."""
+    """Return a copy in which every column is contiguous."""
     return tuple([np.ascontiguousarray(each) for each in columns])
 
 
@@ -171,7 +170,7 @@ def _list_cube_faces(corners: Floats, low: Floats, size: Index, width: float) ->
 
 
 def _choose_cube_width(corners: Floats) -> float | None:
-    """Return the edge of cubes (mm): the usual edge of the faces, or more if there would be too many cubes."""
+    """Return the edge length of cubes (mm): the typical edge length of the faces, or more if there would be too many cubes."""
     if not len(corners):
         return None
     lengths, area = measure_sides_and_area(corners)

@@ -1,4 +1,4 @@
-"""Parses words of the command line: `NAME=VALUE`, ranges of frames, folders granted to a scene."""
+"""Parses arguments of the command line: `NAME=VALUE` pairs, ranges of frames, and folders granted to a scene."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ UNTIL_OPTION = typer.Option(
 
 
 def parse_until(text: str | None) -> str | None:
-    """Return the condition of `--until` in one line; None for None. Raises BadParameter for an empty text."""
+    """Return the condition of `--until` on one line, or None if there is no option. Raises BadParameter for an empty text."""
     if text is None:
         return None
     from antdsl.scene.values import parse_condition
@@ -57,7 +57,7 @@ def read_standard_input() -> bytes:
 
 
 def parse_grants(words: Iterable[str]) -> dict[str, Path]:
-    """Return `--root NAME=DIR` words as a mapping. The folders must exist."""
+    """Return `--root NAME=DIR` arguments as a mapping. Raises BadParameter if a folder does not exist."""
     folders = {}
     for name, folder in parse_pairs(words, "--root").items():
         path = Path(folder)
@@ -84,7 +84,7 @@ def require_scene(path: Path, hint: str = "SCENE") -> None:
 
 
 def parse_frame_range(text: str | None, flag: str = "--frames") -> FrameRange | None:
-    """Return `A..B` as a FrameRange; None for None."""
+    """Return `A..B` as a FrameRange, or None if there is no text."""
     if text is None:
         return None
     from antdsl.scene.quantities import QuantityError
@@ -107,9 +107,9 @@ def require_agents(text: str | None, manifest: Manifest, flag: str) -> list[int]
 
 
 def parse_shutter(text: str | None, flag: str = "--shutter") -> tuple[float, float] | None:
-    """Return the opening and the closing time of a shutter from `A..B`, in frames from the current frame; None for None.
+    """Return the opening and closing times of a shutter from `A..B`, in frames relative to the current frame. None for None.
 
-    Raises BadParameter unless both are from -1 to 1 and at most one frame apart."""
+    Raises BadParameter unless both are from -1 to 1, and at most one frame apart."""
     if text is None:
         return None
     from antdsl.scene.quantities import QuantityError, parse_number_range

@@ -1,6 +1,7 @@
 """Default values of options, from the user's own file `defaults.toml`. `docs/commands.md` describes it.
 
-A project cannot set defaults: options can grant folders or contact other machines, and a project may come from a stranger."""
+A project cannot set defaults, because options can grant folders or contact other machines. A project may come from a stranger.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ _ADVICE = "write sections of commands with their options, such as:\n[run]\nthrea
 
 
 def find_defaults_path() -> Path | None:
-    """Return the path of the user's file of defaults. None if there is no such file."""
+    """Return the path of the user's file of defaults, or None if there is none."""
     from antdsl.user_folders import config_folder
 
     if (named_path := os.environ.get(PATH_VARIABLE)) is not None:
@@ -34,7 +35,7 @@ def find_defaults_path() -> Path | None:
 def add_defaults(path: Path, group: Any, words: list[str]) -> list[str]:
     """Return the words of a command line, with the arguments that a file of defaults gives to its command.
 
-    `group`: Typer's group of all commands. The arguments stand before the user's own, which therefore replace them. Raises
+    `group`: Typer's group of all commands. They precede the user's own arguments, which therefore override them. Raises
     CommandError with the line if the file cannot be read, or if a name or value in it is wrong."""
     arguments_by_command = _read_arguments(path, group)
     place = next((number for number, word in enumerate(words) if word in group.commands), None)
@@ -44,7 +45,7 @@ def add_defaults(path: Path, group: Any, words: list[str]) -> list[str]:
 
 
 def _read_arguments(path: Path, group: Any) -> dict[str, list[str]]:
-    """Return the arguments in a file of defaults, by command."""
+    """Return the arguments in a file of defaults, by the name of the command."""
     import tomllib
 
     from antdsl.safe_read import read_size_limited
@@ -77,7 +78,7 @@ def _read_arguments(path: Path, group: Any) -> dict[str, list[str]]:
 
 
 def _make_error(path: Path, text: str, section: str, key: str, message: str, names: Iterable[str]) -> CommandError:
-    """Return the error about a section of the file, or about a key in it, with its line. `names`: the possible names."""
+    """Return the error about a section of the file, or a key in it, with the line. `names`: the valid names."""
     from antdsl.diagnostics.suggestion import find_nearest_name
 
     line_number, is_in_section = 1, False
@@ -92,7 +93,7 @@ def _make_error(path: Path, text: str, section: str, key: str, message: str, nam
 
 
 def run_with_defaults(app: Any) -> None:
-    """Run the command line with a Typer application. Use the defaults of the user's file if there is one."""
+    """Run the command line of a Typer application. If the user has a file of defaults, use it."""
     path = find_defaults_path()
     if path is None:
         app(standalone_mode=True, prog_name="antdsl")

@@ -1,4 +1,4 @@
-"""Checks of output paths before the work begins. Results must be writable, so that hours of work are not lost, and must not
+"""Checks output paths before the work begins. Results must be writable, so that hours of work are not lost. They must not
 overwrite any input."""
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from antdsl.cli.exits import CommandError, ExitCode
 
 
 def require_writable_file(path: Path | None, flag: str) -> None:
-    """Exit with a message about `flag` if no file can be written at a path. None is accepted. The check leaves no file behind and
-    does not change existing files."""
+    """Exit with a message about `flag` if no file can be written to the path. None is accepted. The check leaves no file behind
+    and does not change existing files."""
     if path is None or is_standard_output(path) or _is_same_file(path, Path(os.devnull)):
         return
     if path.is_dir():
@@ -58,7 +58,7 @@ def write_result(path: Path | None, data: bytes, output: TextIO) -> None:
 
 
 def choose_default_path(base: Path, *names: str, flag: str = "--out") -> Path:
-    """Return the default output path, `base` with `names` below it, for a command without the flag `flag`.
+    """Return the default output path for a command without the flag `flag`. It is `base` with `names` below it.
 
     Exit if one of `names` is a link: a link could lead anywhere, and only the user may choose such a path."""
     from antdsl.atomic_write import find_first_link
@@ -90,8 +90,8 @@ def require_writable_folder(path: Path | None, flag: str, *names: str) -> None:
 def protect_inputs(
     files: Mapping[str, Path | None], folders: Mapping[str, tuple[Path | None, Iterable[str]]] | None = None
 ) -> Iterator[list[Path]]:
-    """Exit if a result would overwrite another result or an input. Inputs are the files that are read inside the context, the
-    files in the yielded list, and the files that come with antdsl.
+    """Exit if a result would overwrite another result or an input. Inputs are files that are read while the context is active,
+    files in the yielded list, and files that come with antdsl.
 
     `files`: the output files, by their flags.
     `folders`: the output folders by their flags, with the names of files that are written there.

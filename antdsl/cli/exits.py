@@ -1,5 +1,5 @@
-"""Exit codes, and the errors that end a command with a message instead of a traceback. Failures of the disk and of memory are
-among them. Their message names the operation, the file, and how to continue."""
+"""Exit codes, and the errors that end a command with a message instead of a traceback. These include disk and memory failures,
+for which the message gives the operation, the file, and how to continue."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class ExitCode(IntEnum):
 
 
 class CommandError(Exception):
-    """The error that ends a command with the exit code `code`. `message` is printed to standard error, then `hint` if there is
-    one."""
+    """An error that ends a command with the exit code `code`. `message` is printed to standard error, followed by `hint` if
+    there is one."""
 
     def __init__(self, code: ExitCode, message: str = "", hint: str = "") -> None:
         super().__init__(message)
@@ -63,7 +63,7 @@ _PROCESS_STARTING_MODULES = frozenset(
 
 
 def is_out_of_memory(problem: BaseException | None) -> bool:
-    """Return whether an error, or one of its causes, means that the system refused to provide memory, a thread or a process."""
+    """Return whether the system refused to provide memory, a thread or a process. This may be the error or one of its causes."""
     visited: set[int] = set()
     while problem is not None and id(problem) not in visited:
         visited.add(id(problem))
@@ -85,7 +85,7 @@ def _contains_phrase(words: str, phrases: tuple[str, ...]) -> bool:
 
 
 def is_out_of_process_memory(problem: OSError) -> bool:
-    """Return whether the system refused to provide memory, or a process for lack of memory."""
+    """Return whether the system refused to provide memory, or refused to start a process for lack of memory."""
     if problem.errno != EAGAIN:
         return problem.errno == ENOMEM
     place = problem.__traceback__
@@ -96,7 +96,7 @@ def is_out_of_process_memory(problem: OSError) -> bool:
 
 @contextmanager
 def report_failures(operation: str, retry_advice: str = RETRY_ADVICE) -> Iterator[None]:
-    """Within the context, end the command with exit code 3 if the disk or memory fails.
+    """While the context is active, disk and memory failures end the command with exit code 3.
 
     `operation`: the operation that failed, for the message. `retry_advice`: how to continue."""
     try:
@@ -112,7 +112,7 @@ def report_failures(operation: str, retry_advice: str = RETRY_ADVICE) -> Iterato
 
 @contextmanager
 def explain_cache_errors(cache: Path | None = None, retry_purpose: str = "to recompute damaged frames") -> Iterator[None]:
-    """Within the context, end the command with advice if a cache cannot be read or written.
+    """While the context is active, end the command with advice if a cache cannot be read or written.
 
     `cache`: the cache; None if damaged frames cannot be computed again. `retry_purpose`: the words before the command that
     computes them again."""
@@ -130,7 +130,7 @@ def explain_cache_errors(cache: Path | None = None, retry_purpose: str = "to rec
 
 
 def _find_cache_advice(error: Exception) -> tuple[ExitCode, str]:
-    """Return the exit code for an error of a cache, and advice; the code is BUG for any other error.
+    """Return the exit code and the advice for an error of a cache. For any other error, the code is BUG.
 
     Damaged frames have no advice here: the caller adds the command that computes them again."""
     from antdsl.outputs.cache.cache_reader import CacheError
@@ -158,7 +158,7 @@ def _find_cache_advice(error: Exception) -> tuple[ExitCode, str]:
 
 
 def find_machine_failure(problem: Exception) -> OSError | MemoryError | None:
-    """Return the disk or memory error behind an error of any library; None if there is none."""
+    """Return the disk or memory error that caused an error of any library, or None."""
     if is_out_of_memory(problem):
         return MemoryError()
     return problem if isinstance(problem, OSError) else None
@@ -179,7 +179,7 @@ def make_failure_error(problem: OSError | MemoryError, operation: str = "", retr
 
 
 def make_missing_package_error(problem: Exception) -> CommandError | None:
-    """Return the error for a command that needs a missing package. None for any other problem."""
+    """Return the error for a command that needs a missing package, or None for any other problem."""
     from antdsl.packages import INSTALL_ADVICE, find_missing_distribution
 
     if (distribution := find_missing_distribution(problem)) is not None:
@@ -194,8 +194,8 @@ def limit_threads() -> None:
     """Limit the threads of NumPy's linear algebra if the address space of this process is limited. Call this before NumPy is
     loaded.
 
-    That library reserves memory for each thread, and ends the process if it gets none. Raises CommandError if the limit is too
-    low even for one thread."""
+    That library reserves memory for each thread, and ends the process if this fails. Raises CommandError if the limit is too low
+    even for one thread."""
     from antdsl.numerics.processor.host import get_address_space_limit
 
     memory_limit = get_address_space_limit()

@@ -1,5 +1,4 @@
-"""Options of `antdsl render` that describe pictures: conversion of texts to values, and errors for options that are in
-conflict."""
+"""Options of `antdsl render` that describe pictures. Converts their texts to values, and reports options that are in conflict."""
 
 from __future__ import annotations
 
@@ -38,7 +37,7 @@ def parse_point(text: str | None, option: str) -> tuple[float, float, float] | N
 
 
 def check_camera(gallery: Gallery, settings: DrawRequest) -> None:
-    """End the command if options of the camera are in conflict, or if the scene has no such camera."""
+    """End the command if camera options are in conflict, or if the scene has no camera of that name."""
     from antdsl.diagnostics.suggestion import find_nearest_name
     from antdsl.scene.camera_models import CAMERA_VIEWS
 
@@ -65,7 +64,7 @@ def choose_samples(samples: int | None, *, is_blender: bool) -> int:
 
 
 def check_blender_request(settings: DrawRequest, is_on_cluster: bool) -> None:
-    """End the command if Blender is missing, or if options are set that only antdsl's own pictures have."""
+    """End the command if Blender is missing, or if options are set that only apply to antdsl's own pictures."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.blender.rendering import check_blender
 

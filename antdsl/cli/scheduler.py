@@ -1,5 +1,5 @@
-"""Chooses where the tasks of a command run: in processes of this machine, or on a new or existing Dask cluster. Also ends a
-command on Ctrl-C or SIGTERM.
+"""Chooses where the tasks of a command run: in processes on this machine, or on a new or existing Dask cluster. Also handles
+Ctrl-C and SIGTERM.
 
 Workers of a cluster read a cache from a shared folder, or receive its files.
 """
@@ -47,7 +47,7 @@ _INSTALL_HINT = "pip install 'antdsl[cluster]'"
 
 
 def require_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> None:
-    """Check that the scheduler arguments are consistent before anything is created. Raises BadParameter if they are not."""
+    """Raise BadParameter if the scheduler arguments are inconsistent. Call this before anything is created."""
     if address is not None:
         _find_certificate_folder(address, tls, no_tls)
     elif tls is not None or no_tls:
@@ -158,7 +158,7 @@ def _is_loopback_address(host: str) -> bool:
 
 
 class TerminationSignal(KeyboardInterrupt):
-    """The exception that SIGTERM raises. It is handled like Ctrl-C, but has a separate exit code."""
+    """The exception that SIGTERM raises. It is handled like Ctrl-C, but gives a different exit code."""
 
 
 def choose_stop_exit_code(exception: BaseException) -> ExitCode:
@@ -168,7 +168,7 @@ def choose_stop_exit_code(exception: BaseException) -> ExitCode:
 
 @contextmanager
 def raise_on_sigterm() -> Iterator[None]:
-    """Within the context, raise TerminationSignal on SIGTERM, as Ctrl-C raises KeyboardInterrupt."""
+    """While the context is active, SIGTERM raises TerminationSignal, just as Ctrl-C raises KeyboardInterrupt."""
 
     def raise_signal(number: int, frame: object) -> None:
         raise TerminationSignal if number == signal.SIGTERM else KeyboardInterrupt
@@ -184,8 +184,8 @@ def raise_on_sigterm() -> Iterator[None]:
 def run_cache_tasks(
     scheduler: SchedulerAddress, cache: Path, folder: Path, make_tasks: Callable[[Path, Destination], Iterable[Task]]
 ) -> Iterator[TaskOutcome]:
-    """Yield the result of each task on a cluster, after its files are in the folder `folder`. If a task fails, the command ends
-    after all tasks have run. It also ends if the scheduler is lost.
+    """Run tasks on a cluster, and yield the result of each as soon as its files are in `folder`. If a task fails, the command
+    ends after all tasks have run. It also ends if the scheduler is lost.
 
     `scheduler`: address, certificates, and whether the scheduler may run without certificates.
     `make_tasks`: is called with the path of the cache, its links resolved, and the destination of files.

@@ -35,7 +35,7 @@ def run_shots(
     """Simulate scenes in parallel.
 
     `out`: the folder for all caches.
-    `options`: as in `shots.caches.make_cache_task`.
+    `options`: see `shots.caches.make_cache_task`.
     `threads`: threads per scene; 0 divides the cores among the scenes.
     `scheduler`: the scheduler, its certificates, and whether it may run without certificates.
     `ignore_memory_limit`: start even if the runs need too much memory.
@@ -118,7 +118,7 @@ def run_shots(
 
 
 def _choose_cache_folders(scenes: Sequence[Path], parent_folder: Path | None) -> list[Path]:
-    """Return the folder of each scene's cache."""
+    """Return the folder for each scene's cache."""
     is_single = len(scenes) == 1 and parent_folder is not None
     folders = [
         parent_folder

@@ -1,5 +1,5 @@
-"""Converts the arguments of `antdsl sweep` to runs. They come from the command line, or from an earlier sweep of the same folder.
-They are checked before any run."""
+"""Converts the arguments of `antdsl sweep` to runs. They come from the command line, or from an earlier sweep in the same
+folder. They are checked before any run starts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def reject_missing_scene() -> list[str]:
-    """Raise BadParameter, because the command names no scene."""
+    """Raise BadParameter, because the command line has no scene."""
     raise typer.BadParameter("name a scene, or continue a sweep: `--resume --out DIR`", param_hint="SCENE")
 
 
@@ -42,7 +42,8 @@ _STUDY_OPTIONS = {
 def load_request(context: typer.Context, folder: Path | None) -> SweepRequest:
     """Return the request of the earlier sweep in a folder.
 
-    Raises BadParameter if further options that define the runs are given, CommandError if the folder has no sweep."""
+    Raises BadParameter if the command line also has options that define the runs. Raises CommandError if the folder has no
+    sweep."""
     from antdsl.sweeps.study import NoStoredSweepError, read_request
 
     for name, words in _STUDY_OPTIONS.items():
@@ -92,8 +93,8 @@ def build_study(request: SweepRequest) -> tuple[SweepStudy, list[SweepJob], Repo
 
 
 def open_scene_shots(study: SweepStudy, request: SweepRequest) -> list[Shot]:
-    """Return the shot of each scene of a sweep, opened with the scene's own values. All runs of a scene have the same things,
-    with other values."""
+    """Return a shot for each scene of a sweep, opened with the scene's own values. All runs of a scene have the same things;
+    only values differ."""
     from antdsl.cli.arguments import parse_grants
     from antdsl.pipeline import RunChoices, open_scene
 
@@ -102,7 +103,7 @@ def open_scene_shots(study: SweepStudy, request: SweepRequest) -> list[Shot]:
 
 
 def require_no_errors(report: Report) -> None:
-    """Print a report with errors, and end the command with a usage error."""
+    """If a report has errors, print it and end the command with a usage error."""
     from antdsl.cli.printing.reports import print_report
 
     if not report.ok:
@@ -111,8 +112,8 @@ def require_no_errors(report: Report) -> None:
 
 
 def parse_widths(request: SweepRequest) -> list[WidthGoal]:
-    """Return the goals that `NAME=WIDTH` words define. Raises BadParameter for an invalid width, or if there are too few seeds
-    for any goal."""
+    """Return the goals that `NAME=WIDTH` arguments define. Raises BadParameter for an invalid width, or if there are too few
+    seeds for a goal."""
     from antdsl.cli.arguments import parse_pairs
     from antdsl.scene.quantities import QuantityError, parse_number, split_quantity
     from antdsl.sweeps.stopping import WidthGoal, find_min_runs

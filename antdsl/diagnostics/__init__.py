@@ -1,4 +1,4 @@
-"""Findings and their output formats."""
+"""Findings about programs and scenes, and the formats in which they are written."""
 
 from antdsl.diagnostics.model import Diagnostic, Fix, Label, Report
 

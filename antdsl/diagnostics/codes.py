@@ -1,4 +1,5 @@
-"""Every code with its meaning in one line. Codes never change; each package adds its own in its section, alphabetically."""
+"""All codes of findings, each with a one-line meaning. Codes never change. Each package has its own section, in alphabetical
+order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Findings in the formats of other programs: JSON, GitHub's workflow commands, SARIF, JUnit."""
+"""Formats findings for other programs: JSON, GitHub's workflow commands, SARIF and JUnit."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _make_json_range(span: Span) -> dict[str, Any]:
 
 
 def _make_json_position(source: Source, offset: int) -> dict[str, int]:
-    """Return line and column, in characters from 1, and byte, in UTF-8 bytes from 0."""
+    """Return the line and column in characters, counted from 1. Also return the offset in UTF-8 bytes, counted from 0."""
     line, column = source.find_line_column(offset)
     byte = offset if source.text.isascii() else len(source.text[:offset].encode("utf-8", "surrogatepass"))
     return {"line": line, "column": column, "byte": byte}
@@ -125,7 +125,8 @@ def format_sarif(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
 
 
 def _make_sarif_rule(code: str) -> dict[str, Any]:
-    """Return what a code scanning service shows about a code: its meaning, and its page if the pages are installed."""
+    """Return what a code scanning service shows about a code: its meaning, and its documentation page if the pages are
+    installed."""
     rule: dict[str, Any] = {"id": code, "shortDescription": {"text": CODE_DESCRIPTIONS.get(code, code)}}
     page = find_code_page(code)
     if page is not None:
@@ -167,7 +168,7 @@ def _make_sarif_location(span: Span) -> dict[str, Any]:
 
 
 def _compute_fingerprint(diagnostic: Diagnostic, span: Span, fingerprint_counts: Counter[str]) -> str:
-    """Return a fingerprint of a finding that does not change when lines above it are added."""
+    """Return a fingerprint of a finding. It does not change when lines are added above the finding."""
     line = span.source.line_text(find_line_range(span).line).strip()
     digest = hashlib.sha256(f"{diagnostic.code}\0{span.source.path}\0{line}".encode("utf-8", "surrogatepass")).hexdigest()[:16]
     fingerprint_counts[digest] += 1

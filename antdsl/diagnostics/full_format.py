@@ -53,7 +53,7 @@ def _format_snippet(span: Span, margin: int, arrow: str, mark: str, text: str) -
 
 
 def _cut_line(line: str, start: int, end: int) -> tuple[str, str, str]:
-    """Return the part of a line around a place, as three texts: before the place, the place, after it."""
+    """Return the part of a line around a range of characters, as three texts: before the range, in the range and after it."""
     if len(line) <= _MAX_LINE_WIDTH:
         return escape_line(line[:start]), escape_line(line[start:end]), escape_line(line[end:])
     low = max(0, start - _MAX_LINE_WIDTH // 3)

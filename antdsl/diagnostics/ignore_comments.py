@@ -1,5 +1,5 @@
-"""Comments that ignore a warning and say why: `# antdsl: ignore[flicker] it is meant to be nervous`. Such a comment is at the end
-of the line with the warning, or on a separate line above it."""
+"""Comments that ignore a warning and give a reason: `# antdsl: ignore[flicker] it is meant to be nervous`. Such a comment is at
+the end of the line with the warning, or on a separate line above."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _IGNORE_COMMENT = re.compile(r"(?:^|[ \t;{}])(#[ \t]*antdsl:[ \t]*ignore\[([^\]\
 class IgnoreComment:
     """A comment that ignores warnings.
 
-    `span`: its location. `line`: the line with the ignored warnings, counted from 1. `codes`: each ignored code, with the code's
-    location. `reason`: the text after the bracket."""
+    `span`: its location. `line`: the line with the ignored warnings, counted from 1. `codes`: each ignored code, with its
+    location in the comment. `reason`: the text after the bracket."""
 
     span: Span
     line: int
@@ -29,7 +29,7 @@ class IgnoreComment:
 
 
 def find_ignore_comments(source: Source) -> Iterator[IgnoreComment]:
-    """Return the comments of a program or a scene that ignore warnings. A `#` inside quotes begins no comment."""
+    """Return the comments that ignore warnings in a program or a scene. A `#` inside quotes does not start a comment."""
     for match in _IGNORE_COMMENT.finditer(source.text):
         number = source.find_line_column(match.start(1))[0]
         prefix = source.text[: match.start(1)].rpartition("\n")[2]
@@ -45,7 +45,7 @@ def find_ignore_comments(source: Source) -> Iterator[IgnoreComment]:
 
 
 def _find_next_code_line(source: Source, number: int) -> int:
-    """Return the number of the next line after line `number` that has more than a comment."""
+    """Return the number of the first line after line `number` that is not empty or only a comment."""
     last = source.find_line_column(len(source.text))[0]
     while number < last:
         number += 1
@@ -85,12 +85,14 @@ def apply_ignore_comments(
     has_no_errors: bool | None = None,
     meshes_checked: bool = True,
 ) -> Report:
-    """Return the report without ignored warnings, and with new warnings about comments that have no reason or ignore nothing.
+    """Return the report without ignored warnings, and with new warnings about faulty comments. These have no reason or ignore
+    nothing.
 
     `sources`: all checked texts.
-    `strict`, `meshes_checked`: whether the checks of STRICT_CODES and MESH_CODES have run. A code that was not checked is not
-    reported as unused, nor are RUN_CODES.
-    `has_no_errors`: whether all stages were free of errors, since errors suppress most warnings; None: whether this report is."""
+    `strict`, `meshes_checked`: whether the checks of STRICT_CODES and MESH_CODES have run. Codes that were not checked are not
+    reported as unused, and neither are RUN_CODES.
+    `has_no_errors`: whether all stages were without errors, since errors suppress most warnings. None: use whether this report
+    has no errors."""
     has_no_errors = report.ok if has_no_errors is None else has_no_errors
     unknown = RUN_CODES | (frozenset() if strict else STRICT_CODES) | (frozenset() if meshes_checked else MESH_CODES)
     all_diagnostics = [*report.diagnostics, *report.dropped_warnings]

@@ -1,4 +1,4 @@
-"""A `Diagnostic` is one finding with its place; a `Report` is the list of findings of a stage."""
+"""The classes of findings. A `Diagnostic` is one finding with its location; a `Report` is a list of findings."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _LONG_VALUE_PATTERN = re.compile(f"`([^`]{{{_MAX_QUOTED_CHARACTERS}}})[^`]+`")
 
 
 def shorten_values(text: str) -> str:
-    """Return the text with long quoted values shortened, and the text itself shortened if that is not enough."""
+    """Return the text with long quoted values shortened. If that is not enough, the complete text is shortened too."""
     text = _LONG_VALUE_PATTERN.sub(r"`\1…`", text)
     return text if len(text) <= _MAX_LINE_CHARACTERS else text[: _MAX_LINE_CHARACTERS - 1] + "…"
 
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A further location of a finding, with a text that says why it matters."""
+    """A further location of a finding, with a text that explains its role."""
 
     span: Span
     text: str
@@ -39,7 +39,7 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class Fix:
-    """A correction that an editor can apply. It replaces the span by a text."""
+    """A correction that an editor can apply: it replaces a span by a text."""
 
     span: Span
     text: str
@@ -49,8 +49,8 @@ class Fix:
 class Diagnostic:
     """A finding.
 
-    `code`: its stable code. `message`: one line in lower case that can be understood alone. `span`: its location. `help`: what to
-    write instead. `labels`: further locations. `fix`: a correction that an editor can apply."""
+    `code`: its stable code. `message`: one line in lower case, understandable without context. `span`: its location. `help`:
+    what to write instead. `labels`: further locations. `fix`: a correction that an editor can apply."""
 
     code: str
     message: str
@@ -73,8 +73,8 @@ class Diagnostic:
 
 
 def _make_diagnostic_key(diagnostic: Diagnostic) -> tuple[str | int, ...]:
-    """Return a key that is equal for duplicates. It contains the file's name and not its text, because a file that scenes share
-    is read once per scene."""
+    """Return a key that is equal for duplicate findings. It has the file's name and not its text, because a shared file is read
+    once per scene."""
     span = diagnostic.span
     if span is None:
         return (diagnostic.code, diagnostic.message)
@@ -85,17 +85,17 @@ _REPLACEMENT_PATTERN = re.compile("(?:did you mean|write) `([^`…]+)`\\??")
 
 
 def find_fix(message: str, span: Span | None, help: str | None) -> Fix | None:
-    """Return the fix for a span if the help is only the replacement for the text that the message names. Return None if the help
-    says more, or the span covers something else."""
+    """Return a fix if the help consists only of the replacement for the text that the message names. Return None if the help
+    says more, or if the span covers something else."""
     match = _REPLACEMENT_PATTERN.fullmatch(help or "")
     return Fix(span, match[1]) if match and span is not None and f"`{span.text}`" in message else None
 
 
 @dataclass(slots=True)
 class Report:
-    """Findings of one or more stages. An equal code at an equal location is stored once.
+    """A list of findings of one or more stages. Findings with the same code at the same location are stored once.
 
-    `dropped_warnings`: warnings about a program that do not hold for the scene. No output shows them."""
+    `dropped_warnings`: warnings about a program that do not apply to the scene. They appear in no output."""
 
     diagnostics: list[Diagnostic] = field(default_factory=list)
     dropped_warnings: list[Diagnostic] = field(default_factory=list)
@@ -135,7 +135,7 @@ class Report:
         self.add(Diagnostic(code, message, span, severity, help, **details))  # type: ignore[arg-type]
 
     def extend(self, others: Report | Iterable[Diagnostic]) -> None:
-        """Add findings. The dropped warnings of another report are also dropped here."""
+        """Add the findings of other reports. Warnings that they have dropped are dropped here, too."""
         if isinstance(others, Report) and others.dropped_warnings:
             self.drop_warnings(others.dropped_warnings)
         for diagnostic in others.diagnostics if isinstance(others, Report) else others:
@@ -152,7 +152,7 @@ class Report:
         return not any(d.severity == "error" for d in self.diagnostics)
 
     def sort_by_place(self) -> list[Diagnostic]:
-        """Return the findings in order of file and place; those without a place come last."""
+        """Return the findings ordered by file and position. Findings without a location come last."""
 
         def make_sort_key(d: Diagnostic) -> tuple[int, str, int]:
             return (1, "", 0) if d.span is None else (0, d.span.source.path, d.span.start)

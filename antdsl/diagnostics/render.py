@@ -1,4 +1,4 @@
-"""Conversion of a report to text, in the format that a person or a program requested."""
+"""Converts a report to text, in the format that a person or a program requested."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from antdsl.diagnostics.text_positions import escape_text, find_line_range
 
 
 def format_concise(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
-    """Return findings as one line each."""
+    """Return findings as text, with one line per finding."""
     lines = [_format_line(diagnostic) for diagnostic in diagnostics]
     if omitted_count:
         lines.append(f"… and {omitted_count:,} more")
@@ -39,15 +39,15 @@ FORMATTERS: dict[str, Callable[[Sequence[Diagnostic], int], str]] = {
 
 
 def render(report: Report, format: str = "full") -> str:
-    """Return the report as text in one of `FORMATS`, by location. Raises KeyError for another format.
+    """Return the report as text in one of `FORMATS`, ordered by location. Raises KeyError for another format.
 
-    The text has at most 50 findings, errors before warnings, and the number of findings that are left out."""
+    The text has at most 50 findings. Errors take precedence over warnings. It states how many findings are left out."""
     diagnostics = choose_visible_diagnostics(report)
     return FORMATTERS[format](diagnostics, len(report.diagnostics) - len(diagnostics))
 
 
 def choose_visible_diagnostics(report: Report) -> list[Diagnostic]:
-    """Return at most 50 findings by location. Errors take precedence over warnings."""
+    """Return at most 50 findings, ordered by location. Errors take precedence over warnings."""
     ordered = report.sort_by_place()
     if len(ordered) <= limits.MAX_SHOWN_DIAGNOSTICS:
         return ordered

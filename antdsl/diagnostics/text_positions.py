@@ -1,4 +1,4 @@
-"""Functions that all renderers use: texts without control characters, and the lines and columns of a span."""
+"""Functions that all output formats use: texts without control characters, and lines and columns of a span."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def _escape_character(character: str) -> str:
 
 
 def count_columns(text: str) -> int:
-    """Return the width of a text in terminal columns. Wide characters count twice."""
+    """Return the width of a text in terminal columns. A wide character counts as two."""
     return sum(2 if unicodedata.east_asian_width(c) in "WF" else 0 if unicodedata.combining(c) else 1 for c in text)
 
 
 @dataclass(frozen=True, slots=True)
 class LineRange:
-    """A span in lines and columns, counted from 1; the end column is the one after the last character."""
+    """A span as lines and columns, counted from 1. The end column is the one after the last character."""
 
     path: str
     line: int

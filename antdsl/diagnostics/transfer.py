@@ -1,4 +1,4 @@
-"""Encodes reports as JSON for another process. Each text is stored once; a location is the index of its text with two offsets."""
+"""Encodes reports as JSON for another process. Each text is stored once. A location is the index of its text and two offsets."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from antdsl.source import Source, Span
 
 
 def encode_reports(reports: Mapping[Path, Report], sources: Iterable[Source]) -> bytes:
-    """Return the reports of files, and then `sources`, further texts, as JSON in UTF-8."""
+    """Return the encoded reports of files, as JSON in UTF-8. `sources`: further texts to store after the reports."""
     numbers: dict[Source, int] = {}
     texts = [_index_source(source, numbers) for source in sources]
     entries = [
@@ -30,7 +30,7 @@ def encode_reports(reports: Mapping[Path, Report], sources: Iterable[Source]) ->
 
 
 def decode_reports(data: bytes) -> tuple[dict[Path, Report], list[Source]]:
-    """Return the reports and the texts that `encode_reports` has encoded. Raises ValueError if the data is incomplete."""
+    """Return the reports and the texts from data that `encode_reports` wrote. Raises ValueError if the data is incomplete."""
     try:
         document = json.loads(data)
         table = [Source(*entry) for entry in document["table"]]
@@ -44,8 +44,7 @@ def decode_reports(data: bytes) -> tuple[dict[Path, Report], list[Source]]:
 
 
 def _index_source(source: Source, numbers: dict[Source, int]) -> int:
-    """Return the index of a text in the table of texts. Add the text if it is new. `numbers`: the index of each text in the
-    table."""
+    """Return the index of a text in the table of texts. A new text is added. `numbers`: the index of each text in the table."""
     return numbers.setdefault(source, len(numbers))
 
 

@@ -1,5 +1,5 @@
-"""Runs tasks in other processes. The input is an iterable of tasks. A task has a function of antdsl, its JSON argument, and a key
-made of everything that the answer depends on. The output is the answers as they arrive, in any order.
+"""Runs tasks in other processes. The input is an iterable of tasks. A task consists of a function of antdsl, its JSON argument,
+and a key that covers everything the answer depends on. The answers are returned as they arrive, in any order.
 
 An `Engine` runs tasks. There are two engines: `processes.py` starts processes of this machine (the standard library's pool).
 `cluster.py` uses Dask, and `cluster_worker.py` runs on its workers. Neither of these is imported before a cluster is requested.

@@ -89,7 +89,7 @@ def describe_worker() -> dict[str, str]:
 
 
 def can_see_file(visible_file: VisibleFile) -> bool:
-    """Return whether this worker sees a file of the requester."""
+    """Return whether this worker can see the requester's file at the same path."""
     return visible_file.is_visible()
 
 

@@ -39,8 +39,8 @@ class FileBundle:
 
 @dataclass(frozen=True, slots=True)
 class VisibleFile:
-    """A file with a known digest. A machine that sees it has the same folders as the requester. `path`: its path. `digest`: a
-    hash of its content."""
+    """A file with a known digest. A machine on which this file exists shares the requester's folders. `path`: its path. `digest`:
+    a hash of its content."""
 
     path: str
     digest: str

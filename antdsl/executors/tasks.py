@@ -115,7 +115,7 @@ class Engine(ABC):
         return ()
 
     def explain_process_end(self) -> str:
-        """Return the reason why the processes ended. Call this only after a future has raised BrokenExecutor."""
+        """Return why the processes of the engine ended. Call this only after a future has raised BrokenExecutor."""
         raise NotImplementedError  # only engines with processes on this machine can break
 
     def describe_failure(self, exception: BaseException) -> str:

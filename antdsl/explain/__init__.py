@@ -1,4 +1,5 @@
-"""Explains an agent's step: the step is repeated from a checkpoint and traced. Data comes first; formatting is separate."""
+"""Explains what an agent did in a step, and why. The step is repeated from a checkpoint and traced. Collecting data is
+separate from formatting it."""
 
 from antdsl.explain.history import CacheHistory, ExplainError, History, open_shot
 from antdsl.explain.model import Explanation, make_json_document

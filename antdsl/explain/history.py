@@ -1,7 +1,7 @@
-"""Runs with checkpoints, from which a step can be repeated: a cache, or a session that is running.
+"""Runs with checkpoints from which a step can be repeated. A run is a cache or a session that is still running.
 
-A cache names the shot that it was made from. The scene of that shot must exist with unchanged texts. Otherwise the step cannot
-be explained."""
+A cache names the shot that made it. The scene of that shot must exist with unchanged texts. Otherwise the step cannot be
+explained."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SPEC_INPUT_PREFIX = "set "
 
 
 class History(Protocol):
-    """A run of one shot, stored so that it can be replayed."""
+    """A run of one shot that is stored and can be replayed."""
 
     @property
     def shot(self) -> Shot: ...
@@ -34,7 +34,7 @@ class History(Protocol):
         """Return the frames that have a checkpoint, in order."""
 
     def restore_world(self, point: int) -> World | None:
-        """Return a separate world in the state of a checkpoint; None if that is damaged."""
+        """Return a separate world in the state of a checkpoint, or None if the checkpoint is damaged."""
 
     def find_hash(self, frame: int) -> str | None:
         """Return the hash of the state at a frame, if it is known."""
@@ -43,15 +43,16 @@ class History(Protocol):
         """Apply the external changes that the run received before the next step."""
 
     def make_missing_error(self, frame: int) -> ExplainError:
-        """Return the error for a frame without a good checkpoint before it."""
+        """Return the error for a frame without an undamaged checkpoint before it."""
 
     def make_difference_error(self, frame: int) -> ExplainError:
-        """Return the error for a frame that differs when it is repeated."""
+        """Return the error for a frame that gives a different state when it is repeated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CacheHistory:
-    """The run that wrote a cache. `shot`: the shot it was made from. `has_feet`: restored worlds compute positions of feet."""
+    """The run that wrote a cache. `shot`: the shot from which the cache was made. `has_feet`: whether restored worlds compute
+    positions of feet."""
 
     cache: Cache
     shot: Shot
@@ -61,7 +62,7 @@ class CacheHistory:
 
     @classmethod
     def from_cache(cls, cache: Cache, shot: Shot, threads: int = 1) -> CacheHistory:
-        """Return the history of a cache. `threads`: threads of the replay."""
+        """Return the history of a cache. `threads`: the number of threads for the replay."""
         return cls(cache, shot, threads, cache.read_state_hashes())
 
     def checkpoint_frames(self) -> Sequence[int]:
@@ -96,7 +97,7 @@ class CacheHistory:
 
 
 class ExplainError(Exception):
-    """Error for a step that cannot be explained. The message is self-contained.
+    """Error for a step that cannot be explained. The message is understandable without context.
 
     `usage`: whether the request is wrong. `report`: the findings about the scene's files, if they are the reason."""
 
@@ -108,8 +109,8 @@ class ExplainError(Exception):
 def open_shot(
     cache: Cache, scene: Path | None = None, grants: Mapping[str, Path] | None = None, purpose: str = "an explanation"
 ) -> Shot:
-    """Return the shot of a cache. Raises ExplainError if its scene is not found, has errors, or is not the one the cache was made
-    from. `purpose`: what needs the shot, for the message."""
+    """Return the shot of a cache. Raises ExplainError if its scene is missing, has errors, or differs from the scene that
+    made the cache. `purpose`: what needs the shot, for the message."""
     manifest = cache.manifest
     path = scene or _find_scene(cache)
     spec = [name for name in manifest.inputs if name.startswith(_SPEC_INPUT_PREFIX)]
@@ -142,7 +143,8 @@ def open_shot(
 
 
 def _find_scene(cache: Cache) -> Path:
-    """Return the scene file. Look at its old relative path, in the folders above the cache, and in the working directory."""
+    """Return the path of the scene file. Look at its old relative path, first from folders above the cache, then from the
+    working directory."""
     name = Path(cache.manifest.scene).name
     folder = cache.folder.resolve()
     then = Path(os.path.normpath(folder / cache.manifest.scene_path)) if cache.manifest.scene_path else None

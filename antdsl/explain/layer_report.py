@@ -1,4 +1,4 @@
-"""The result of each layer: the push that it requests, the strength left for it, and the length by which the push was reduced.
+"""Reports each layer of a step: the push it requests, the strength left for it, and the length by which its push was cut.
 
 Sums are computed in float32, as in the step."""
 
@@ -18,7 +18,7 @@ PushVector = NDArray[np.float32]
 
 
 def build_layer_reports(world: World, mode: str, notes: SourceNotes, trace: AgentTrace) -> tuple[LayerReport, ...]:
-    """Return the layers in the order in which they were queried."""
+    """Return reports on the layers, in the order in which the layers were evaluated."""
     with np.errstate(all="ignore"):
         return tuple(_build_layer_report(world, mode, note, trace) for note in notes.layers)
 
@@ -53,7 +53,8 @@ def _build_layer_report(world: World, mode: str, note: LayerNote, trace: AgentTr
 def _grant_push(mode: str, push: PushVector, size: np.float32, budget: np.float32) -> PushVector:
     """Return the part of a layer's push that the layer receives.
 
-    In a sum, it is the complete push. With a budget, it is reduced to the length `budget`; if the first layer takes all, to 1."""
+    If pushes are summed, it is the complete push. With a priority budget, the push is shortened to the length `budget`. If the
+    first layer takes all, it is shortened to length 1."""
     if mode == "sum":
         return push
     limit = budget if mode == "budget" else _F32(1)
@@ -68,12 +69,12 @@ def compute_length(push: PushVector) -> np.float32:
 
 
 def read_total_push(trace: AgentTrace) -> PushVector:
-    """Return the sum of all layers: the register that moves the agent."""
+    """Return the sum of the pushes of all layers, from the register that moves the agent."""
     return np.array([trace.end_registers[f"push.{axis}"] for axis in AXES], _F32)
 
 
 def find_steering_lines(species: str, notes: SourceNotes, trace: AgentTrace, sites: tuple[str, ...]) -> tuple[SteeringLine, ...]:
-    """Return the `steer` and `face` lines that ran at sites with one of these prefixes."""
+    """Return the `steer` and `face` lines that ran at code sites with one of these prefixes."""
     steer_lines = []
     for note in notes.steers:
         if note.site.startswith(sites) and all(node in trace.values for node in note.push):

@@ -1,4 +1,4 @@
-"""The decisions of a machine in a step: every transition in its order, the one taken, the claims, and the random draws."""
+"""Reports the decisions of a machine in a step: the transitions in order, the one taken, the claims and the random draws."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def build_machine_step(
 def _build_transition_report(
     world: World, machine: MachinePlan, note: ChangeNote, winner: int, trace: AgentTrace
 ) -> TransitionReport:
-    """Return the report on one transition. `winner`: the number of the transition that was taken."""
+    """Return the report on one transition. `winner`: the index of the transition that was taken."""
     t = note.transition
     kind = "interrupt" if t.is_interrupt else "from any" if f".{model.FROM_ANY_KEY}->" in t.key else "when"
     return TransitionReport(
@@ -63,7 +63,7 @@ def _build_transition_report(
 
 
 def _describe_target(machine: MachinePlan, t: model.Transition) -> str:
-    """Return the target of a transition, in words."""
+    """Return the target of a transition as text."""
     if t.targets_previous:
         return "previous"
     if t.choices:
@@ -72,7 +72,7 @@ def _describe_target(machine: MachinePlan, t: model.Transition) -> str:
 
 
 def _build_claim_result(world: World, population: Population, taken_change: ChangeNote, trace: AgentTrace) -> ClaimResult | None:
-    """Return the result of the claim of a transition; None if the agent made no claim."""
+    """Return the result of a transition's claim, or None if the agent made no claim."""
     entry = next((each for each in trace.claims if each.statement.site == taken_change.transition.key), None)
     if entry is None:
         return None
@@ -105,7 +105,7 @@ def _compute_claim_draw(world: World, population: Population, entry: ClaimEntry,
 
 
 def _build_choice_result(machine: MachinePlan, note: ChoiceNote, trace: AgentTrace, new_state: int) -> ChoiceResult | None:
-    """Return the draw among the states of a `choose`; None if it was not computed."""
+    """Return the random choice among the states of a `choose`, or None if it was not computed."""
     if note.draw not in trace.values:
         return None
     total = sum(float(trace.values[node]) for _, node in note.weights)

@@ -1,4 +1,4 @@
-"""One agent's step as frozen values that JSON can represent. Numbers are in the author's units."""
+"""The explanation of one agent's step, as immutable values that JSON can represent. Numbers are in the author's units."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class ExpressionPart:
     """A part of a condition.
 
     - `text`: the part in the source. `value`: its value in `unit`. `shown`: the value as an author would write it.
-    - `role`: draw for the random number of a `chance`, bar for the limit that it is compared with, joined for parts that only
-      join inner parts by `and`, `<` or similar words. "" for other parts."""
+    - `role`: "draw" for the random number of a `chance`, and "bar" for the limit it is compared with. "joined" for parts that
+      only join inner parts by `and`, `<` or similar words; "" for other parts."""
 
     text: str
     value: PlainValue
@@ -40,8 +40,8 @@ class ExpressionPart:
 class TimerReading:
     """A waiting time of a transition.
 
-    `what`: held (in steps), or after or at least (seconds in the state). `has`, `needs`: the elapsed and the required amount.
-    `holds`: whether the required amount has elapsed."""
+    `what`: "held" (in steps), or "after" or "at least" (seconds in the state). `has`, `needs`: the elapsed and the required
+    time. `holds`: whether the required time has elapsed."""
 
     what: str
     has: float
@@ -73,8 +73,8 @@ class TransitionReport:
 class ClaimResult:
     """The result of one claim by the agent.
 
-    `amount`: None means all. `draw`: a random number; claims with smaller draws are served first. `won`: whether the claim
-    succeeded. For a field, `items` and `item` are the name of the field, and `attribute` may be empty."""
+    `amount`: the requested amount; None means all. `draw`: a random number; claims with smaller draws are granted first. `won`:
+    whether the claim succeeded. For a field, `items` and `item` are the name of the field, and `attribute` may be empty."""
 
     items: str
     item: str
@@ -89,8 +89,8 @@ class ClaimResult:
 class ChoiceResult:
     """A random choice among states.
 
-    `draw`: the random number, from 0 to 1. `bars`: each state with the upper limit of its part of this range. `chosen`: the state
-    that was chosen."""
+    `draw`: the random number, from 0 to 1. `bars`: for each state, the upper limit of its part of the range 0 to 1. `chosen`:
+    the state that was chosen."""
 
     draw: float
     bars: tuple[tuple[str, float], ...]
@@ -118,10 +118,12 @@ class MachineStep:
 class LayerReport:
     """The result of one layer in a step.
 
-    - `state`: pushed, nothing (the push was zero), off (the condition was false) or no strength (earlier layers used all).
+    - `state`: "pushed", "nothing" (the push was zero), "off" (the condition was false) or "no strength" (earlier layers used
+      all).
     - `left`: the strength that earlier layers have left, from 0 to 1.
     - `push`: the push that the layer requested. `length`: its length.
-    - `given`: the part of the push that the layer received. `share`: the length of this part, as a share of the complete budget.
+    - `given`: the part of the push that the layer received. `share`: the length of this part, as a fraction of the complete
+      budget.
     - `cut`: the length by which the push was reduced."""
 
     place: SourceLocation
@@ -159,7 +161,7 @@ class NearbyObject:
 
 @dataclass(frozen=True, slots=True)
 class ObservedSet:
-    """A set that the agent searched.
+    """A set of agents or items that the agent searched.
 
     The fields are its text in the program, the species or items, the number of members, and the nearest members."""
 
@@ -182,7 +184,7 @@ class SenseReading:
 
 @dataclass(frozen=True, slots=True)
 class RandomDraw:
-    """A random draw: its site (stable name), the text that requested it, and the value."""
+    """A random draw: the stable name of its code site, the text that requested it, and the value."""
 
     site: str
     text: str
@@ -203,7 +205,7 @@ class ChangedValue:
 
 @dataclass(frozen=True, slots=True)
 class StateInterval:
-    """A state of a machine over a range of frames; both ends are included."""
+    """A range of frames in which a machine has one state; both ends are included."""
 
     machine: str
     state: str
@@ -218,9 +220,9 @@ class Explanation:
     - `hash`: the hash of the complete state at `frame`, equal to that of the cache.
     - `checkpoint`: the frame from which the run was repeated.
     - `mode`: how the layers are combined.
-    - `strip`: the states of each machine over time; a cache stores only those of the first machine.
+    - `strip`: the states over time of each machine. From a cache, only the first machine has them.
     - `alive`: the first and the last frame in which the agent lives. `notes`: sentences about notes of the scene.
-    - `push`: the combined push, without unit, with a length of at most 1.
+    - `push`: the combined push, without a unit; its length is at most 1.
     - `velocity`: the velocities before and after the step, in mm/s; None after death. `acceleration`: mm/s².
     - `seen`: the sets that the agent searched. `fields`: the value of each field at the agent.
     - `did`: the agent's requests to the world, as sentences. `changes`: the registers that have changed."""
@@ -252,7 +254,7 @@ class Explanation:
 
 
 def make_json_document(explanation: Explanation) -> dict[str, Any]:
-    """Return the explanation as JSON values: infinity and NaN become null."""
+    """Return the explanation as JSON values. Infinity and NaN become null."""
     document: dict[str, Any] = _json_value({"format": FORMAT_VERSION, **asdict(explanation)})
     return document
 

@@ -1,4 +1,5 @@
-"""`explain` reports what an agent of a cache did in a frame, and why. Raises ExplainError with the reason if it cannot."""
+"""The command `explain`: reports what an agent of a cache did in a frame, and why. Raises ExplainError with the reason if it
+cannot."""
 
 from __future__ import annotations
 
@@ -28,10 +29,10 @@ def explain_agent_in_cache(
     grants: Mapping[str, Path] | None = None,
     threads: int = 1,
 ) -> Explanation:
-    """Return what an agent did in the step to a frame, and why. The step is repeated from the nearest checkpoint, and must have
-    the cache's hash. Nothing is written. Raises ExplainError, and CacheError for a damaged frame.
+    """Return what an agent did in the step to a frame, and why. The step is repeated from the nearest checkpoint and must
+    give the hash in the cache. Nothing is written. Raises ExplainError, or CacheError for a damaged frame.
 
-    `species` is optional if the scene has only one; `scene` if its file is near the cache."""
+    `species` is optional if the scene has only one. `scene` is optional if the file is near the cache."""
     name = _require_species(cache, species)
     _require_frame(cache, frame)
     stretches, alive = read_state_timeline(cache, name, agent)
@@ -60,7 +61,7 @@ def _require_species(cache: Cache, requested_species: str | None) -> str:
 
 
 def _require_frame(cache: Cache, frame: int) -> None:
-    """Check that a step leads to a frame: it must be in the cache, and not be the first."""
+    """Check that a step leads to a frame: the frame must be in the cache, and must not be the first."""
     frames = cache.frames()
     if not frames:
         raise ExplainError(f"`{cache.folder}` has no frames", "run the scene first")
@@ -93,7 +94,7 @@ def _require_alive(
 
 
 def _describe_agents(cache: Cache, species: str, agent: int, frame: int) -> str:
-    """Return a hint with the agents of a frame, and with the id most similar to the given one."""
+    """Return a hint that lists agents of a frame, and the id most similar to the requested one."""
     arrays = cache.frame(frame, frozenset(("id", "species")))
     ids = arrays["id"]
     if "species" in arrays:
@@ -106,7 +107,7 @@ def _describe_agents(cache: Cache, species: str, agent: int, frame: int) -> str:
 
 
 def make_absence_error(replay: StepReplay, species: str, agent: int, frame: int) -> ExplainError:
-    """Return the error for an agent that was not traced: it did not live, was quarantined, or is guided by the scene."""
+    """Return the error for an agent that was not traced because it was not alive, was quarantined, or is guided by the scene."""
     world = replay.restore_step_start(frame)
     population = world.populations[species]
     row = int(population.find_rows(np.array([agent]))[0])

@@ -1,4 +1,5 @@
-"""Repeats old steps: a world from the nearest checkpoint, stepped to a frame, with some agents traced in the last step."""
+"""Repeats old steps. A world is restored from the nearest checkpoint and stepped to a frame; some agents are traced in the
+last step."""
 
 from __future__ import annotations
 
@@ -31,8 +32,9 @@ TraceReader = Callable[[World, Population, AgentTrace], T]
 class ReplayedStep(Generic[T]):
     """A repeated step.
 
-    - `results`: for each requested agent, the result of `read_trace`; None if it did not live at the start or was in quarantine.
-    - `end_world`: the world at the end of the step, until the next step changes it. `hash`: the hash of its state.
+    - `results`: for each requested agent, the result of `read_trace`; None if it was not alive at the start or was in
+      quarantine.
+    - `end_world`: the world at the end of the step, valid until the next step changes it. `hash`: the hash of its state.
     - `checkpoint`: the frame from which the run was continued."""
 
     results: tuple[T | None, ...]
@@ -42,9 +44,9 @@ class ReplayedStep(Generic[T]):
 
 
 class StepReplay:
-    """A run that is replayed from the requested frame. Frames requested in order are simulated once.
+    """A replay of a run's steps. Frames that are requested in ascending order are simulated only once.
 
-    Raises ExplainError where a checkpoint is missing or a state differs from the known state of the run."""
+    Raises ExplainError where a checkpoint is missing, or where a state differs from the known state of the run."""
 
     def __init__(self, history: History) -> None:
         self.history, self.shot = history, history.shot
@@ -55,9 +57,9 @@ class StepReplay:
         self.plan = self._build_annotated_plan()
 
     def _build_annotated_plan(self) -> Plan:
-        """Return the plan of the program with notes about the nodes of its text.
+        """Return the plan of the program, with notes that link its nodes to the program text.
 
-        The only pass that changes rounding is applied, so that blocks give the same bits as the plan of the run."""
+        Only the pass that changes rounding is applied, so that blocks give the same bits as the plan of the run."""
         scene, program = self.shot.scene, self.shot.program
         orders = {
             name: order for name in scene.model.layers if (order := resolve_layer_order(scene, program, name)[0]) is not None
@@ -71,7 +73,7 @@ class StepReplay:
         return hoist_factors(noted, self.replacement_by_node)
 
     def restore_step_start(self, frame: int) -> World:
-        """Return the world at the start of the step to a frame, which is its state at the frame before."""
+        """Return the world at the start of the step to `frame`, which is the state of the frame before."""
         world = self._world
         if world is None or not self._checkpoint <= world.frame <= frame - 1 or self._has_nearer_checkpoint(world.frame, frame):
             world = self._restore_checkpoint(frame - 1)
@@ -84,8 +86,8 @@ class StepReplay:
         return world
 
     def replay_step(self, frame: int, agents: Sequence[tuple[str, int]], read_trace: TraceReader[T]) -> ReplayedStep[T]:
-        """Repeat the step to a frame and trace the agents, given by species and id. `read_trace` receives each agent's trace
-        while other agents, items and fields are in their state at the start of the step."""
+        """Replay the step that leads to `frame` and trace the given agents (species, id). `read_trace` receives each agent's
+        trace while other agents, items and fields are in their state at the start of the step."""
         world = self.restore_step_start(frame)
         self.history.apply_interventions(world)
         self._world = None  # until the step is complete
@@ -112,7 +114,7 @@ class StepReplay:
         return any(start_frame < point < frame for point in self.history.checkpoint_frames())
 
     def _restore_checkpoint(self, frame: int) -> World:
-        """Return a world at the last good checkpoint that is not after a frame."""
+        """Return a world at the last undamaged checkpoint that is not after `frame`."""
         for point in reversed([point for point in self.history.checkpoint_frames() if point <= frame]):
             world = self.history.restore_world(point)
             if world is not None:

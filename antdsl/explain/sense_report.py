@@ -1,4 +1,5 @@
-"""The senses of an agent in a step: other agents and items near it, fields at its position, rays, curves, flows and draws."""
+"""Reports what an agent sensed in a step: nearby agents and items, fields at its position, rays, curves, flows and random
+draws."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ _MAX_TEXT_CHARACTERS = 72  # characters of a text
 
 
 def list_observed_sets(world: World, trace: AgentTrace) -> tuple[ObservedSet, ...]:
-    """Return the sets that were searched, each once, in the order of the queries."""
+    """Return the sets that were searched, in the order of the queries, without duplicates."""
     sets_by_key: dict[tuple[str, tuple[int, ...]], ObservedSet] = {}
     for node, members in trace.set_members.items():
         nearest = sorted(members, key=lambda m: (float(m[4]), m[0]))
@@ -52,7 +53,7 @@ def read_field_values(world: World, population: Population, row: int) -> tuple[t
 
 
 def list_sense_readings(trace: AgentTrace) -> tuple[SenseReading, ...]:
-    """Return the senses of the agent's position that were queried."""
+    """Return the other senses that the agent queried from its position."""
     return tuple(
         sense
         for node, value in sorted(trace.senses.items(), key=lambda pair: pair[0].number)
@@ -71,7 +72,7 @@ def _build_sense_readings(node: PlanNode, value: Any) -> Iterator[SenseReading]:
 
 
 def _describe_sense(row: rows.SenseRow, values: tuple[bool | float, ...]) -> str:
-    """Return the result of a sense as text, by the template in its row; without a template, as numbers."""
+    """Return the result of a sense as text, formatted by the template in its table row. Without a template, list its numbers."""
     if row.empty_trace and not values[0]:
         return row.empty_trace
     if row.trace:
@@ -81,7 +82,7 @@ def _describe_sense(row: rows.SenseRow, values: tuple[bool | float, ...]) -> str
 
 
 def list_random_draws(trace: AgentTrace) -> tuple[RandomDraw, ...]:
-    """Return the random numbers by site."""
+    """Return the random draws of the agent, with their code sites."""
     drawn_numbers = []
     for node, value in trace.draw_values.items():
         index = node.attrs[1] if node.op == "draw" else 0
@@ -91,6 +92,6 @@ def list_random_draws(trace: AgentTrace) -> tuple[RandomDraw, ...]:
 
 
 def _find_node_text(node: PlanNode) -> str:
-    """Return the text of the author, or of a library, that made the query; long text is cut."""
+    """Return the program or library text that made the query. Long text is shortened."""
     text = "" if node.span is None else " ".join(node.span.text.split())
     return text if len(text) <= _MAX_TEXT_CHARACTERS else text[: _MAX_TEXT_CHARACTERS - 1].rstrip() + "…"

@@ -1,4 +1,4 @@
-"""An agent's states over time, from frames that store them."""
+"""An agent's states over time, read from frames that store states."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ _FRAME_ARRAYS = frozenset(("id", "state", "species"))
 
 
 def read_state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[StateInterval, ...], tuple[int, int] | None]:
-    """Return the intervals of frames with one state of the first machine, and the first and last frame in which the agent lives.
+    """Return the intervals of frames in which the first machine has one state, and the first and last frame in which the
+    agent lives.
 
-    The frames are None if the agent is in no frame. If the cache stores no states, each interval has the state "". Raises
+    Both frames are None if the agent is in no frame. If the cache stores no states, each interval has the state "". Raises
     CacheError if a frame is damaged."""
     names = [entry.name for entry in cache.manifest.species]
     number = names.index(species)
@@ -26,8 +27,8 @@ def read_state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[S
 
 
 def merge_state_frames(machine: str, frame_states: Iterable[tuple[int, str]]) -> tuple[StateInterval, ...]:
-    """Return one interval for each run of consecutive frames with the same state. `frame_states`: frames in order, with
-    states."""
+    """Return one interval for each run of consecutive frames with the same state. `frame_states`: (frame, state) pairs in
+    order."""
     parts: list[StateInterval] = []
     for frame, state in frame_states:
         if parts and parts[-1].state == state and parts[-1].last == frame - 1:

@@ -1,4 +1,4 @@
-"""Effects of a step on an agent: its attributes and memories before and after, and its requests to the rest of the world."""
+"""The effects of a step on an agent: attributes and memories before and after it, and requests to the rest of the world."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from antdsl.specs.value_text import format_position
 def list_changes(
     world: World, population: Population, species: Species, trace: AgentTrace, agent: int
 ) -> tuple[ChangedValue, ...]:
-    """Return the changes of an agent's stored registers in the order of the program; empty for a dead agent.
+    """Return the changes of an agent's stored registers, in the order of the program; empty for a dead agent.
 
-    `world`, `population`: after the step."""
+    `world`, `population`: their state after the step."""
     row = int(population.find_rows(np.array([agent]))[0])
     return () if row < 0 else tuple(_find_changed_registers(world, population, species, trace, row))
 
@@ -74,7 +74,7 @@ def _find_changed_registers(
 
 
 def _find_pair_values(registers: Mapping[str, Any], slots: list[tuple[str, str]]) -> dict[int, Any]:
-    """Return an agent's values per pair, by the other agent's id."""
+    """Return the values that an agent stores for each other agent, by the other agent's id."""
     return {
         int(registers[id_register]): registers[value_register]
         for id_register, value_register in slots
@@ -83,7 +83,7 @@ def _find_pair_values(registers: Mapping[str, Any], slots: list[tuple[str, str]]
 
 
 def _describe_value(world: World, value: Any, type: ValueType, unit: str) -> tuple[PlainValue, str]:
-    """Return a value as a JSON value and as text. The text of a missing value is `nothing`."""
+    """Return a value in JSON form and as text. The text of a missing value is `nothing`."""
     return (
         ("nothing", "nothing")
         if value is None
@@ -99,7 +99,7 @@ def _read_vector_registers(population: Population, stem: str, row: int) -> dict[
 def _build_vector_change(
     world: World, name: str, old_and_new: list[list[Any]], type: ValueType | None, memory: bool
 ) -> ChangedValue:
-    """Return the change of a vector register. `old_and_new`: its components before and after the step."""
+    """Return the change of a vector register. `old_and_new`: the components before and after the step."""
     unit = (
         REGISTER_COLUMN_BY_NAME[name].unit
         if name in REGISTER_COLUMN_BY_NAME
@@ -149,7 +149,7 @@ def describe_effects(effects: EffectRequests) -> tuple[str, ...]:
 
 
 def _describe_request(row: EffectRow, entry: RequestEntry) -> str:
-    """Return one request in the words of its row; empty if it has no effect."""
+    """Return one request as text, by the template in its table row; empty if the request has no effect."""
     if row.hides_zero_in_trace and not float(entry.get_required_operand(0)[0]):
         return ""
     args = dict(zip(row.operand_names, entry.args, strict=True))

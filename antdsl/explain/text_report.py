@@ -1,4 +1,4 @@
-"""Formats an explanation as text for people, in blocks; decisions are first."""
+"""Formats an explanation as text for people, in blocks. The decisions come first."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def _format_report_lines(explanation: Explanation) -> Iterator[str]:
 
 
 def _format_place(place: SourceLocation) -> str:
-    """Return file and line; of the file only its name, which is enough to find it."""
+    """Return the file name and the line. The folders are left out, because the name is enough to find the file."""
     return f"{PurePath(place.file).name}:{place.line}"
 
 
 def _format_timeline_lines(timeline: tuple[StateInterval, ...], frame: int, name: str) -> Iterator[str]:
-    """Yield the states over frames, with the state of this frame in brackets."""
+    """Yield lines with the states over time; the state of this frame is in brackets."""
     current = next((k for k, s in enumerate(timeline) if s.first <= frame <= s.last), len(timeline) - 1)
     first = max(0, min(current - _MAX_INTERVALS // 2, len(timeline) - _MAX_INTERVALS))
     part = timeline[first : first + _MAX_INTERVALS]
@@ -118,7 +118,7 @@ def _format_transition_lines(transition: TransitionReport, hide_condition: bool)
 
 
 def _format_condition_lines(part: ExpressionPart, indent: str) -> Iterator[str]:
-    """Yield the lines of a condition and of its parts. Tests of existence are replaced by their subject."""
+    """Yield the lines of a condition and its parts. A test whether something exists is replaced by the thing it tests."""
     if len(part.parts) == 1 and part.parts[0].text == part.text:
         part = part.parts[0]
     if part.role in ("draw", "bar"):
@@ -159,7 +159,7 @@ def _format_push_lines(explanation: Explanation) -> Iterator[str]:
 
 
 def _format_strength_bar(layer: LayerReport) -> str:
-    """Return a bar of a layer's share of the whole strength, after the share spent before it."""
+    """Return a bar that shows the fraction of the strength a layer used, placed after the fraction used by earlier layers."""
     granted = round(min(layer.share, 1.0) * _BAR_CHARACTERS)
     if layer.share > 0:
         granted = max(granted, 1)

@@ -1,6 +1,7 @@
-"""Traces one agent's step with the reference backend: the value of every note, its draws, assignments and senses.
+"""Traces one agent's step with the reference backend. The trace has the value of every note, the draws, the assignments and
+the senses.
 
-It runs in addition to the step, on copies of its registers: nothing in the world changes."""
+The trace runs in addition to the step, on copies of the agent's registers, so it changes nothing in the world."""
 
 from __future__ import annotations
 
@@ -26,8 +27,8 @@ class AgentTrace:
     """What an agent computed and requested in one step.
 
     - `row`: the row of the agent in its population.
-    - `start_registers`, `end_registers`: the registers of the agent at the start of the step, and after its blocks.
-    - `values`, `draw_values`: the values of noted nodes, and of random draws.
+    - `start_registers`, `end_registers`: the registers of the agent at the start of the step, and after all blocks.
+    - `values`, `draw_values`: the values of nodes that have notes, and of random draws.
     - `set_members`, `senses`: the members of searched sets, and the results of other senses.
     - `claims`: the claims of the agent, in text order. `effects`: its other requests to the world."""
 
@@ -43,7 +44,7 @@ class AgentTrace:
 
 
 class TracedAgent(AgentRun):
-    """An agent that records the values of notes when they take effect."""
+    """An agent that records the values of nodes with notes while its blocks run."""
 
     def __init__(
         self,
@@ -60,7 +61,7 @@ class TracedAgent(AgentRun):
         self.trace = AgentTrace(row, {name: array[0] for name, array in registers.items()}, {})
 
     def run_step_blocks(self) -> AgentTrace:
-        """Run the blocks of a step in order. Claims have the results that the world has resolved."""
+        """Run the blocks of a step in order. Claims have the same results as in the world's own step."""
         for block in STEP_BLOCKS:
             self.run(block, self.plan)
             if block == "decide":
@@ -73,7 +74,7 @@ class TracedAgent(AgentRun):
         return self.trace
 
     def _fill_impossible_changes(self) -> None:
-        """Compute the values of transitions that can never happen. They were not recorded, because no register is stored."""
+        """Compute the values of transitions that can never happen. They were not recorded, because no register stores them."""
         for note in self.notes.changes:
             if note.state.index == int(self.trace.start_registers[f"{note.machine}.state"]):
                 for node in list_change_nodes(note):
@@ -95,7 +96,7 @@ class TracedAgent(AgentRun):
         return self.trace.set_members[node]
 
     def _record_block_values(self, block: str) -> None:
-        """Record the values that a block has computed. Leave out values that it has skipped, such as senses of a layer without
+        """Record the values that a block has computed. Values that it skipped are left out, such as senses of a layer without
         strength."""
         for node, value in self.values.items():
             if node.op in SENSE_BY_OPERATION:
@@ -124,10 +125,10 @@ def trace_agent(
     notes: SourceNotes,
     replacement_by_node: Mapping[ir.PlanNode, ir.PlanNode],
 ) -> AgentTrace:
-    """Return the trace of the agent in a row: its current step after its blocks and before its effects.
+    """Return the trace of the agent in `row`. Its current step must have run all blocks but applied no effects.
 
-    `plan` and `notes` come from lowering the same program again, with notes. `replacement_by_node` maps noted nodes to their
-    replacements."""
+    `plan` and `notes` are the result of lowering the same program again, with notes. `replacement_by_node` maps noted nodes
+    to their replacements."""
     now = {}
     for name, register in plan.registers.items():
         if register.role == "temp":
@@ -139,26 +140,26 @@ def trace_agent(
 
 
 def list_part_nodes(note: ExpressionNote | None) -> list[ir.PlanNode]:
-    """Return all nodes of a noted part."""
+    """Return all nodes of a part with a note."""
     if note is None:
         return []
     return [*note.nodes, *(node for part in note.parts for node in list_part_nodes(part))]
 
 
 def list_change_nodes(note: ChangeNote) -> list[ir.PlanNode]:
-    """Return all nodes of a noted transition."""
+    """Return all nodes of a transition with a note."""
     timers = [node for timer in note.timers for node in (timer.elapsed, timer.required, timer.is_over)]
     condition_nodes = [note.is_taken] if note.condition_value is None else [note.is_taken, note.condition_value]
     return [*condition_nodes, *timers, *list_part_nodes(note.condition), *list_part_nodes(note.take_note)]
 
 
 def list_layer_nodes(note: LayerNote) -> list[ir.PlanNode]:
-    """Return all nodes of a noted layer."""
+    """Return all nodes of a layer with a note."""
     return [note.budget_left, note.has_budget, note.condition_value, *note.push, *list_part_nodes(note.condition)]
 
 
 def list_act_nodes(notes: SourceNotes) -> list[ir.PlanNode]:
-    """Return all nodes noted in acting: `steer` and `face` lines, and choices of a state."""
+    """Return all nodes with notes that run when an agent acts: `steer` and `face` lines, and choices of a state."""
     chosen = [node for note in notes.choices.values() for node in (note.draw, *(n for _, n in note.weights))]
     steered = [
         node for note in notes.steers for node in (*note.push, *([] if note.condition_value is None else [note.condition_value]))

@@ -21,7 +21,7 @@ _MAX_TEXT_CHARACTERS = 160
 
 
 def locate_span(span: Span, text: str | None = None) -> SourceLocation:
-    """Return the location and text of a span; long text is cut."""
+    """Return the file, line and text of a span. Long text is shortened."""
     line = " ".join((text or span.text).split())
     return SourceLocation(
         line if len(line) <= _MAX_TEXT_CHARACTERS else line[: _MAX_TEXT_CHARACTERS - 1] + "…",
@@ -37,7 +37,7 @@ def to_float_triple(parts: Any) -> FloatTriple:
 
 
 def build_condition_part(world: World, note: ExpressionNote | None, values: NodeValues) -> ExpressionPart | None:
-    """Return a noted part with its value."""
+    """Return a part of a condition, given by its note, with its value."""
     if note is None or any(node not in values for node in note.nodes):
         return None
     inner = tuple(inner_part for each in note.parts if (inner_part := build_condition_part(world, each, values)) is not None)
@@ -57,7 +57,7 @@ def build_condition_part(world: World, note: ExpressionNote | None, values: Node
 
 
 def format_author_value(world: World, raw: Any, type: ValueType, unit: str) -> str:
-    """Return a value as an author would write it. A boolean is written as one, whatever its declared type."""
+    """Return a value as an author would write it. A boolean is written as a boolean, whatever its declared type."""
     if isinstance(raw, np.bool_ | bool):
         type = ValueType(TypeKind.BOOL)
     elif type.kind is TypeKind.BOOL:
@@ -85,7 +85,7 @@ def convert_to_unit(world: World, raw: Any, unit: str) -> float:
 
 
 def build_timer_reading(note: TimerNote, values: NodeValues) -> TimerReading:
-    """Return a noted timer with its elapsed and required amount."""
+    """Return a timer, given by its note, with the elapsed and the required time."""
     unit = "steps" if note.timer_kind == "held" else "s"
     return TimerReading(
         note.timer_kind, float(values[note.elapsed]), float(values[note.required]), unit, bool(values[note.is_over])

@@ -1,4 +1,4 @@
-"""Ascending integers: their search by blocks, and ranks and sums in groups."""
+"""Operations on sorted integers: search by blocks, and ranks and sums in groups."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _MAX_BLOCKS = 8_000_000  # maximum number of blocks in an index
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockIndex:
-    """An index of ascending numbers. It divides them into blocks of numbers with the same value of `number >> shift`.
+    """An index of ascending numbers, divided into blocks. The numbers of a block have the same value of `number >> shift`.
 
-    `block_starts` [blocks + 1]: the position of each block's first number.
-    `bisection_steps`: how many bisection steps the search in the fullest block needs."""
+    `block_starts` [blocks + 1]: the position of each block's first number. `bisection_steps`: the number of bisection steps
+    needed to search the fullest block."""
 
     shift: int
     block_starts: NDArray[np.int32]
@@ -49,7 +49,8 @@ EMPTY_CELLS = np.empty(0, np.int32)
 
 
 def compute_group_ranks(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the rank 0, 1, … of each element within its group. `counts`: the numbers of elements of consecutive groups."""
+    """Return the rank 0, 1, … of each element within its group. `counts`: the number of elements in each of the consecutive
+    groups."""
     ranks: NDArray[np.int64] = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
     return ranks
 

@@ -1,4 +1,4 @@
-"""A kernel that finds the pheromone cell of each point: the cell with the voxel and the side of the point."""
+"""A kernel that finds the pheromone cell of each point. Voxel and side of the point identify the cell."""
 
 from typing import NamedTuple
 
@@ -33,14 +33,12 @@ def _find_cell_by_key(
 
 
 class VoxelCellIndex(NamedTuple):
-    """The cells of a box of voxels, by key. A key is the number of a voxel and a side.
+    """A lookup table for the cells in a box of voxels. A cell's key combines the number of its voxel with its side.
 
-    `voxel_width`: voxel width (mm).
-    `lowest_voxel`, `voxels_per_axis`: the lowest voxel of the box, and its number of voxels along each axis.
-    `direct_table`: the cell of every key; empty if the box is too large. Then `keys` is searched by bisection in one block.
-    `keys`: the ascending keys of the cells.
-    `block_shift`: each block covers 2**shift keys.
-    `block_starts` [blocks + 1]: the position of each block's first key in `keys`."""
+    `voxel_width`: voxel width (mm). `lowest_voxel`, `voxels_per_axis`: the lowest voxel of the box, and its number of voxels
+    along each axis. `direct_table`: the cell of every key; empty if the box is too large. Then `keys` is searched by bisection
+    in one block. `keys`: the ascending keys of the cells. `block_shift`: each block covers 2**shift keys. `block_starts`
+    [blocks + 1]: the position of each block's first key in `keys`."""
 
     voxel_width: F64
     lowest_voxel: Array1[I64]

@@ -1,4 +1,4 @@
-"""The cells of pheromone: voxels that surfaces touch, with one cell per voxel for each direction that the surface faces in it."""
+"""The cells of a pheromone field: a voxel that a surface touches has one cell per direction that the surface faces there."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _POINTS_PER_CHUNK = 1 << 15
 
 
 class FieldTooFineError(ValueError):
-    """The error that a field would need more cells than `limits.MAX_FIELD_CELLS`, or (`is_axis_limit`) too many voxels along an
+    """Error: a field would need more than `limits.MAX_FIELD_CELLS` cells or, if `is_axis_limit`, too many voxels along an
     axis. It is raised before anything is allocated."""
 
     def __init__(self, needed_count: int, cap: int, is_axis_limit: bool = False) -> None:
@@ -48,12 +48,12 @@ class CellLinks:
 
 
 class SurfaceCells:
-    """The cells of a field on surfaces. Each cell is a voxel that a surface touches, with one side of it.
+    """The cells of a field on surfaces.
 
-    The side is the axis direction nearest to the surface's normal, so a thin plate has cells of two sides. Voxels have the edge
-    length `cell` (mm), and their centres are on a lattice through the origin. Cells are numbered by position, then by side, for
-    any order of faces. Each surface is (vertices float64[n,3], faces int32[m,3]).
-    Raises FieldTooFine before any large allocation."""
+    A cell is a voxel that a surface touches, together with a side: the axis direction nearest to the surface's normal. So a
+    thin plate has cells with two different sides. Voxels have the edge length `cell` (mm), and their centres are on a lattice
+    through the origin. Cells are numbered by position, then by side, for any order of faces. Each surface is (vertices
+    float64[n,3], faces int32[m,3]). Raises FieldTooFine before any large allocation."""
 
     def __init__(self, surfaces: Sequence[MeshArrays], cell: float, cap: int = limits.MAX_FIELD_CELLS) -> None:
         if not (np.isfinite(cell) and cell > 0):
@@ -149,28 +149,28 @@ class SurfaceCells:
         return first, np.where(is_in_box, last - first, 0)
 
     def _iterate_voxel_cells(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
-        """Yield for k = 0, 1, …: the k-th cell of each voxel [n,3], and whether the voxel has one."""
+        """Yield the k-th cell of each voxel [n,3], for k = 0, 1, …, with a mask of the voxels that have one."""
         first, count = self._find_cell_ranges(voxel)
         for step in range(self._max_cells_per_voxel):
             yield np.minimum(first + step, len(self) - 1), step < count
 
     def find_cells(self, points: Floats, normals: Floats) -> Cells:
-        """Return the cell of each point [n,3], int32[n]: the one with the point's voxel and the side of its face.
+        """Return the cell of each point [n,3], int32[n]: the cell with the point's voxel and the side of its face.
 
-        If there is none, return the nearest cell in the 27 voxels around the point that does not have the opposite side, else
-        -1. `normals` [n,3]: the normal of the face under each point, also if an agent walks on its back."""
+        If there is no such cell, return the nearest cell in the 27 voxels around the point, except cells of the opposite side;
+        else -1. `normals` [n,3]: the normal of the face under each point, also if an agent walks on its back."""
         return self.find_cells_by_side(points, classify_normal_directions(np.asarray(normals).reshape(-1, 3)))
 
     def find_cells_by_side(self, points: Floats, sides: NDArray[np.int8]) -> Cells:
-        """Return cells as `find_cells` does, for faces with sides int8[n] as numbered by `classify_normal_directions`."""
+        """Return the cells of `find_cells` for sides int8[n] of faces, as numbered by `classify_normal_directions`."""
         return self.update_cells(points, sides, None)[0]
 
     def update_cells(
         self, points: Floats, sides: NDArray[np.int8], lookup_state: CellLookupState | None, result: Cells | None = None,
         threads: int = 1
     ) -> tuple[Cells, CellLookupState | None]:  # fmt: skip
-        """Return cells as `find_cells_by_side` does, and the state for the next call; None if a kernel cannot search the keys.
-        Only points with a changed voxel or side are searched. `result`: int32[n], an array for the cells.
+        """Return the cells of `find_cells_by_side` and the state for the next call, or None if a kernel cannot search the
+        keys. Only points with a changed voxel or side are searched. `result`: int32[n], an array for the cells.
         `lookup_state`: the state that the previous call returned for the same number of points."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         cell = np.empty(len(points), np.int32) if result is None or len(result) != len(points) else result
@@ -222,7 +222,7 @@ class SurfaceCells:
         return True
 
     def _write_keys(self, points: Floats, side: NDArray[np.int8], key: NDArray[np.int64], is_in_box: NDArray[np.bool_]) -> None:
-        """Write the key of each point's voxel and side to `key`, and to `is_in_box` whether that voxel is in the box."""
+        """Write the key of each point to `key`, and to `is_in_box` whether its voxel is in the box."""
         for axis in range(3):
             step = np.floor(points[:, axis] / self.cell + 0.5)
             step -= self._low[axis]
@@ -280,8 +280,8 @@ class SurfaceCells:
     def _find_neighbour_pairs(
         self, cells: NDArray[np.int64], column: Callable[[int, int], int]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return pairs of compatible cells in nearby voxels, sorted: indices into `cells`, and the neighbour cells.
-        `column(x, y)`: how many voxels up and down count in the column of voxels at offset (x, y); -1 for none."""
+        """Return pairs of compatible cells in nearby voxels, sorted: indices into `cells`, and the neighbour cells. `column(x,
+        y)`: how many voxels up and down to search in the column at offset (x, y); -1 for none."""
         voxels = self._voxel_numbers[cells]
         z, rest = voxels % self._size[2], voxels // self._size[2]
         x, y = rest // self._size[1], rest % self._size[1]
@@ -320,7 +320,7 @@ class SurfaceCells:
         return self._link_cells(2)
 
     def _link_cells(self, steps: int) -> CellLinks:
-        """Return the links of cells at most 1 voxel step apart if `steps` is 1, or 2 steps along different axes if it is 2."""
+        """Return the links of cells one voxel step apart (`steps` 1), or two steps along different axes (`steps` 2)."""
         counts, cells = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
         for a in range(0, len(self), _POINTS_PER_CHUNK):
             chosen = np.arange(a, min(a + _POINTS_PER_CHUNK, len(self)))
@@ -343,7 +343,7 @@ class SurfaceCells:
 
     @property
     def nearest_block_cells(self) -> Cells:
-        """Return the 16 nearest cells of each cell, as `get_nearest_cells` does: int32[n,16]."""
+        """Return the 16 nearest cells of each cell: int32[n,16], in the form of `get_nearest_cells`."""
         return self.get_nearest_cells(NEAREST_CELL_COUNT)
 
     def compute_offsets(self, first: Floats, second: Floats) -> Floats:
@@ -362,7 +362,7 @@ class SurfaceCells:
         return self._tables[k]
 
     def _compute_nearest_cells(self, cells: NDArray[np.int64], k: int) -> Cells:
-        """Compute those rows of `get_nearest_cells` that belong to `cells`."""
+        """Compute the rows of `get_nearest_cells` for the given `cells`."""
         table = np.full((len(cells), k), len(self), np.int32)
         for a in range(0, len(cells), _POINTS_PER_CHUNK):
             chosen = cells[a : a + _POINTS_PER_CHUNK]
@@ -386,8 +386,8 @@ class SurfaceCells:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellLookupState:
-    """What one cell lookup leaves for the next, so that points that stay in their voxel need no search: the cells searched, the
-    key of each point's voxel and side (-1 outside the box), and each point's cell (-1: none)."""
+    """The state that one cell lookup stores for the next. With it, points that stay in their voxel need no search. It contains
+    the cells searched, the key of each point's voxel and side (-1 outside the box), and each point's cell (-1: none)."""
 
     surface_cells: SurfaceCells
     keys: NDArray[np.int64]

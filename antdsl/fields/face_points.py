@@ -1,7 +1,6 @@
-"""Points on triangles at which fields and flows are computed. Each face is divided into n · n equal triangles, n a power of two.
-
-This module also chooses the resolution of a flow's points. The points around a footing are found by one table look-up, without
-a search."""
+"""Lattice points on triangles, at which fields and flows are computed. Each face is divided into n · n equal triangles, n a
+power of two. This module also chooses the resolution of a flow's points. The points around a footing are found by one table
+look-up, without a search."""
 
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ _MAX_PIECES_PER_EDGE = 1024  # maximum number of pieces along an edge
 
 
 class LatticeTooFineError(ValueError):
-    """The error that a lattice would need more points than allowed. `needed`: the approximate number of points."""
+    """Error: a lattice would need more points than allowed. `needed`: the approximate number of points."""
 
     def __init__(self, needed_count: int) -> None:
         super().__init__(f"about {needed_count:,} points")
@@ -39,7 +38,7 @@ def count_slots(edge_pieces: Index) -> int:
 
 
 def count_edge_pieces_by_length(edge_lengths: Floats, cell: float | Floats) -> Index:
-    """Return into how many pieces each edge is divided, so that a piece is at most `cell` (mm) long.
+    """Return the number of pieces to divide each edge into, so that a piece is at most `cell` (mm) long.
 
     The counts are powers of two; 1 if `cell` is infinite. `edge_lengths`: in mm."""
     with np.errstate(divide="ignore"):
@@ -69,7 +68,7 @@ class FaceLattice:
         return count_slots(self.edge_pieces)
 
     def find_slots(self, face: Index, b1: Floats, b2: Floats) -> tuple[Index, Floats]:
-        """Return the three slots around each position in a face (3, n), and the weight of each slot (3, n).
+        """Return the three slots around each position in a face (3, n), and the interpolation weights of these slots (3, n).
 
         `face`, `b1`, `b2` (n): the faces, and the barycentric weights of their second and third corners."""
         n, start = self.edge_pieces.take(face), self.first_slots.take(face)
@@ -112,9 +111,9 @@ class FaceLattice:
         return np.concatenate(parts), np.concatenate(owners)
 
     def _group_by_edge_pieces(self) -> list[tuple[int, Index, Index, Index]]:
-        """Return one tuple for each number of cuts that occurs, with four values.
+        """Group faces by the number of pieces per edge.
 
-        They are the number of cuts, the faces with that number, and the columns and the rows of such a face's slots."""
+        Return a tuple for each group: that number, the faces, and the columns and rows of a face's slots."""
         groups = []
         for n in np.unique(self.edge_pieces).tolist():
             j = np.repeat(np.arange(n + 1), np.arange(n + 1, 0, -1))
@@ -126,7 +125,7 @@ class FaceLattice:
 def weld_points(positions: Floats, surface_numbers: NDArray[np.integer]) -> tuple[Index, int]:
     """Return the number of each position's point, and the number of points.
 
-    Equal positions (n, 3) with the same owner are one point."""
+    Equal positions (n, 3) on the same surface share a point."""
     if not len(positions):
         return np.empty(0, np.int64), 0
     low = positions.min(axis=0)
@@ -142,7 +141,8 @@ def weld_points(positions: Floats, surface_numbers: NDArray[np.integer]) -> tupl
 
 
 def choose_cell_size(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, extent: float) -> float:
-    """Return the edge length (mm) of a flow's cells: its own `cell`, or a default for a ground of size `extent` (mm)."""
+    """Return the edge length (mm) of a flow's cells: the flow's own `cell`, or else a default for a ground of size `extent`
+    (mm)."""
     if flow.cell is not None:
         return flow.cell
     if isinstance(flow, BorderFlowData):
@@ -154,11 +154,11 @@ def choose_cell_size(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, ext
 
 
 def choose_edge_pieces(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, edge_lengths: Floats, extent: float) -> Index:
-    """Return into how many pieces the edges of each face are divided.
+    """Return the number of pieces into which to divide the edges of each face.
 
-    `edge_lengths` (n): the longest edge (mm) of each face, 0 where the flow is not needed. `extent`: the size (mm) of the ground.
-    A default cell size is increased if there would be too many points. Raises LatticeTooFine if the cell size that the scene
-    sets is too small."""
+    `edge_lengths` (n): the longest edge (mm) of each face, 0 where the flow is not needed. `extent`: the size (mm) of the
+    ground. A default cell size is increased if there would be too many points. Raises LatticeTooFine if the cell size that the
+    scene sets is too small."""
     cell = choose_cell_size(flow, extent)
     while True:
         cuts = count_edge_pieces_by_length(edge_lengths, cell)

@@ -1,6 +1,5 @@
-"""Flows and maps on surfaces. A flow is a vector along the face, a map is a painted number; agents read both at their footing.
-
-Flows around a curve or points are also here; they are defined everywhere."""
+"""Flows and maps on surfaces. A flow is a vector along the face, a map is a painted number. Agents read both at their footing.
+This module also has flows around curves and points, which are defined everywhere in space."""
 
 from __future__ import annotations
 
@@ -50,7 +49,7 @@ def project_across_up(v: Floats, up: Floats) -> Floats:
 def compute_falloff(distance: Floats, radius: float | None, falloff_kind: str) -> Floats:
     """Return the strength of a flow at a distance (mm) from its source: 1 at the source, and 0 beyond `radius` (mm).
 
-    The strength is 1 everywhere if `radius` is None. `falloff_kind`: how it decreases up to `radius`: `none`, `linear`, or any
+    The strength is 1 everywhere if `radius` is None. `falloff_kind`: how the strength decreases: `none`, `linear`, or any
     other word for a smooth decrease."""
     if radius is None:
         return np.ones_like(distance)
@@ -101,13 +100,13 @@ class SurfaceFlow:
         return tuple(np.ascontiguousarray(part, np.float32) for part in vectors)  # type: ignore[return-value]
 
     def has_flow_at(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
-        """Return whether the flow is non-zero at each agent's position, bool[n]. Arguments as for `sample`."""
+        """Return whether the flow is non-zero at each agent's position, bool[n]. The arguments are those of `sample`."""
         x, y, z = self.sample(meshes, footing, place, up)
         is_flowing: NDArray[np.bool_] = (x != 0) | (y != 0) | (z != 0)
         return is_flowing
 
     def set_displayed_state(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Make `state` return `arrays` without a change of the flow. This is for a copy that is only displayed."""
+        """Make `get_state` return `arrays` without changing the flow. This is for a copy that is only displayed."""
 
     def update_for_step(self, world: World) -> None:
         """Update the flow before a step. Does nothing for a flow that is computed only once."""
@@ -115,17 +114,17 @@ class SurfaceFlow:
             self.update_after_motion(world)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays, by name, that a continued run needs. The result is empty if the frame alone determines the flow."""
+        """Return the arrays, by name, that a continued run needs. The result is empty if the flow depends only on the frame."""
         return {}
 
     def restore_state(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Restore the state that `state` returned."""
+        """Restore a state that `get_state` returned."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaintedMap:
-    """Painted numbers on the ground. `corner_values` (3, faces): the number at each corner of each face, 0 on unpainted
-    surfaces."""
+    """Painted numbers on the ground. `corner_values` (3, faces): the number at each corner of each face, 0 on surfaces without
+    paint."""
 
     corner_values: Floats
 
@@ -156,9 +155,9 @@ def find_nearest_on_target(target: FlowTarget, positions: Floats) -> tuple[Float
 
 
 def make_spread_source(flow: SpreadFlowData, target: FlowTarget) -> VectorFunction:
-    """Return a function that evaluates a flow around a target: it returns vectors (n, 3) for positions (n, 3).
+    """Return a function that evaluates a flow around a target. It takes positions (n, 3) and returns vectors (n, 3).
 
-    The target is in the world's axes and relative to the world's origin."""
+    The target's coordinates are along the world's axes, relative to the world's origin."""
 
     def compute_vectors(positions: Floats) -> Floats:
         distance, point, tangent = find_nearest_on_target(target, positions)

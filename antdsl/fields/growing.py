@@ -23,10 +23,10 @@ VoxelKeysAndCells = tuple[Array1[I64], Array1[I64]]  # voxels and keys of cells
 
 
 class GrowingCells(SurfaceCells):
-    """`SurfaceCells` that can `add_cells_at_points`. A cell never changes its number.
+    """A variant of `SurfaceCells` that can grow, by `add_cells_at_points`. A cell never changes its number.
 
-    The initial cells come first, ordered by position, then side. Added cells follow, step by step. Unused reserve cells come
-    last; no query returns them."""
+    The initial cells come first, ordered by position, then side. Added cells follow in the order of steps. Unused reserve
+    cells come last; no query returns them."""
 
     def __init__(self, surfaces: Sequence[MeshArrays], cell: float, cap: int = limits.MAX_FIELD_CELLS) -> None:
         super().__init__(surfaces, cell, cap)
@@ -37,7 +37,7 @@ class GrowingCells(SurfaceCells):
 
     @property
     def added_cells(self) -> dict[str, NDArray[np.generic]]:
-        """Return the `keys` and `positions` of all cells that were added after the start, as arguments of `add_cells`."""
+        """Return the `keys` and `positions` of all cells that were added after the start, in the form that `add_cells` takes."""
         new = slice(self.initial_count, self.used_count)
         return {"keys": self._keys[new], "places": np.concatenate([self.position[new], self.normal[new]], axis=1)}
 
@@ -54,7 +54,7 @@ class GrowingCells(SurfaceCells):
         return self.add_cells(keys, np.concatenate([sums[:, :3] / sums[:, 6:], normal], axis=1))
 
     def add_cells(self, keys: NDArray[np.int64], positions: Floats) -> NDArray[np.int64]:
-        """Add cells with new `keys`. Return their numbers. `positions` [n,6]: the position and the normal of each cell."""
+        """Add cells with new `keys`, and return their numbers. `positions` [n,6]: the position and the normal of each cell."""
         count = min(len(keys), max(self._cap - self.used_count, 0))
         if not count:
             return np.empty(0, np.int64)
@@ -102,7 +102,7 @@ class GrowingCells(SurfaceCells):
 
     @property
     def _has_kernel_lookup(self) -> bool:
-        """Return whether a table lists every key: keys of added cells are not in ascending order."""
+        """Return whether a table lists every key. Kernels need it, because keys of added cells are not ascending."""
         return self._direct_table is not None
 
     def _find_cells_by_key(self, key: NDArray[np.int64], is_in_box: NDArray[np.bool_]) -> Cells:
@@ -117,8 +117,8 @@ class GrowingCells(SurfaceCells):
     def _find_neighbour_pairs(
         self, cells: NDArray[np.int64], column: Callable[[int, int], int]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return pairs as `SurfaceCells._find_neighbour_pairs` does, but with all voxels and sides in one pass, since a step adds
-        few cells."""
+        """Return the pairs of `SurfaceCells._find_neighbour_pairs`. All voxels and sides are processed in one pass, since a
+        step adds few cells."""
         numbers = self._voxel_numbers[cells]
         voxel = np.stack(
             [numbers // (self._size[1] * self._size[2]), numbers // self._size[2] % self._size[1], numbers % self._size[2]]

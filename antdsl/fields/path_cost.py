@@ -1,5 +1,5 @@
-"""The cheapest path over triangles to a goal, and its direction at every point. Paths are shortest paths in a graph, then
-straightened across the triangles."""
+"""Computes the cheapest path over triangles to a goal, and its direction at every point. Paths first follow edges (shortest
+paths in a graph), and are then straightened across the triangles."""
 
 from __future__ import annotations
 
@@ -33,14 +33,13 @@ class WalkableSurface:
 def compute_path_costs(surface: WalkableSurface, cost: Floats, start: Index, start_costs: Floats) -> Floats:
     """Return the least cost of a path from each point to the goal, inf if there is no path.
 
-    `cost` (t,): the cost per mm within each triangle.
-    `start`: the points at which a path can end.
-    `start_costs`: the cost from each of these points to the goal.
+    `cost` (t,): the cost per mm within each triangle. `start`: the points at which a path can end. `start_costs`: the cost
+    from each of these points to the goal.
 
     Dijkstra's shortest paths along edges give an upper bound for all points. In order of that bound, the cost of each point is
     then recomputed from the opposite edges of its triangles. The wave front is straight within a triangle (R. Kimmel and J. A.
-    Sethian, Computing geodesic paths on manifolds, PNAS 95, 1998, p. 8432). For obtuse corners, the bound along edges replaces
-    their update."""
+    Sethian, Computing geodesic paths on manifolds, PNAS 95, 1998, p. 8432). At obtuse corners, this update is not used: the
+    bound along edges remains."""
     bound = _compute_edge_costs(surface, cost, start, start_costs)
     halves = _make_opposite_edges(surface, cost)
     tolerance = _CONVERGENCE_TOLERANCE * float(np.median(halves.length)) if len(halves.length) else 0.0
@@ -122,7 +121,7 @@ def _compute_link_costs(surface: WalkableSurface, cost: Floats) -> Floats:
 
 
 def _lower_costs_along_links(surface: WalkableSurface, cost: Floats, costs: Floats) -> None:
-    """Lower `costs` in place: at each end of a link to at most the bound at the other end plus the link's cost."""
+    """Lower `costs` in place: at each end of a link, to at most the cost at the other end plus the cost of the link."""
     price = _compute_link_costs(surface, cost)
     for a, b in ((0, 1), (1, 0)):
         np.minimum.at(costs, surface.point_links[:, b], costs[surface.point_links[:, a]] + price)
@@ -133,13 +132,11 @@ def _lower_costs_along_links(surface: WalkableSurface, cost: Floats, costs: Floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _OppositeEdges:
-    """The corners of all open triangles, each with the opposite edge of its triangle.
+    """For each corner of every open triangle, the opposite edge of the triangle.
 
-    `corner_point`: the point at the corner. `edge_start`, `edge_end`: the points at the ends of the opposite edge.
-    `length`: the length (mm) of that edge.
-    `perpendicular_foot`: the distance (mm) from `edge_start` to the foot of the perpendicular from the corner.
-    `height`: the length (mm) of the perpendicular.
-    `cost`: the cost per mm in the triangle."""
+    `corner_point`: the point at the corner. `edge_start`, `edge_end`: the points at the ends of the opposite edge. `length`:
+    the length (mm) of that edge. `perpendicular_foot`: the distance (mm) from `edge_start` to the foot of the perpendicular
+    from the corner. `height`: the length (mm) of the perpendicular. `cost`: the cost per mm in the triangle."""
 
     corner_point: Index
     edge_start: Index
@@ -156,7 +153,8 @@ class _OppositeEdges:
 
 
 def _make_opposite_edges(surface: WalkableSurface, cost: Floats) -> _OppositeEdges:
-    """Return the corners and opposite edges of all open triangles that have an area. `cost` (t,): per mm in each triangle."""
+    """Return the corners and opposite edges of all open triangles that have an area. `cost` (t,): the cost per mm in each
+    triangle."""
     t = surface.triangles[surface.is_walkable]
     corner_point, one, two = (np.concatenate([t[:, (k + shift) % 3] for k in range(3)]) for shift in range(3))
     edge, side = surface.points[two] - surface.points[one], surface.points[corner_point] - surface.points[one]
@@ -193,7 +191,7 @@ def _lower_costs_across_triangles(costs: Floats, edges: _OppositeEdges) -> None:
 
 
 def _compute_corner_costs(costs: Floats, edges: _OppositeEdges) -> Floats:
-    """Return the least cost at each corner of a straight path that crosses the triangle from the opposite edge."""
+    """Return the least cost at each corner for a straight path to the corner across the triangle, from the opposite edge."""
     from_one, rise = costs[edges.edge_start], (costs[edges.edge_end] - costs[edges.edge_start]) / edges.length
     share = np.clip(rise / edges.cost, -1 + 1e-12, 1 - 1e-12)
     left = np.clip(edges.perpendicular_foot - share * edges.height / np.sqrt(1 - share * share), 0.0, edges.length)

@@ -90,7 +90,7 @@ class PathFlow(SurfaceFlow):
     def has_flow_at(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
         """Return whether a path leads to the goal from the lattice point nearest to each agent, bool[n].
 
-        The value is false on faces that the flow does not cover."""
+        The result is false on faces that the flow does not cover."""
         g = self.crossable_ground
         if meshes is None or g is None or self.is_goal_reachable is None:
             return np.zeros(len(place), bool)
@@ -105,7 +105,7 @@ class PathFlow(SurfaceFlow):
         return nearest
 
     def _compute_crowd_shares(self, crowd: NDArray[np.int64]) -> Floats:
-        """Return the share of each triangle's area that agents cover, smoothed over the adjacent triangles."""
+        """Return the fraction of each triangle's area that agents cover, smoothed over the adjacent triangles."""
         g = self.crossable_ground
         assert g is not None
         point_areas = self._sum_to_points(np.repeat(g.triangle_areas / 3, 3))
@@ -133,7 +133,8 @@ class PathFlow(SurfaceFlow):
         self.recompute_flow()
 
     def measure_coverage(self, world: World) -> NDArray[np.int64]:
-        """Return, for each point, the area that the agents nearest to it cover, in units of 1 / _COVERAGE_PARTS_PER_MM2 mm²."""
+        """Return, for each point, the area covered by the agents nearest to that point, in units of 1 /
+        _COVERAGE_PARTS_PER_MM2 mm²."""
         g, meshes = self.crossable_ground, world.ground.meshes
         assert g is not None and meshes is not None
         coverage = np.zeros(len(g.surface.points), np.int64)

@@ -1,5 +1,5 @@
-"""The cells of a field in a periodic world: voxels with their middles in the box of the world. Voxels on opposite sides are
-neighbours."""
+"""The cells of a field in a periodic world: voxels with their centres inside the world's box. Voxels at opposite sides of the
+box are neighbours."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MIN_CELLS_ALONG_AXIS = 3  # with fewer, a cell would have the same neighbour on 
 
 
 class CellsDoNotFit(ValueError):
-    """The error that the width of a periodic world is not a whole number of cells, or fewer than three. `width`: in mm."""
+    """Error: the width of a periodic world is not a whole number of cells, or is less than three cells. `width`: in mm."""
 
     def __init__(self, width: float, cell: float) -> None:
         super().__init__(f"the width of {width:g} mm is not a whole number of cells of {cell:g} mm")
@@ -29,15 +29,15 @@ class CellsDoNotFit(ValueError):
 
     @property
     def fitting_cell(self) -> float:
-        """Return the nearest size of a cell (mm) that fits."""
+        """Return the cell size (mm) nearest to the requested one that fits the width."""
         return self.width / max(MIN_CELLS_ALONG_AXIS, round(self.width / self.cell))
 
 
 class PeriodicCells(SurfaceCells):
-    """Cells as `SurfaceCells`, in a periodic world. Raises CellsDoNotFit if cells do not divide a width.
+    """A variant of `SurfaceCells` for a periodic world.
 
-    Each cell is that of a voxel with its middle in the box. A surface also covers voxels that reach beyond the box, by its
-    images."""
+    Raises CellsDoNotFit if a width is not a whole number of cells. The centre of each cell's voxel is inside the box. At the
+    sides of the box, periodic images of surfaces cover the voxels that extend beyond it."""
 
     def __init__(self, surfaces: Sequence[MeshArrays], cell: float, box: PeriodicBox, cap: int = limits.MAX_FIELD_CELLS) -> None:
         self._box = box
@@ -148,7 +148,7 @@ def _cover_voxels(
 ) -> MeshArrays:
     """Return a mesh with its images, cut one cell beyond the voxels from `first` on.
 
-    A level rectangle over the whole box becomes a larger rectangle: images would have edges, which displace the cells there."""
+    A level rectangle over the whole box is enlarged instead of repeated, because edges between images would displace cells."""
     vertices, faces = (np.asarray(mesh[0], np.float64), np.asarray(mesh[1], np.int32))
     wraps, widths = count > 0, np.array(box.widths)
     low = np.where(wraps, (first - 1.5) * cell, -np.inf)

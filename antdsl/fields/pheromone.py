@@ -1,5 +1,5 @@
-"""Pheromone on surfaces: it is deposited in cells, evaporates, diffuses and is smelled. Deposits are added exactly, so their
-order does not matter."""
+"""Pheromone on surfaces. It is deposited in cells, evaporates and diffuses, and agents smell it. Deposits are added exactly,
+so their order does not matter."""
 
 from __future__ import annotations
 
@@ -65,13 +65,13 @@ class PheromoneField:
 
     @property
     def padded_values(self) -> NDArray[np.float64]:
-        """Return the amount in each cell, followed by a 0 that stands for "no cell"."""
+        """Return the amount in each cell, followed by a 0 for "no cell"."""
         return self._padded
 
     @property
     def sensed_positions(self) -> NDArray[np.float32]:
-        """Return the cell positions that agents sense: rows x, y, z, 0 in float32[cells + 1, 4]. The last row stands for "no
-        cell"."""
+        """Return the cell positions that agents sense, float32[cells + 1, 4]: each row is (x, y, z, 0). The last row is for
+        "no cell"."""
         return self._sensed_positions
 
     @property
@@ -86,7 +86,7 @@ class PheromoneField:
         self._has_pending = True
 
     def extend_arrays(self, new: NDArray[np.int64]) -> None:
-        """Extend the arrays for the cells `new`, which were added to `cells`."""
+        """Extend the arrays for cells that were added to `cells`; `new` are their numbers."""
         self.version += 1
         added_count = len(self.cells) - len(self.amounts)
         if added_count:
@@ -101,24 +101,23 @@ class PheromoneField:
 
     @property
     def added_cells(self) -> dict[str, NDArray[Any]]:
-        """Return the cells that were added after the start, as arguments of `restore_added_cells`.
+        """Return the cells that were added after the start, in the form that `restore_added_cells` takes.
 
         The result is empty if no cells can be added."""
         return self.cells.added_cells if isinstance(self.cells, GrowingCells) else {}
 
     def restore_added_cells(self, keys: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
-        """Add the cells of a result of `added_cells`, except those that exist because another field with the same cells added
-        them."""
+        """Add the cells that `added_cells` returned. Cells that another field on the same cells has already added are skipped."""
         assert isinstance(self.cells, GrowingCells)
         added_count = self.cells.used_count - self.cells.initial_count
         self.cells.add_cells(keys[added_count:], positions[added_count:])
         self.extend_arrays(np.arange(self.cells.initial_count, self.cells.used_count))
 
     def deposit(self, cells: Cells, amounts: Floats) -> int:
-        """Deposit amounts in cells; `step` adds them. Return how many amounts were rejected or reduced.
+        """Deposit amounts in cells. `advance` adds them to the field. Return how many amounts were rejected or reduced.
 
-        `cells`: the cell of each amount, -1 for none.
-        NaN is rejected. Amounts above `MAX_DEPOSIT` are reduced to it. With `combine` max, only amounts above 0 count."""
+        `cells`: the cell of each amount, -1 for none. NaN is rejected. Amounts above `MAX_DEPOSIT` are reduced to it. With
+        `combine` max, amounts of 0 or less are ignored."""
         cells, amounts = np.asarray(cells), np.asarray(amounts, np.float64)
         is_finite = np.isfinite(amounts)
         wrong = int(np.count_nonzero(~is_finite | (np.abs(amounts) > MAX_DEPOSIT)))
@@ -130,7 +129,7 @@ class PheromoneField:
         return wrong
 
     def set_remaining_amounts(self, cells: NDArray[np.integer[Any]], amounts: NDArray[np.float64]) -> None:
-        """Set the amounts that remain in distinct cells after agents took pheromone from them. `step` applies them."""
+        """Set the amounts that remain in distinct cells after agents took pheromone from them. `advance` applies them."""
         self._remaining_amounts.append((cells, amounts))
 
     def advance(self, remaining_share: float, diffusion: float, dt: float, threads: int = 1) -> None:
@@ -171,7 +170,7 @@ class PheromoneField:
         """Return the flow that one unit of diffusion causes between the cells.
 
         Between two linked cells flows 4 / max(4, links of either cell) of their difference. On a plane this is the five-point
-        stencil. No cell exchanges more than four links would, so stability depends only on the cell size.
+        stencil. No cell exchanges more than over four links, so stability depends only on the cell size.
 
         A stencil of 8 uses two thirds of this flow, and a sixth of it between cells that share an edge. On a plane this is the
         nine-point Laplacian (4, 1) / 6, with the same error in all directions (Patra and Karttunen, Stencils with isotropic
@@ -194,14 +193,14 @@ class PheromoneField:
         return csr_array((weight, links.linked_cells, links.link_starts), shape=(len(self.cells), len(self.cells)))
 
     def sample(self, cells: Cells) -> Floats:
-        """Return the amounts in cells, float32[n]; 0 for cell -1."""
+        """Return the amount in each of the given cells, float32[n]; 0 for cell -1."""
         return self._padded.take(np.where(np.asarray(cells) < 0, len(self.cells), cells)).astype(np.float32)
 
     def sample_strongest(self, cells: Cells, k: int = NEAREST_CELL_COUNT) -> tuple[Floats, Floats, Floats, Floats]:
         """Return the largest amount in the `k` nearest cells of each of `cells`, and the position of that cell.
 
-        The results are float32[n] each, positions in mm. Of cells with equal amounts, the first counts. If all amounts are 0,
-        the position is that of the given cell. For cell -1 the position is (0, 0, 0)."""
+        The results are float32[n] each, positions in mm. Of cells with equal amounts, the first is returned. If all amounts
+        are 0, it is the position of the given cell. For cell -1 the position is (0, 0, 0)."""
         agent_cells = np.asarray(cells).astype(np.int32, copy=False)
         best, value = np.empty(agent_cells.size, np.int64), np.empty(agent_cells.size)
         find_strongest_nearby_cells(agent_cells, self._get_nearest_cells(k), self._padded, best, value)
@@ -209,10 +208,10 @@ class PheromoneField:
         return value.astype(np.float32), x, y, z
 
     def get_dependent_cells(self, k: int) -> tuple[NDArray[np.int64], Cells]:
-        """Return which cells depend on each cell: those that have it among their `k` nearest cells. The result is `start` and
-        `cell`.
+        """Return, for each cell, the cells that have it among their `k` nearest cells.
 
-        These are `cell[start[a]:start[a+1]]`, ascending. The field's cells must not be able to grow."""
+        The result is two arrays, `start` and `cell`: cell a has `cell[start[a]:start[a+1]]`, ascending. The cells of the
+        field must be unable to grow."""
         if k not in self._dependents_by_size:
             self._dependents_by_size[k] = _find_dependent_cells(self._get_nearest_cells(k), len(self.cells))
         return self._dependents_by_size[k]
@@ -255,7 +254,7 @@ class PheromoneField:
 
     @cached_property
     def _sensed_positions(self) -> NDArray[np.float32]:
-        """Return `_cell_positions` as `sensed_positions` has them: float32, one contiguous row for each cell."""
+        """Return the cell positions as float32, one contiguous row per cell, as `sensed_positions` returns them."""
         single_positions = np.zeros((len(self.cells) + 1, 4), np.float32)
         single_positions[:, :3] = self._cell_positions.T
         return single_positions
@@ -275,7 +274,8 @@ def _find_dependent_cells(nearest_cells: Cells, cells: int) -> tuple[NDArray[np.
 
 
 class _DiffusionOperator:
-    """A symmetric flow between cells. `inflow_matrix`: the share of each linked cell's amount that flows in, sparse."""
+    """A symmetric flow between cells. `inflow_matrix`: the fraction of each linked cell's amount that flows in, as a sparse
+    matrix."""
 
     def __init__(self, inflow_matrix: Any) -> None:
         rows = np.repeat(np.arange(inflow_matrix.shape[0]), np.diff(inflow_matrix.indptr))
@@ -327,8 +327,8 @@ def compute_cell_inflow(
 ) -> None:
     """Write the inflow minus the outflow of each cell from `begin` to before `end` to `change`.
 
-    `cell[start[n]:start[n+1]]`: the cells linked to cell n. `inflow_shares`: for each entry of `cell`, the share of its amount
-    that flows in. `outflow_shares`: the share of each cell's amount that flows out."""
+    `cell[start[n]:start[n+1]]`: the cells linked to cell n. `inflow_shares`: for each entry of `cell`, the fraction of its
+    amount that flows in. `outflow_shares`: the fraction of each cell's amount that flows out."""
     for n in range(begin, end):
         total = 0.0
         for k in range(start[n], start[n + 1]):
@@ -354,9 +354,9 @@ def advance_cells(
     """Advance the cells from `begin` to before `end` by one step.
 
     Adds `spread` times `change` (nothing if the array is empty), multiplies by `remaining_share`, then applies deposits.
-    `pending_deposits`: the deposits in multiples of `deposit_quantum`; set to 0 after they are applied.
-    `deposit_mode`: 1 adds deposits; 2 uses them as the least amount of the cell.
-    `max_amount`: the largest amount. Amounts between `flush_floor` and `flush_threshold` become 0."""
+    `pending_deposits`: the deposits in multiples of `deposit_quantum`; set to 0 after they are applied. `deposit_mode`: 1 adds
+    deposits; 2 raises the cell's amount to at least the deposit. `max_amount`: the largest amount. Amounts between
+    `flush_floor` and `flush_threshold` become 0."""
     spreads = change.size > 0
     for n in simd_range(begin, end):
         value = values[n]
@@ -380,11 +380,11 @@ def advance_cells(
 def find_strongest_nearby_cells(
     agent_cells: Array1[I32], nearest_cells: Array2[I32], values: Array1[F64], best_cells: Array1[I64], value: Array1[F64]
 ) -> None:
-    """Write, for each agent, the largest amount near its cell to `value`, and the first cell that has it to `best_cells`.
+    """For each agent, write the largest amount near its cell to `value`, and the first cell with that amount to `best_cells`.
 
-    If all amounts are 0, `best_cells` is the agent's own cell and `value` is 0.
-    `agent_cells` [n]: the agents' cells, -1 for none. `nearest_cells` [cells, k]: the nearest cells of each cell.
-    `values` [cells + 1]: the amounts, with a final 0 for "no cell"."""
+    If all amounts are 0, `best_cells` is the agent's own cell and `value` is 0. `agent_cells` [n]: the agents' cells, -1 for
+    none. `nearest_cells` [cells, k]: the nearest cells of each cell. `values` [cells + 1]: the amounts, with a final 0 for "no
+    cell"."""
     none = values.size - 1
     for n in range(agent_cells.size):
         cell = agent_cells[n]

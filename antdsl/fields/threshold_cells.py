@@ -1,4 +1,5 @@
-"""The cells near which a pheromone is at least as strong as a threshold. Each step updates only cells where this has changed."""
+"""Tracks the cells near which a pheromone reaches a threshold. Each step updates only the cells that have changed in this
+respect."""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ class CellsNearThreshold:
         self._changed_buffer = np.empty(len(self._is_above), np.int64)
 
     def has_same_settings(self, field: PheromoneField, threshold: np.float32) -> bool:
-        """Return whether this object was made for this field, its current cells and this threshold."""
+        """Return whether this object was made for `field`, the field's current cells and `threshold`."""
         own_field, own_version, own_threshold = self._inputs
         return own_field is field and own_version == field.version and own_threshold == threshold
 
@@ -77,10 +78,9 @@ def write_changed_cells(
 
 @kernel
 def update_counts(changed: Array1[I64], start: Array1[I64], cell: Array1[I32], is_above: Array1[BOOL], count: Array1[U8]) -> None:
-    """Invert `is_above` for the cells `changed`, and update `count` of the cells that have them among their nearest cells.
-
-    `count`: how many of the nearest cells of each cell are above the threshold.
-    `cell[start[a]:start[a+1]]`: the cells that have cell a among their nearest cells."""
+    """Invert `is_above` for the cells `changed`, and update `count` for all cells that have one of these among their nearest
+    cells. `count`: how many of the nearest cells of each cell are above the threshold. `cell[start[a]:start[a+1]]`: the cells
+    that have cell a among their nearest cells."""
     for n in range(changed.size):
         a = changed[n]
         change = -1 if is_above[a] else 1

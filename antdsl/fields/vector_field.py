@@ -1,4 +1,4 @@
-"""Fields of vectors: three fields of numbers on the same cells, one for each component."""
+"""Vector fields. Each consists of three scalar fields on the same cells, one per component."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VectorField:
-    """The components x, y and z of a field of vectors, which share their cells. `limit`: the largest length of a vector."""
+    """A vector field with components x, y and z, which share their cells. `limit`: the largest length of a vector."""
 
     components: tuple[PheromoneField, PheromoneField, PheromoneField]
     limit: float = np.inf
@@ -51,6 +51,6 @@ class VectorField:
 
 
 def list_program_fields(world: World) -> dict[str, PheromoneField | VectorField]:
-    """Return the fields as the program names them: those of numbers, and those of vectors instead of their components."""
+    """Return the fields by their names in the program: scalar fields, and vector fields instead of their components."""
     components = {id(each) for vectors in world.vector_fields.values() for each in vectors.components}
     return {name: field for name, field in world.fields.items() if id(field) not in components} | world.vector_fields

@@ -1,4 +1,4 @@
-"""Runs a spec at points of a space of values. Each run is a task for one point, scene and seed."""
+"""Runs a spec at points, each with one value per varied param. Each task runs one point, scene and seed."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ Values = Mapping[str, str]
 
 @dataclass(frozen=True, slots=True)
 class GoalResult:
-    """The values of one goal with all seeds. `text`: its line in the source. `targets`: equal with all seeds, unless the target
-    is a value of a reference run. `tolerance`: a share of the target."""
+    """The values of one goal with all seeds. `text`: its line in the source. `targets`: the target with each seed; they differ
+    only if the target is a value of a reference run. `tolerance`: a fraction of the target."""
 
     text: str
     values: tuple[float, ...]
@@ -34,7 +34,7 @@ class GoalResult:
 
     @property
     def residual(self) -> float:
-        """Return the distance of the median from the median target, in tolerances."""
+        """Return the distance between the median value and the median target, as a multiple of the tolerance."""
         value, target = median(self.values), median(self.targets)
         unit = self.tolerance * abs(target)
         distance = abs(value - target)
@@ -47,11 +47,11 @@ class GoalResult:
 
 @dataclass(frozen=True, slots=True)
 class PointResult:
-    """The results at one point with all seeds.
+    """The results of one point with all seeds.
 
     - `values`: the varied values by name.
-    - `failed_lines`: the number of failed lines that are not goals, for each seed, over all scenes.
-    - `pass_share`: the share of the seeds that must pass."""
+    - `failed_lines`: for each seed, the number of failed lines that are not goals, over all scenes.
+    - `pass_share`: the fraction of seeds that must pass."""
 
     values: Values
     goals: tuple[GoalResult, ...]
@@ -61,7 +61,7 @@ class PointResult:
 
     @property
     def passed_share(self) -> float:
-        """Return the share of seeds for which all lines without goals hold."""
+        """Return the fraction of seeds with which all lines that are not goals hold."""
         return sum(count == 0 for count in self.failed_lines) / len(self.failed_lines) if self.failed_lines else 0.0
 
     @property
@@ -71,7 +71,7 @@ class PointResult:
 
     @property
     def weighted_loss(self) -> float:
-        """Return the quantity that a fit minimises: the mean squared residual and the mean number of failed lines."""
+        """Return the quantity that a fit minimises. It is the mean squared residual plus the mean number of failed lines."""
         if not self.failed_lines:
             return math.inf
         squares = [goal.residual**2 for goal in self.goals]
@@ -80,9 +80,9 @@ class PointResult:
 
 @dataclass(slots=True)
 class PointEvaluator:
-    """Evaluates points, each once.
+    """Evaluates points, and each only once.
 
-    - `scenes`, `spec`: the scenes that are run, and the name of the spec.
+    - `scenes`, `spec`: the scenes to run, and the name of the spec.
     - `on_result`: is called with each point that is evaluated.
     - `results`: all points in the order of evaluation."""
 
@@ -96,7 +96,7 @@ class PointEvaluator:
     results: dict[tuple[str, ...], PointResult] = field(default_factory=dict)
 
     def evaluate(self, points: Iterable[Values]) -> list[PointResult]:
-        """Return the results at points, in order. Runs of all points and seeds share the processes."""
+        """Return the results at points, in order. The runs of all points and seeds are distributed over the same processes."""
         points = list(points)
         new_points = {tuple(point.values()): point for point in points if tuple(point.values()) not in self.results}
         answers: dict[tuple[str, ...], dict[int, list[dict[str, Any]]]] = {key: {} for key in new_points}
@@ -146,7 +146,8 @@ def _make_goal_result(entries: Sequence[Mapping[str, Any]]) -> GoalResult:
 def find_spec(
     scene: Path, name: str, grants: Mapping[str, Path], params: Values, report: Report, parsed: SharedParsedFiles
 ) -> CaseFinder:
-    """Return a finder with the spec of a scene's program. Errors are added to the report. `parsed`: files that are parsed."""
+    """Return a case finder that contains the spec of a scene's program. Errors are added to `report`. `parsed`: files that are
+    already parsed."""
     finder = CaseFinder(dict(grants), parsed, report, params)
     program, findings = check_path(scene, RunChoices(grants, params=params), parsed=parsed, specs=False)
     report.extend(findings)
@@ -165,7 +166,7 @@ def find_spec(
 
 
 def evaluate_spec(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
-    """Run the spec of a task and return its goals, and the number of failed lines that are not goals."""
+    """Run the spec of a task. Return the values of its goals, and the number of failed lines that are not goals."""
     grants = {name: worker.find_local_path(folder) for name, folder in document["grants"].items()}
     report = Report()
     parsed = worker.cached_values.setdefault("parsed", SharedParsedFiles())

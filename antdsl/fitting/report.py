@@ -1,4 +1,4 @@
-"""The results of a fit: text, `fit.json` and the table of all points."""
+"""Formats the results of a fit as text, `fit.json` and a table of all points."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from antdsl.outputs.csv_text import format_csv
 
 
 def describe_fit(result: FitResult) -> str:
-    """Return the lines of a result: the share of the prior, the best values, and the goals with fitted and other seeds."""
+    """Return a result as lines of text: the fraction of sampled points that pass, the best values, and the goals with fitted and
+    other seeds."""
     passed = sum(point.holds for point in result.sample)
     lines = [f"prior: all other lines hold at {passed} of {len(result.sample)} points ({100 * result.prior_share:.0f} %)"]
     problems = [point.problem for point in result.sample if point.problem]
@@ -79,7 +80,7 @@ def _make_finite(value: float) -> float | None:
 
 
 def format_points(result: FitResult, units: Mapping[str, str]) -> str:
-    """Return all points as CSV: values without units, loss, share of the seeds that pass, and medians of goals.
+    """Return all points as CSV: values without units, the loss, the fraction of seeds that pass, and the medians of goals.
 
     `units`: the unit of each value by name."""
     goals = () if result.best is None else tuple(goal.text for goal in result.best.goals)

@@ -27,9 +27,9 @@ _WORST_LOSS = 1e9  # of points without results; the evolution needs finite numbe
 class FitResult:
     """The result of a fit.
 
-    - `sample`: the points of the Sobol sequence, and their results. `searched`: all later points.
+    - `sample`: the results at the points of the Sobol sequence. `searched`: the results at all later points.
     - `best`: the point with the least loss; None if no point has results.
-    - `check`: the same point with other seeds."""
+    - `check`: the result at the best point with other seeds."""
 
     sample: tuple[PointResult, ...]
     searched: tuple[PointResult, ...]
@@ -38,17 +38,17 @@ class FitResult:
 
     @property
     def prior_share(self) -> float:
-        """Return the share of sampled points where all lines without goals hold."""
+        """Return the fraction of sampled points at which all lines that are not goals hold."""
         return sum(point.holds for point in self.sample) / len(self.sample)
 
 
 def fit_goals(
     chosen: ChosenPoints, evaluator: PointEvaluator, generations: int, seed: int, report_generation: Callable[[int, float], None]
 ) -> FitResult:
-    """Return the result of a fit without a check.
+    """Return the result of a fit, without checking it with other seeds.
 
-    `chosen`: the Sobol sequence. `generations`: the greatest number of generations of the evolution, each with
-    max(8, 5 × factors) points. `report_generation`: is called with the number of a generation and the least loss so far."""
+    `chosen`: the Sobol sequence. `generations`: the largest number of generations of the evolution, each with max(8, 5 ×
+    factors) points. `report_generation`: is called with the number of a generation and the least loss so far."""
     sample = evaluator.evaluate(chosen.points)
     ranked = np.argsort([_bound_loss(point) for point in sample], kind="stable")
     if generations and chosen.shares is not None and _bound_loss(sample[ranked[0]]) > _SUFFICIENT_LOSS:
@@ -102,5 +102,5 @@ def _bound_loss(result: PointResult) -> float:
 
 
 def _make_values(factors: Sequence[Factor], shares: NDArray[np.float64]) -> Values:
-    """Return the values at a position in the ranges, given as shares from 0 to 1."""
+    """Return the values at a position in the ranges. `shares`: the position in each range, 0 to 1."""
     return {factor.name: factor.format_value_at(float(share)) for factor, share in zip(factors, shares, strict=True)}

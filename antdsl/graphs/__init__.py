@@ -1,6 +1,7 @@
-"""Draws state machines: Program → charts → SVG, PNG, Mermaid or DOT. A layout is made only for SVG and PNG.
+"""Draws the state machines of a Program as SVG, PNG, Mermaid or DOT. Only SVG and PNG need a layout.
 
-`build_charts(program)`, `lay_out_charts(charts)` and the values of `model` are for callers that draw in other formats or live."""
+`build_charts(program)`, `lay_out_charts(charts)` and the classes of `model` are for callers that draw live or in other formats.
+"""
 
 from __future__ import annotations
 
@@ -60,5 +61,6 @@ CHART_FORMATS: Mapping[str, tuple[tuple[str, ...], Callable[[Sequence[Chart]], F
 
 
 def write_charts(charts: Sequence[Chart], format: str) -> FileResult:
-    """Return the bytes of a file in one of `CHART_FORMATS`; None with a finding if a required package is not installed."""
+    """Return the content of a file in one of `CHART_FORMATS`, and a report. The content is None if a required package is not
+    installed."""
     return CHART_FORMATS[format][1](charts)

@@ -1,5 +1,5 @@
-"""Charts as DOT, the text format of Graphviz and many other programs. It has no layout: the program that reads the text makes
-one."""
+"""Formats charts as DOT, the text format of Graphviz and many other programs. DOT has no positions: the program that reads the
+text computes a layout."""
 
 from __future__ import annotations
 
@@ -58,5 +58,5 @@ def _format_arrow(arrow: Arrow, colour: RGB) -> str:
 
 
 def _quote_text(text: str) -> str:
-    """Return the text in quotes. Within quotes, Graphviz gives a special meaning to backslashes only."""
+    """Return the text in quotes. Inside quotes, only backslashes have a special meaning to Graphviz."""
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'

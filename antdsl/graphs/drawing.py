@@ -1,4 +1,5 @@
-"""Placed charts → shapes: rectangles, lines and words in px, in the order in which they are painted."""
+"""Converts charts with positions to shapes: rectangles, lines and words in px. Shapes are in the order in which they are
+painted."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ ARROW_HEAD_LENGTH = 8.0  # length of an arrow's head
 
 @dataclass(frozen=True, slots=True)
 class Rectangle:
-    """A rectangle. `corner_radius`: the radius of its corners. `fill_colour`, `edge_colour`: colours; None for no fill or no
+    """A rectangle. `corner_radius`: the radius of its corners, px. `fill_colour`, `edge_colour`: colours; None for no fill or no
     edge."""
 
     left: float
@@ -41,7 +42,7 @@ class Rectangle:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line through points, with corners already rounded. If it is closed, it is the filled head of an arrow."""
+    """A line through points; its corners are already rounded. A closed line is the filled head of an arrow."""
 
     points: tuple[Point, ...]
     colour: RGB
@@ -52,7 +53,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class TextLine:
-    """One line of text. `centre`: its middle, px. `size`: its font size, px. `width`: the width into which the text is fitted,
+    """One line of text. `centre`: its centre, px. `size`: its font size, px. `width`: the width into which the text is fitted,
     px."""
 
     text: str
@@ -103,8 +104,8 @@ def _draw_chart(chart: PlacedChart) -> Iterator[Shape]:
 
 
 def choose_line_colours(chart: Chart) -> tuple[RGB, ...]:
-    """Return the colour of each arrow. It is the colour of the source state, dark enough to be visible; interrupts have a
-    separate colour."""
+    """Return the colour of each arrow: the colour of its source state, dark enough to be visible. Interrupts have a separate
+    colour."""
     colours = {box.key: darken_colour(box.colour) for box in chart.boxes}
     return tuple(INTERRUPT_COLOUR if arrow.interrupt else colours[arrow.source] for arrow in chart.arrows)
 
@@ -115,7 +116,7 @@ def format_hex_colour(colour: RGB) -> str:
 
 
 def _draw_line(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
-    """Yield the shapes of a line. A white rim below it separates it from lines that it crosses."""
+    """Yield the shapes of a line. A white line below it, slightly wider, separates it from lines that it crosses."""
     thick = INTERRUPT_LINE_WIDTH if arrow.arrow.interrupt else PLAIN_LINE_WIDTH
     head, end = _compute_arrow_head(arrow.points[-2], arrow.points[-1], ARROW_HEAD_LENGTH + thick)
     path = _round_corners((*arrow.points[:-1], end))
@@ -125,7 +126,7 @@ def _draw_line(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
 
 
 def _compute_arrow_head(previous_point: Point, tip: Point, head_length: float) -> tuple[tuple[Point, ...], Point]:
-    """Return the three corners of an arrow's head, and the point at which the line ends. `head_length`: the length of the head,
+    """Return the three corners of an arrow's head, and the point where its line must end. `head_length`: the length of the head,
     px."""
     far = hypot(tip[0] - previous_point[0], tip[1] - previous_point[1]) or 1.0
     x, y = (tip[0] - previous_point[0]) / far, (tip[1] - previous_point[1]) / far
@@ -135,7 +136,7 @@ def _compute_arrow_head(previous_point: Point, tip: Point, head_length: float) -
 
 
 def _round_corners(points: Sequence[Point]) -> tuple[Point, ...]:
-    """Return the path with rounded corners of six points each."""
+    """Return the path with each corner replaced by an arc of six points."""
     curve = [points[0]]
     for previous_point, corner, next_point in zip(points, points[1:], points[2:], strict=False):
         curve_start, curve_end = _move_towards(corner, previous_point), _move_towards(corner, next_point)
@@ -149,7 +150,7 @@ def _round_corners(points: Sequence[Point]) -> tuple[Point, ...]:
 
 
 def _move_towards(corner: Point, other: Point) -> Point:
-    """Return the point at which the rounding of a corner begins, on the line to the point `other`."""
+    """Return the point where the rounding of a corner begins, on the line from the corner to `other`."""
     far = hypot(other[0] - corner[0], other[1] - corner[1])
     share = min(CORNER_RADIUS, far / 2) / far if far else 0.0
     return corner[0] + (other[0] - corner[0]) * share, corner[1] + (other[1] - corner[1]) * share
@@ -176,7 +177,7 @@ def _draw_box(box: Box, place: PlacedBox) -> Iterator[Shape]:
 
 
 def _draw_words(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
-    """Yield the shapes of an arrow's words: a white background, then one text per line."""
+    """Yield the shapes of an arrow's words: a white background, then one shape per line of text."""
     if arrow.words is None:
         return
     x, y = arrow.words.centre
@@ -204,8 +205,8 @@ def _compute_luminance(colour: RGB) -> float:
 
 
 def darken_colour(colour: RGB, max_luminance: float = 0.22) -> RGB:
-    """Return the colour, darkened to a luminance of at most `max_luminance`. The default makes a thin line visible on white. For
-    words, 0.1 gives a contrast of 7 : 1."""
+    """Return the colour, darkened to a luminance of at most `max_luminance`. With the default, a thin line is visible on white.
+    Words need 0.1, which gives a contrast of 7 : 1."""
     while _compute_luminance(colour) > max_luminance:
         colour = (colour[0] * 0.92, colour[1] * 0.92, colour[2] * 0.92)
     return colour

@@ -1,7 +1,8 @@
-"""Charts → positions: states in layers, arrows with right angles, and labels that cover no boxes.
+"""Computes positions for charts: states in layers, arrows with right angles, and labels that cover no boxes.
 
-The library graphlay makes a layered layout (Sugiyama, Tagawa, Toda 1981). It leaves space for labels and gives the same positions
-on every machine. A label is on its own arrow or next to it. It is clear of boxes, of other labels and, if possible, of lines.
+The library graphlay computes a layered layout (Sugiyama, Tagawa, Toda 1981). It leaves space for labels and gives the same
+positions on every machine. A label is on its own arrow or next to it. It does not touch boxes or other labels and, if possible,
+no lines.
 
 Every arrow has candidate positions for its label. The arrows with the fewest candidates choose first. Then all arrows choose
 again in turn, until no arrow finds a better position. This is a local search in discrete label placement (Christensen, Marks,
@@ -61,8 +62,8 @@ _FIRST_WIDE_SPACING = 4  # wider spacings are tried only if words would overlap 
 
 
 def lay_out_charts(charts: Sequence[Chart]) -> tuple[tuple[PlacedChart, ...], Report]:
-    """Return the charts with positions, each laid out separately, and a report. The report has an error if the library is not
-    installed."""
+    """Return the charts with positions, and a report. Each chart is laid out separately. The report has an error if the library
+    is not installed."""
     report = Report()
     try:
         import graphlay  # noqa: F401
@@ -78,10 +79,10 @@ def lay_out_charts(charts: Sequence[Chart]) -> tuple[tuple[PlacedChart, ...], Re
 
 
 def _place_chart(chart: Chart) -> PlacedChart:
-    """Return the first layout, from narrow to wide spacing, in which no words touch or hide anything.
+    """Return the first layout in which no words touch or hide anything. Spacings are tried from narrow to wide.
 
     If there is none, return the layout with the fewest touching words and, of these, the fewest hidden lines. Wide spacings are
-    tried only if words touch in all others."""
+    tried only if words touch in all narrower ones."""
     best: tuple[int, int, int] | None = None
     best_chart: PlacedChart | None = None
     for number, spacing in enumerate(_SPACINGS):
@@ -96,7 +97,7 @@ def _place_chart(chart: Chart) -> PlacedChart:
 
 
 def _try_spacing(chart: Chart, spacing: dict[str, float]) -> tuple[PlacedChart, WordPlacement]:
-    """Return the layout of a chart with a spacing, and the positions of its words. `spacing`: an entry of `_SPACINGS`."""
+    """Return the layout of a chart with one spacing, and the positions of its words. `spacing`: an entry of `_SPACINGS`."""
     import graphlay
 
     graph = graphlay.Graph()
@@ -120,7 +121,7 @@ def _try_spacing(chart: Chart, spacing: dict[str, float]) -> tuple[PlacedChart, 
 
 
 def compute_box_size(box: Box) -> tuple[float, float]:
-    """Return width and height of a box, px."""
+    """Return the width and height of a box, px."""
     if box.kind in ("start", "choice"):
         return 14.0, 14.0
     if box.kind != "state":
@@ -130,7 +131,7 @@ def compute_box_size(box: Box) -> tuple[float, float]:
 
 
 def wrap_words(arrow: Arrow) -> tuple[str, ...]:
-    """Return the words of an arrow, wrapped to short lines."""
+    """Return the words of an arrow, wrapped into short lines."""
     short_lines: list[str] = []
     for line in arrow.lines:
         lines = textwrap.wrap(line, MAX_LINE_CHARACTERS, break_on_hyphens=False) or [""]
@@ -147,7 +148,7 @@ def _measure_text(lines: tuple[str, ...]) -> tuple[float, float]:
 
 
 def _shift_to_zero(chart: Chart, boxes: list[tuple[Box, PlacedBox]], arrows: list[PlacedArrow]) -> PlacedChart:
-    """Return the chart, moved so that its top left corner, including a margin, is at (0, 0)."""
+    """Return the chart moved so that its top left corner is at (0, 0). The corner includes a margin."""
     all_boxes = [place for _, place in boxes] + [arrow.words for arrow in arrows if arrow.words is not None]
     xs = [x for a in arrows for x, _ in a.points] + [p.left for p in all_boxes] + [p.left + p.width for p in all_boxes]
     ys = [y for a in arrows for _, y in a.points] + [p.top for p in all_boxes] + [p.top + p.height for p in all_boxes]
@@ -158,7 +159,7 @@ def _shift_to_zero(chart: Chart, boxes: list[tuple[Box, PlacedBox]], arrows: lis
 @dataclass(frozen=True, slots=True)
 class WordPlacement:
     """The positions of the words of all arrows.
-    - `word_boxes`: by arrow, the box of its words; None for an arrow without words.
+    - `word_boxes`: for each arrow, the box of its words; None for an arrow without words.
     - `touching_count`: the number of words that touch boxes or other words.
     - `hidden_line_count`: the number of lines and arrow heads that words hide."""
 
@@ -186,10 +187,10 @@ class _LabelPositions:
 
 
 def place_words(boxes: Sequence[PlacedBox], routes: Sequence[Route], sizes: Sequence[SizePx | None]) -> WordPlacement:
-    """Return positions for the words on arrows.
+    """Return the positions of the words on arrows.
 
-    `boxes`: the boxes of the chart. `routes`: by arrow, the corners of its path, mostly vertical and horizontal. `sizes`: by
-    arrow, width and height of its words, px; None without words."""
+    `boxes`: the boxes of the chart. `routes`: for each arrow, the corners of its path, mostly vertical and horizontal. `sizes`:
+    for each arrow, the width and height of its words, px; None without words."""
     spots = {number: _find_label_positions(number, boxes, routes, size) for number, size in enumerate(sizes) if size}
     order = sorted(spots, key=lambda n: (int((spots[n].costs < _CROSSING_COST).sum()), n))
     chosen: dict[int, int] = {}
@@ -229,7 +230,7 @@ def _find_label_positions(number: int, boxes: Sequence[PlacedBox], routes: Seque
 
 
 def _list_route_positions(route: Route, size: SizePx) -> tuple[Array, Array]:
-    """Return candidate positions along a path: centres [n, 2] in px, and the cost of each [n]."""
+    """Return candidate positions along a path: their centres (n, 2) in px, and their costs (n,)."""
     centres: list[Point] = []
     costs: list[float] = []
     length = sum(dist(a, b) for a, b in pairwise(route)) or 1.0
@@ -250,7 +251,7 @@ def _list_route_positions(route: Route, size: SizePx) -> tuple[Array, Array]:
 
 
 def _count_overlaps(centres: Array, size: SizePx, others: Sequence[PlacedBox]) -> Array:
-    """Return, for each candidate centre [n, 2], how many of the boxes `others` the words there would touch, int [n]."""
+    """Return, for each candidate centre (n, 2), how many of the boxes `others` would touch words at this position, int (n,)."""
     if not others:
         return np.zeros(len(centres), int)
     middles = np.array([other.centre for other in others])
@@ -259,7 +260,7 @@ def _count_overlaps(centres: Array, size: SizePx, others: Sequence[PlacedBox]) -
 
 
 def _count_crossings(centres: Array, size: SizePx, line_segments: Sequence[tuple[Point, Point]]) -> Array:
-    """Return, for each candidate centre [n, 2], how many segments of other lines cross the words there, int [n]."""
+    """Return, for each candidate centre (n, 2), how many segments of other lines cross words at this position, int (n,)."""
     if not line_segments:
         return np.zeros(len(centres), int)
     ends, half = np.array(line_segments), np.array(size) / 2 + 1

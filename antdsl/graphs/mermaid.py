@@ -1,6 +1,7 @@
-"""Charts as Mermaid text, which GitHub, GitLab and many editors display as a picture inside Markdown. It needs no layout.
+"""Formats charts as Mermaid text, which GitHub, GitLab and many editors display as a picture inside Markdown. It needs no
+layout.
 
-The text is a flow chart. Mermaid's own state diagram has neither thick lines for interrupts nor colours for lines."""
+The text is a flow chart, because Mermaid's state diagrams have no thick lines for interrupts and no coloured lines."""
 
 from __future__ import annotations
 
@@ -46,7 +47,7 @@ def _format_box(key: str, box: Box) -> str:
 
 
 def _format_link(keys: dict[str, str], arrow: Arrow) -> str:
-    """Return the line that declares an arrow. `keys`: the boxes' keys in the text."""
+    """Return the line that declares an arrow. `keys`: for each box, its key in the text."""
     line = "==>" if arrow.interrupt else "-->"
     words = "<br/>".join(_escape_text(words) for words in arrow.lines)
     return f"{keys[arrow.source]} {line}" + (f'|"{words}"|' if words else "") + f" {keys[arrow.target]}"
@@ -62,7 +63,8 @@ def _format_style(box: Box) -> str:
 
 
 def _format_link_styles(chart: Chart, first_link_number: int) -> Iterator[str]:
-    """Yield one line per arrow with its style. `first_link_number`: the number of the chart's first arrow in the text."""
+    """Yield one line per arrow with its style. `first_link_number`: the position of the chart's first arrow among all arrows of
+    the text."""
     for k, (arrow, colour) in enumerate(zip(chart.arrows, choose_line_colours(chart), strict=True), first_link_number):
         thick = f",stroke-width:{INTERRUPT_LINE_WIDTH}px" if arrow.interrupt else ""
         yield f"  linkStyle {k} stroke:{format_hex_colour(colour)}{thick}"

@@ -1,7 +1,7 @@
-"""The classes of a picture of a state machine: boxes and arrows in a chart, and their positions in a layout.
+"""The classes that describe a picture of a state machine: boxes and arrows in a chart, and their positions in a layout.
 
-Charts do not depend on a picture format, and layouts not on a library. Code that draws, as a picture or live, reads only these
-classes."""
+Charts do not depend on a picture format, and layouts do not depend on a library. Code that draws a picture, to a file or live,
+reads only these classes."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ BoxKind = Literal["state", "start", "any", "previous", "choice"]
 class Box:
     """One box of a chart.
 
-    - `kind`: `start`: the dot that points at the first state. `any`: the source of transitions `from any`. `previous`: the return
-      to the previous state. `choice`: the fork of a `choose`. Any other box is a state.
+    - `kind`: `start` is the dot that points at the first state. `any` is the source of transitions `from any`. `previous` is the
+      return to the previous state. `choice` is the fork of a `choose`. Any other box is a state.
     - `key`: unique in its chart.
     - `name`: the name of the state.
     - `details`: the tooltip."""
@@ -33,9 +33,10 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Arrow:
-    """The transitions from one box to another: either all of them are interrupts (`interrupt`) or none.
+    """The transitions from one box to another. Either all of them are interrupts (`interrupt`) or none is.
 
-    `source`, `target`: the keys of the boxes. `lines`: one condition each, in order of evaluation. `details`: the tooltip."""
+    `source`, `target`: the keys of the boxes. `lines`: one condition per transition, in order of evaluation. `details`: the
+    tooltip."""
 
     source: str
     target: str
@@ -46,7 +47,7 @@ class Arrow:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """One machine of a species. `title`: `forager`, or `forager.mood` if the species has several machines."""
+    """One machine of a species. `title`: such as `forager`, or `forager.mood` if the species has several machines."""
 
     title: str
     boxes: tuple[Box, ...]
@@ -74,7 +75,7 @@ class PlacedBox:
 
 @dataclass(frozen=True, slots=True)
 class PlacedArrow:
-    """An arrow with its path, which is straight from point to point and ends at the tip.
+    """An arrow with its path, which is a chain of straight segments and ends at the tip.
 
     `words`: the position of its words; None without words. `lines`: its words, wrapped."""
 
@@ -86,7 +87,7 @@ class PlacedArrow:
 
 @dataclass(frozen=True, slots=True)
 class PlacedChart:
-    """A chart with positions for all its parts, from (0, 0) to (width, height)."""
+    """A chart in which all parts have positions, from (0, 0) to (width, height)."""
 
     chart: Chart
     width: float
@@ -95,7 +96,7 @@ class PlacedChart:
     arrows: tuple[PlacedArrow, ...]
 
     def shift(self, horizontal_shift: float, vertical_shift: float) -> PlacedChart:
-        """Return the chart, moved by `horizontal_shift` to the right and `vertical_shift` down, px."""
+        """Return the chart moved by `horizontal_shift` px to the right and `vertical_shift` px down."""
 
         def shift_box(place: PlacedBox) -> PlacedBox:
             return replace(place, centre=(place.centre[0] + horizontal_shift, place.centre[1] + vertical_shift))

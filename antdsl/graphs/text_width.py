@@ -1,4 +1,5 @@
-"""Widths of words, in px. They are equal on every machine: a viewer with another font fits the words into the stated width."""
+"""Widths of words, in px. They are the same on every machine, because a viewer with another font fits the words into the stated
+width."""
 
 from __future__ import annotations
 

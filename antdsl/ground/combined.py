@@ -1,6 +1,6 @@
-"""Ground of meshes and solids together. Agents step up from meshes onto solids, and down from solids onto meshes.
+"""Ground that consists of meshes and solids. Agents step from meshes onto solids and back.
 
-Ground inside undug solid is closed. It is open again where the solid is dug away."""
+Agents cannot walk on mesh parts inside a solid, until the solid is dug away there."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class CombinedGround:
     # ---- asking
 
     def create_unplaced(self, n: int) -> Footing:
-        """Return footings for n agents that stand on nothing yet."""
+        """Return footings for n agents that have no position on the ground yet."""
         return Footing.create_unplaced(n).with_position_columns()
 
     def place_points(
@@ -71,8 +71,8 @@ class CombinedGround:
     ) -> tuple[Footing, NDArray[np.bool_]]:
         """Return footings below points [n,3]. The footing is the first hit of a ray from far above along -`up`.
 
-        Rays hit only the names in `surface_names`; None means all. No agent can stand on ground inside undug solid. Such a
-        footing is moved to the solid's surface above, with False in the second array."""
+        Rays hit only the names in `surface_names`; None means all. A footing on ground inside undug solid is moved to the
+        solid's surface above. The second array contains False for it."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         names = self.names if surface_names is None else tuple(surface_names)
         unknown = [name for name in names if name not in self.names]
@@ -105,7 +105,7 @@ class CombinedGround:
         return footing, is_placed
 
     def find_nearest(self, points: Floats, surface_names: Iterable[str] | None = None) -> tuple[Footing, Floats]:
-        """Return footings at the nearest point of meshes and solids, and the distance float64[n].
+        """Return the nearest point of meshes and solids as a footing, and its distance float64[n].
 
         `surface_names`: the names to search; None means all."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
@@ -147,7 +147,7 @@ class CombinedGround:
         return normal
 
     def find_sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
-        """Return the axis direction nearest to each normal, numbered as in `MeshGround.find_sides`."""
+        """Return the axis direction nearest to each normal. The numbers are those of `MeshGround.find_sides`."""
         rows = self._find_mesh_rows(footing)
         if rows.size == len(footing) and self.meshes is not None:
             return self.meshes.find_sides(footing.select_rows_on_meshes(rows), threads)
@@ -177,7 +177,7 @@ class CombinedGround:
         threads: int = 1,
         stop_at_borders: bool = False,
     ) -> GroundMove:
-        """Move agents over meshes and solids, as `MeshGround.move`."""
+        """Move agents over meshes and solids. The arguments are those of `MeshGround.move`."""
         n = len(footing)
         body = np.broadcast_to(np.asarray(body, np.float64), (n,))
         remaining = make_columns_contiguous(displacement)
@@ -207,8 +207,8 @@ class CombinedGround:
     # ---- parts of moving
 
     def _walk_until_surface_change(self, walk: _CombinedWalk, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
-        """Walk `rows` on their current mesh or solid. Agents that reach another one are placed on its surface. Return the agents
-        with distance left."""
+        """Walk `rows` on their current mesh or solid. Place agents that reach another surface on it. Return the agents that
+        still have distance left."""
         again = []
         on = walk.footing.mesh[rows]
         mesh = rows[on < self._count]
@@ -221,7 +221,7 @@ class CombinedGround:
         return np.sort(np.concatenate(again))
 
     def _walk_on_meshes(self, walk: _CombinedWalk, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
-        """Walk `rows` over meshes, up to the first solid. Return the agents with distance left."""
+        """Walk `rows` over meshes, up to the first solid. Return the agents that still have distance left."""
         meshes = self.meshes
         assert meshes is not None
         previous_footing = walk.footing.select_rows_on_meshes(rows)
@@ -233,7 +233,7 @@ class CombinedGround:
 
     @staticmethod
     def _finish_walks(walk: _CombinedWalk, rows: Rows, unfinished_rows: Rows, move: GroundMove) -> None:
-        """Store the results of all agents in `rows` that have finished their walk. The agents in `unfinished_rows` have not."""
+        """Store the results of the agents that have finished their walk: those in `rows` but not in `unfinished_rows`."""
         footing, vectors = move.footing, [move.position, move.up, move.heading, move.direction]
         travelled, blocked = move.travelled, move.is_blocked
         if unfinished_rows.size:
@@ -276,7 +276,8 @@ class CombinedGround:
     def _step_onto_solid(
         self, walk: _CombinedWalk, rows: Rows, entries: _SolidEntries, move: GroundMove, body: Floats, threads: int, is_last: bool
     ) -> Rows:
-        """Place the agents of `entries` on the surface of the solid that each entered. Return the agents with distance left."""
+        """Place each agent of `entries` on the surface of the solid that it entered. Return the agents that still have distance
+        left."""
         again = [np.empty(0, np.intp)]
         for k, volume in enumerate(self._volumes):
             mine = np.flatnonzero(entries.solids == k)
@@ -308,7 +309,7 @@ class CombinedGround:
     def _walk_on_solid(
         self, walk: _CombinedWalk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, is_last: bool
     ) -> Rows:
-        """Walk `rows` over solid number `k`, up to the first mesh. Return the agents with distance left."""
+        """Walk `rows` over solid number `k`, up to the first mesh. Return the agents that still have distance left."""
         previous_footing = walk.footing
         start = np.stack([previous_footing.x[rows], previous_footing.y[rows], previous_footing.z[rows]]).T
         wish, ahead, up = (take_rows(v, rows) for v in (walk.remaining_displacements, walk.heading, walk.up))

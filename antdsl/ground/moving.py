@@ -1,6 +1,5 @@
-"""A ground with meshes that move between steps. The topology stays; positions are set for each frame.
-
-Only moved parts are computed again. Rays at moving meshes have a separate scene."""
+"""A ground with meshes that move between steps. Vertex positions are set for each frame; the topology does not change. Only
+data of moved parts is updated. Moving meshes have a separate ray scene."""
 
 from __future__ import annotations
 
@@ -44,7 +43,7 @@ class MovingGround(MeshGround):
         self._scale = replace(self._scale, max_below_height=np.inf)
 
     def copy(self) -> MovingGround:
-        """Return a copy that can be posed separately."""
+        """Return a copy with meshes that can be moved separately."""
         ground = copy(self)
         ground._vertices, ground._topology = self._vertices.copy(), self._topology.copy()
         ground._box_tree = replace(self._box_tree, bounds=self._box_tree.bounds.copy())
@@ -74,8 +73,8 @@ class MovingGround(MeshGround):
         return np.flatnonzero(known & self._is_moving.take(np.where(known, mesh, 0)))
 
     def compute_axes(self, footing: Footing) -> FaceAxes:
-        """Return the frames of the faces below agents: the axes along the first edge, across it, and along the normal, (3, n)
-        each.
+        """Return the three axes of the face below each agent: along its first edge, across that edge, and along its normal.
+        Each is (3, n).
 
         The normal follows the winding of the face."""
         face, _ = self._compute_face_numbers(footing)
@@ -141,7 +140,7 @@ class _StillAndMovingRayScenes:
         self._first_scene, self._second_scene, self._first_face_count = first, second, faces
 
     def find_first_hits(self, origin: Floats, direction: Floats, threads: int = 1) -> RayHitArrays:
-        """Return the first hits in both scenes, as `RayScene.find_first_hits`."""
+        """Return the first hits in both scenes, like `RayScene.find_first_hits`."""
         a, b = (scene.find_first_hits(origin, direction, threads) for scene in (self._first_scene, self._second_scene))
         second = b.is_hit & (b.t < a.t)
         face = np.where(second, b.face + np.int32(self._first_face_count), a.face)
@@ -152,7 +151,7 @@ class _StillAndMovingRayScenes:
     def find_hits_along_step(
         self, origin: Floats, step: Floats, threads: int = 1
     ) -> tuple[Index, Floats, NDArray[np.int32], NDArray[np.int32]]:
-        """Return the hits within a step in both scenes, as `RayScene.find_hits_along_step`."""
+        """Return the hits within a step in both scenes, like `RayScene.find_hits_along_step`."""
         n = len(origin)
         part, mesh, face = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
         for scene, first_face in ((self._first_scene, 0), (self._second_scene, self._first_face_count)):
@@ -166,12 +165,12 @@ class _StillAndMovingRayScenes:
     def find_hit_normals(
         self, origin: Floats, displacement: Floats, normals: Floats, normal_columns: Index, threads: int = 1
     ) -> tuple[Index, Floats, Floats]:
-        """Return the hits and their normals in both scenes, as `RayScene.find_hit_normals`."""
+        """Return the hits and their normals in both scenes, like `RayScene.find_hit_normals`."""
         which, part, _, face = self.find_hits_along_step(origin, displacement, threads)
         return which, part, normals.take(normal_columns.take(face), axis=1)
 
     def find_closest(self, points: Floats, threads: int = 1) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats]:
-        """Return the nearest surface points in both scenes, as `RayScene.find_closest`."""
+        """Return the nearest surface points in both scenes, like `RayScene.find_closest`."""
         a, b = (scene.find_closest(points, threads) for scene in (self._first_scene, self._second_scene))
         second = b[3] < a[3]
         face = np.where(second, b[1] + np.int32(self._first_face_count), a[1])
@@ -179,9 +178,8 @@ class _StillAndMovingRayScenes:
 
 
 class _MovingPieceClearances:
-    """Clearances as `PieceClearances`. Distances between static meshes are measured once.
-
-    Agents near the box of a moving mesh, and agents on a moving mesh near anything, always search."""
+    """Clearances for a ground with moving meshes. Distances between static meshes are measured once. Agents near the box of a
+    moving mesh always search, and so do agents on a moving mesh that have anything nearby."""
 
     def __init__(self, ground: MovingGround) -> None:
         self._ground = ground
@@ -204,7 +202,7 @@ class _MovingPieceClearances:
         self._parts = None
 
     def get_face_parts(self, reach: float) -> FacePartClearances:
-        """Return clearances that distinguish distances up to `reach` mm, at the current positions of the meshes."""
+        """Return clearances at the current positions of the meshes. Distances above `reach` mm are not distinguished."""
         if self._parts is None or self._parts.reach < reach:
             self._parts = self._build_face_parts(1.5 * reach)
         return self._parts

@@ -1,4 +1,4 @@
-"""Ground for a scene without surfaces: the infinite plane through the origin, perpendicular to the scene's up axis."""
+"""The ground of a scene that has no surfaces: the infinite plane through the origin, perpendicular to the scene's up axis."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class PlaneGround:
     def place_points(
         self, points: Floats, up: Floats, surface_names: Iterable[str] | None = None
     ) -> tuple[Footing, NDArray[np.bool_]]:
-        """Project points [n,3] onto the plane along the plane's own normal; every point succeeds."""
+        """Project points [n,3] onto the plane along the plane's normal. This succeeds for every point."""
         return Footing.from_plane(self._flatten_vectors(np.asarray(points, np.float64).reshape(-1, 3))), np.ones(
             len(points), np.bool_
         )
@@ -72,7 +72,7 @@ class PlaneGround:
         return classify_normal_directions(self.normal(footing))
 
     def compute_upright_normals(self, footing: Footing, up: Floats) -> Floats:
-        """Return the plane's normal, on whichever side agents stand."""
+        """Return the plane's normal, whichever side agents stand on."""
         return self.normal(footing)
 
     def move(

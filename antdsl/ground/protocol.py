@@ -1,9 +1,9 @@
 """The ground that agents stand and walk on, as the runtime uses it.
 
 `Ground` is the common interface of a scene without surfaces (`PlaneGround`), of meshes (`MeshGround`, `MovingGround`), and of
-meshes and solids (`CombinedGround`). A ground returns a `Footing` for positions, and every other method takes one: only the
-ground interprets its columns. A step takes a displacement and returns a `GroundMove`. Lengths are in mm; vectors of n agents are
-float64[n,3]."""
+meshes and solids (`CombinedGround`). A ground creates a `Footing` from positions, and its other methods take that footing.
+Only the ground interprets the columns of a footing. A step takes a displacement and returns a `GroundMove`. Lengths are in mm;
+vectors of n agents are float64[n,3]."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def select_array_rows(array: NDArray[Any], rows: Rows) -> NDArray[Any]:
 
 
 class Footing:
-    """The footings of agents, one row each: a table of named columns, which depend on the kind of ground.
+    """A table of footings, one row per agent. The names of its columns depend on the kind of ground.
 
-    meshes             `mesh` and `face` (int32[n], -1 = nowhere), the weights `b1`, `b2` of the face's second and third corner.
-                       An agent that steps over a border is `over` mm off the face along its normal; 0 for others.
-    meshes and solids  the same, and `x`, `y`, `z`. On a solid `mesh` counts solids after the meshes, `face` is 0 and (x, y, z) is
-                       the position on its surface (mm); 0 on meshes.
-    plane              `point` float64[n,3] on it, and `mesh`, 0 as if the plane were the only surface.
+    meshes             `mesh` and `face` (int32[n], -1 = nowhere), the weights `b1`, `b2` of the face's second and third
+    corner. An agent that steps over a border is `over` mm off the face along its normal; 0 for others. meshes and solids  the
+    same, and `x`, `y`, `z`. On a solid `mesh` counts solids after the meshes, `face` is 0 and (x, y, z) is the position on its
+    surface (mm); 0 on meshes. plane              `point` float64[n,3] on it, and `mesh`, 0 as if the plane were the only
+    surface.
 
     Columns have these names in checkpoints and caches, and their order is that of state hashes."""
 
@@ -73,11 +73,11 @@ class Footing:
 
     @staticmethod
     def create_unplaced(n: int) -> Footing:
-        """Return footings of agents that stand on no face of any mesh."""
+        """Return footings of agents that are not on any mesh."""
         return Footing.from_faces(np.full(n, -1, np.int32), np.full(n, -1, np.int32), np.zeros(n), np.zeros(n))
 
     def with_position_columns(self) -> Footing:
-        """Return a copy of footings on meshes for a ground that also has solids."""
+        """Return a copy of mesh footings with columns for positions, for a ground that also has solids."""
         return self.copy()._add_position_columns(np.zeros((3, len(self))))
 
     def _add_position_columns(self, place: Floats) -> Footing:
@@ -142,11 +142,11 @@ class Footing:
         return Footing({name: select_array_rows(column, rows) for name, column in self.columns.items()})
 
     def select_rows_on_meshes(self, rows: Rows) -> Footing:
-        """Return the footings of rows that stand on meshes, for a ground of meshes alone."""
+        """Return the footings of some rows, all on meshes, for a ground that consists of meshes only."""
         return Footing({name: select_array_rows(self.columns[name], rows) for name in _FACE_COLUMNS})
 
     def write_rows(self, rows: Rows, other: Footing) -> None:
-        """Write other footings into rows. They belong to the same kind of ground, or only to its meshes."""
+        """Replace the footings in `rows` by `other`. Both belong to the same ground, or `other` only to its meshes."""
         columns = _DEFAULT_MESH_COLUMNS | other.columns
         for name, column in self.columns.items():
             column[rows] = columns[name]
@@ -157,7 +157,7 @@ class Footing:
 
     @staticmethod
     def concatenate(first: Footing, *others: Footing) -> Footing:
-        """Return the footings on one ground as one table, in order."""
+        """Concatenate tables of footings on one ground, in order."""
         return Footing(
             {name: np.concatenate([column, *(o.columns[name] for o in others)]) for name, column in first.columns.items()}
         )
@@ -201,7 +201,7 @@ class GroundMove:
         return GroundMove(self.footing.select_rows(rows), position, up, heading, direction, travelled, blocked, lost)
 
     def write_rows(self, rows: Rows, other: GroundMove) -> None:
-        """Write other results of the same ground into rows. Values common to all agents of a ground (a plane's `up`) do not
+        """Replace the results in `rows` by `other`, of the same ground. Values that all agents share (a plane's `up`) do not
         change."""
         self.footing.write_rows(rows, other.footing)
         for column, values in zip(self.list_columns(), other.list_columns(), strict=True):
@@ -222,7 +222,7 @@ class Ground(Protocol):
         """Return the part of the ground that consists of meshes; None if there is none."""
 
     def create_unplaced(self, n: int) -> Footing:
-        """Return footings for n agents that stand on nothing yet."""
+        """Return footings for n agents that have no position on the ground yet."""
 
     def place_points(self, points: Floats, up: Floats, surface_names: Iterable[str] | None = None) -> tuple[Footing, Flags]:
         """Return footings below points [n,3]: the first hit of a ray from far above along -`up` ([3] or [n,3]).
@@ -231,7 +231,7 @@ class Ground(Protocol):
         point, with False in the second array, bool[n]. Raises KeyError for an unknown name."""
 
     def find_nearest(self, points: Floats, surface_names: Iterable[str] | None = None) -> tuple[Footing, Floats]:
-        """Return footings at the surface points nearest to points [n,3], and the distance float64[n].
+        """Return the ground point nearest to each of points [n,3] as a footing, and its distance float64[n].
 
         `surface_names`: the surfaces and solids to search; None means all."""
 
@@ -267,7 +267,7 @@ class Ground(Protocol):
 
 
 class MeshSurfaces(Ground, Protocol):
-    """The part of a ground that consists of meshes: queries about its faces for rays, flows, maps and fields."""
+    """The part of a ground that consists of meshes, with queries that rays, flows, maps and fields need."""
 
     @property
     def low(self) -> Floats:
@@ -307,4 +307,4 @@ class MeshSurfaces(Ground, Protocol):
         """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm.
 
         A surface rises at an inner crease, at another piece, or at a moving mesh. Agents with a `reach` of 0 or less are left
-        out. The result contains all other agents near a rise. The result for an agent does not depend on the others."""
+        out. All other agents near a rise are included. The result for an agent does not depend on other agents."""

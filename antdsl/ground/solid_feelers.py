@@ -1,8 +1,8 @@
-"""Perception of solids by agents: rays through the signed distance field, the nearest wall, and a lower bound of the distance to
-it.
+"""Queries by which agents perceive a solid: rays through its distance field, the nearest wall, and lower bounds of the
+distance.
 
-The interface is that of `RayScene`, so a solid is perceived like an obstacle. Sphere tracing: J. C. Hart, The Visual Computer
-12(10), 1996, p. 527."""
+The interface is that of `RayScene`, so agents perceive a solid in the same manner as an obstacle. Sphere tracing: J. C. Hart,
+The Visual Computer 12(10), 1996, p. 527."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ class SolidProximityQueries:
         """Return the first hits of feelers from points (x y z) along unit directions (x y z), within `reach` (mm, one or
         float[n]).
 
-        All arrays are 1-D and of one length. A ray hits where it enters the solid. A ray that starts inside, or along the surface
-        under its agent, counts as free at its start."""
+        All arrays are 1-D and of one length. A ray hits where it enters the solid. The start of a ray counts as free, even
+        inside the solid or along the surface under the agent."""
         origin, direction = (np.stack(list(v), axis=1).astype(np.float64) for v in (positions, directions))
         n = len(origin)
         far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
@@ -88,7 +88,7 @@ class SolidProximityQueries:
     def cast_feeler_batch(
         self, positions: Arrays, queries: Sequence[FeelerQuery], threads: int = 1
     ) -> list[tuple[int, NDArray[np.intp]]]:
-        """Return, for each query, its number and all rows of its agents: all of them need `cast_feelers`."""
+        """Return, for each query, its number and the rows of all its agents, because all of them need `cast_feelers`."""
         return list_query_rows(queries)
 
     def find_nearest_within(
@@ -112,8 +112,8 @@ class SolidProximityQueries:
         return FeelerHits(hit, t, *np.ascontiguousarray(normal.T))
 
     def _intersect_box(self, origin: Floats, direction: Floats) -> tuple[Floats, Floats]:
-        """Return the lengths at which each ray enters and leaves the box that contains the solid. For a ray that misses the box,
-        the exit is before the entry."""
+        """Intersect rays with the box around the solid. Return the lengths at which each ray enters and leaves it. If a ray
+        misses the box, its exit is before its entry."""
         with np.errstate(all="ignore"):
             ends = [
                 (side - origin) / direction

@@ -1,4 +1,4 @@
-"""Queries about one solid for walking: where a path enters it, what is below a point, and which direction leads out."""
+"""Queries of one solid for walks: where a path enters, what is below a point, and which direction leads out."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ENTRY_REFINEMENTS = 5  # number of refinements: the interval with the entry is 
 def find_entry_fraction(volume: Volume, start: Floats, end: Floats) -> Floats:
     """Return the fraction of each path from `start` to `end` before it first enters the solid. `end` is in the solid.
 
-    The fraction ends at the last sample in air. It is 0 if `start` is not in air."""
+    The result is the position of the last sample in air, or 0 if `start` is not in air."""
     free, long = np.zeros(len(start)), 1.0
     for _ in range(_ENTRY_REFINEMENTS):
         parts = free + long * (np.arange(_SAMPLES_PER_STEP) / _SAMPLES_PER_STEP)[:, None]
@@ -31,7 +31,7 @@ def find_entry_fraction(volume: Volume, start: Floats, end: Floats) -> Floats:
 
 
 def compute_solid_normals(volume: Volume, place: Floats) -> Floats:
-    """Return unit normals float64[n,3] out of a solid; zero where its field is flat."""
+    """Return unit normals float64[n,3] that point out of a solid; zero where the distance field is flat."""
     slope = volume.sample_gradients(place).astype(np.float64)
     normal: Floats = slope / np.maximum(length(slope), 1e-12)[:, None]
     return normal

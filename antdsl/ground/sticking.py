@@ -1,7 +1,6 @@
-"""Sticking to surfaces by two rays per step. A scene with `stick: rays` uses this module instead of walking over triangles.
-
-The agent moves straight ahead. It is then placed at the nearer hit of two rays: one down, one ahead and up. Without a hit it
-stays."""
+"""A walk that keeps agents on surfaces by two rays per step. A scene with `stick: rays` uses it instead of walking over
+triangles. The agent moves straight ahead. It is then placed at the nearer hit of two rays: one down, one ahead and up. Without
+a hit it stays."""
 
 from __future__ import annotations
 

@@ -1,2 +1,2 @@
-"""Highlights `.ant` text without a parser. One list of patterns, made from the tables of the language's words, becomes a TextMate
+"""Highlights `.ant` text without a parser. A list of patterns is made from the language's word tables. It becomes a TextMate
 grammar for editors and a Pygments lexer."""

@@ -1,4 +1,4 @@
-"""The patterns as a Pygments lexer, for `pygmentize file.ant` and every tool that requests the lexer `ant` from Pygments."""
+"""A Pygments lexer made of the patterns, for `pygmentize file.ant` and every tool that gets the lexer `ant` from Pygments."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def find_token_type(name: str) -> Any:
 
 
 def _make_group_action(pattern: TokenPattern) -> Callable[[RegexLexer, Match[str]], _TokenStream]:
-    """Return an action that splits a match into the groups of its pattern. The text between the groups is blank."""
+    """Return an action that splits a match into the groups of its pattern. The text between groups has no colour."""
     types = [find_token_type(name) for name in pattern.group_classes]
 
     def emit_group_tokens(lexer: RegexLexer, match: Match[str]) -> _TokenStream:

@@ -1,8 +1,8 @@
 """The elements of `.ant` text as regular expressions, in the common syntax of Python and Oniguruma. At each position, the first
 matching pattern wins.
 
-A word may be a keyword in one place and a name in another. The grammar decides by the tokens that are allowed at the place. Here
-the neighbouring text decides."""
+A word may be a keyword in one place and a name in another. The grammar decides by the tokens that are allowed at that position.
+Here, the neighbouring text decides."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from antdsl.syntax.words import (
 
 @dataclass(frozen=True, slots=True)
 class TokenPattern:
-    """A regular expression for one kind of token. `group_classes`: the class of each of its groups; without groups, one class for
-    the complete match."""
+    """A regular expression for one kind of token. `group_classes`: the class of each group. Without groups, it has one class,
+    for the complete match."""
 
     regex: str
     group_classes: tuple[str, ...]

@@ -1,4 +1,5 @@
-"""The patterns as a TextMate grammar. `python -m antdsl.highlighting.textmate` writes the files that are shipped."""
+"""A TextMate grammar made of the patterns. `python -m antdsl.highlighting.textmate` writes the grammar files that are
+distributed with antdsl."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ def build_grammar_text() -> str:
 
 
 def write_grammar_files(folder: Path) -> None:
-    """Write the grammar to all its files below a folder."""
+    """Write the grammar to each of its files below a folder."""
     for name in GRAMMAR_FILES:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(build_grammar_text(), encoding="utf-8")

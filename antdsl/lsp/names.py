@@ -44,11 +44,11 @@ class NameOccurrence:
 
 @dataclass(slots=True)
 class SpeciesTable:
-    """The declared names of a species.
+    """The names that a species declares.
 
     - `node`: None for a species of another file, of which only the attributes in `world` are known.
     - `own_members`: the declarations of its params, attributes, lets, latches and fuzzy values, by name.
-    - `machines`: by the name of a machine, its states by name."""
+    - `machines`: for each machine name, the machine's states by name."""
 
     name: str
     node: nodes.Species | None
@@ -58,7 +58,7 @@ class SpeciesTable:
 
 @dataclass(slots=True)
 class ProgramNames:
-    """The declarations of one file, by key and by kind. `libraries` are the files that `use` names."""
+    """The declarations of one file, by key and by kind. `libraries`: the files that `use` lines name."""
 
     path: Path
     file: nodes.File
@@ -108,7 +108,7 @@ def collect_names(path: Path, file: nodes.File) -> ProgramNames:
 
 
 def find_occurrences(names: ProgramNames, bindings: NameBindings) -> list[NameOccurrence]:
-    """Return every name of a file: declared there, bound by the checker, or a word of the language by its position.
+    """Return every name in a file. It is declared in the file, bound by the checker, or a word of the language in this position.
 
     If the checker did not resolve or did not reach a name, its kind begins with `?`."""
     bound: dict[Span, dict[NameKey, None]] = {}
@@ -126,7 +126,7 @@ def find_occurrences(names: ProgramNames, bindings: NameBindings) -> list[NameOc
 
 
 def _make_element_key(names: ProgramNames, declaration: Span) -> NameKey:
-    """Return the key of a symbol that is visible in one expression or handler only. Its name is unique only together with its
+    """Return the key of a symbol that is visible only in one expression or handler. Such a name is unique only together with its
     position."""
     return ("element", str(names.file.file_span(declaration).start), declaration.text)
 
@@ -169,7 +169,7 @@ class _OccurrenceIndexer:
     def resolve_nearby(self, key: NameKey, item: nodes.TopItem) -> NameKey:
         """Return the key of a name that the checker did not resolve.
 
-        It is the declaration of this name in the enclosing behaviour or species or, without one, the unchanged key."""
+        It is the declaration with this name in the enclosing behaviour or species. If there is none, the key is unchanged."""
         if key[0] in ("?", "?state") and isinstance(item, (nodes.Behaviour, nodes.Species)):
             scope = ("inner", str(self.names.path), item.name.text) if isinstance(item, nodes.Behaviour) else (item.name.text,)
             for each in self.names.declaration_by_key:
@@ -179,7 +179,7 @@ class _OccurrenceIndexer:
         return key
 
     def mark_by_position(self, names: nodes.Name | tuple[nodes.Name, ...] | None, kind: str) -> None:
-        """Record the meaning that names have by their positions in the tree, unless another meaning is known."""
+        """Record the meaning that names have because of their positions in the tree, unless another meaning is known."""
         for name in names if isinstance(names, tuple) else (names,):
             if name is not None:
                 self.meaning_by_span.setdefault(name.span, ((kind, name.text), False))

@@ -1,4 +1,4 @@
-"""Answers to questions about whole documents and the workspace: symbols, folds, colours, links, hints, corrections, layout."""
+"""Answers requests about complete documents and the workspace: symbols, folds, colours, links, hints, corrections, layout."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def _handle_code_lenses(ls: AntLanguageServer, params: lsp.CodeLensParams) -> li
 
 
 async def _run_spec(ls: AntLanguageServer, path: str, name: str) -> None:
-    """Run a spec of the saved file, and show the editor's user whether it passed. Arguments come from the code lens."""
+    """Run a spec of the saved file, and show the user whether it passed. The code lens supplies the arguments."""
     failed, text = await run_spec(Path(path), name)
     kind = lsp.MessageType.Warning if failed else lsp.MessageType.Info
     ls.window_show_message(lsp.ShowMessageParams(kind, text))
@@ -139,7 +139,7 @@ _HANDLERS: tuple[tuple[str, Any, Any], ...] = (
 
 
 def register_overviews(server: AntLanguageServer) -> None:
-    """Let a server answer questions about whole documents and the workspace."""
+    """Register the functions that answer requests about complete documents and the workspace."""
     for method, options, handler in _HANDLERS:
         server.feature(method, options)(handler)
     server.command(RUN_SPEC_COMMAND)(_run_spec)

@@ -1,4 +1,5 @@
-"""Converts answers of this package to messages of the language server protocol. Only this file and `server` import lsprotocol."""
+"""Converts the results of this package to messages of the language server protocol. Only this file and `server` import
+lsprotocol."""
 
 from __future__ import annotations
 
@@ -40,7 +41,7 @@ def to_lsp_range(range: TextRange) -> lsp.Range:
 
 
 def to_lsp_diagnostic(workspace: Workspace, document: OpenDocument, complaint: Diagnostic) -> lsp.Diagnostic:
-    """Return a finding in the protocol's form: its message with the help, its code, and the related locations."""
+    """Convert a finding to the protocol's form: its message with the help, its code, and related locations."""
     related = []
     for label in complaint.labels:
         place = workspace.locate_span(label.span)

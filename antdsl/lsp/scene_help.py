@@ -1,4 +1,4 @@
-"""Meanings and possible values of a scene's keys, from the schema and from the programs of its crowd."""
+"""The meanings and possible values of a scene's keys. They come from the schema and from the programs of the scene's crowd."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _KEY_PATTERN = re.compile(r"^(\s*)(?:- )?([A-Za-z_.][A-Za-z_0-9.]*):")
 
 
 def find_key_path(text: str, offset: int) -> tuple[tuple[str, ...], str]:
-    """Return the keys of a scene that contain a position, outermost first, and the text of its line before the position.
+    """Return the keys of a scene around a position, outermost first, and the part of the line before the position.
 
     Keys are found by indentation and open braces, because the YAML may be invalid at the position."""
     begin = text.rfind("\n", 0, offset) + 1
@@ -45,7 +45,7 @@ def find_key_path(text: str, offset: int) -> tuple[tuple[str, ...], str]:
 
 
 def _find_open_keys(line: str) -> list[str]:
-    """Return the keys in a line with values that continue after it: crowd and place for `crowd: - {place: {`."""
+    """Return the keys of a line with values that are still open at its end, such as crowd and place for `crowd: - {place: {`."""
     stack: list[str] = []
     key = ""
     for piece in re.finditer(r"([A-Za-z_.][A-Za-z_0-9.]*):|[{}\[\]]", line):
@@ -84,7 +84,7 @@ def _find_crowd_programs(workspace: Workspace, document: OpenDocument) -> Iterat
 
 
 def _propose_keys(workspace: Workspace, document: OpenDocument, path: tuple[str, ...], line: str) -> Iterator[CompletionItem]:
-    """Yield the keys that fit at a position. `path`: the keys above it. `line`: its line up to the position."""
+    """Yield the keys that are possible at a position. `path`: the keys above it. `line`: its line up to the position."""
     if not path and not line.lstrip().startswith("-"):
         yield from _propose_model_fields(scene_model.SceneModel)
     elif path[:1] in (("world",), ("cameras",)):

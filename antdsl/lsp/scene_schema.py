@@ -1,7 +1,7 @@
-"""The JSON Schema of scenes, for editors of YAML. `python -m antdsl.lsp.scene_schema` writes the file that is shipped.
+"""The JSON Schema of scenes, for YAML editors. `python -m antdsl.lsp.scene_schema` writes the schema file that is distributed.
 
-It has the keys of the scene's models, with their help. Values are looser than in a scene: a number may also be a text with a
-unit, and a list a text such as `1..240`. `antdsl check` judges values."""
+It has the keys of the scene's models, with their help. It accepts more values than a scene does. A number may also be a text
+with a unit, and a list may be a text such as `1..240`. `antdsl check` checks the values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The text of a scene: names in it that programs declare, files that it uses, and the possible values of its keys."""
+"""Indexes the text of a scene: names that programs declare, files that the scene uses, and the possible values of its keys."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _NAMING_KEYS = frozenset(("on", "around", "toward", "away", "border", "solved", 
 class SceneIndex:
     """The names in the text of a scene.
 
-    `document`: the parsed text; None while it is not valid YAML. `files`: the files that the scene names. `fps`: the frame rate
-    as text of the source. `items`: the spans of the names of items."""
+    `document`: the parsed text; None while it is not valid YAML. `files`: the files that the scene names. `fps`: the frame rate,
+    as text from the source. `items`: the spans of the names of items."""
 
     path: Path
     document: MappingNode | None
@@ -62,7 +62,7 @@ def _list_mapping_entries(node: DocumentNode | None) -> list[tuple[str, Span, Do
 
 
 def _index_file(index: SceneIndex, node: DocumentNode) -> None:
-    """Record a file that the scene names. A value with `:` is no file."""
+    """Record a file that the scene names. A value with `:` is not a file."""
     if isinstance(node, ScalarNode) and ":" not in node.text:
         path = resolve_path(index.path.parent.joinpath(node.text))
         index.add_occurrence(node.span, ("file", str(path)))

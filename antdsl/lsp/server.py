@@ -1,4 +1,4 @@
-"""The language server: it passes each request of the protocol to the file of this package that answers it."""
+"""The language server. It passes each request of the protocol to the file of this package that answers it."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _handle_did_change_watched_files(ls: AntLanguageServer, params: lsp.DidChang
 
 
 def _recheck_open_documents(ls: AntLanguageServer) -> None:
-    """Check all open documents again after a change on disk. This costs almost nothing where nothing changed."""
+    """Check all open documents again after a file on disk has changed. Unchanged documents cost almost nothing."""
     ls.files.invalidate_file_list()
     for path in ls.files.open_documents:
         ls.schedule_check(path)
@@ -119,7 +119,7 @@ def _recheck_open_documents(ls: AntLanguageServer) -> None:
 
 
 def _answer_at_position(ls: AntLanguageServer, params: Any, answer: Callable[[OpenDocument, int], T]) -> T | None:
-    """Return the answer of a function for a document and an offset; None if there is no document."""
+    """Return what `answer` returns for the document and the offset of a request. Return None if there is no document."""
     document = ls.find_document(params.text_document.uri)
     if document is None:
         return None
@@ -253,7 +253,7 @@ class _MessageOutput(io.RawIOBase):
 
 def run_server() -> bool:
     """Serve an editor over standard input and output until it ends the session. Return False if it left without a shutdown
-    request. Raises OSError where messages could not be written."""
+    request. Raises OSError if messages could not be written."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")  # to standard error
     output = _MessageOutput(os.dup(1))
     with os.fdopen(os.dup(0), "rb") as reader:

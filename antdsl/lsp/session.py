@@ -1,4 +1,4 @@
-"""The session of an editor: its documents, and the findings that it receives."""
+"""The session of an editor: its documents, and the findings that are sent to it."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class AntLanguageServer(LanguageServer):
     # --- findings ---
 
     def schedule_check(self, path: Path) -> None:
-        """Check a file after all pending messages have been read. Then several key presses at once cause only one check."""
+        """Check a file after all pending messages have been read, so that several quick key presses cause only one check."""
         import asyncio
 
         self.pending_paths.add(path)

@@ -1,4 +1,4 @@
-"""The text of a document: conversion between offsets and an editor's lines and columns, and between URIs and paths."""
+"""The text of a document. Converts between offsets and an editor's lines and columns, and between URIs and paths."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TextRange = tuple[LineColumn, LineColumn]
 
 @dataclass(frozen=True, slots=True)
 class TextEdit:
-    """Text to put in place of the characters from `start` to `end`."""
+    """An edit that replaces the characters from `start` to `end` by a text."""
 
     start: int
     end: int
@@ -27,7 +27,7 @@ def normalise_line_ends(text: str) -> str:
 
 
 class DocumentText:
-    """Text with LF line ends. `encoding` is the unit of the editor's columns: utf-16 (the protocol's default), utf-8 or
+    """A text with LF line ends. `encoding`: the unit of the editor's columns, which is utf-16 (the protocol's default), utf-8 or
     utf-32."""
 
     __slots__ = ("encoding", "line_starts", "text")
@@ -50,8 +50,8 @@ class DocumentText:
         return self.text[self.line_starts[number] : end]
 
     def find_offset(self, line: int, column: int) -> int:
-        """Return the offset of a position. A column beyond the end of its line means the line's end; a line beyond the last means
-        the text's end."""
+        """Return the offset of a position. A column beyond the end of its line means the end of the line. A line beyond the last
+        line means the end of the text."""
         if line >= len(self.line_starts):
             return len(self.text)
         text, start = self.get_line(line), self.line_starts[line]
@@ -76,11 +76,11 @@ class DocumentText:
         return self.find_line_column(start), self.find_line_column(max(start, end))
 
     def count_columns(self, text: str) -> int:
-        """Return how many columns a text takes in the editor."""
+        """Return how many columns a text occupies in the editor."""
         return len(text) if text.isascii() else sum(map(self._count_character_columns, text))
 
     def _count_character_columns(self, character: str) -> int:
-        """Return how many columns a character takes in the editor."""
+        """Return how many columns a character occupies in the editor."""
         if self.encoding == "utf-8":
             return len(character.encode("utf-8", "surrogatepass"))
         return 2 if self.encoding == "utf-16" and character > "\uffff" else 1
@@ -96,7 +96,8 @@ class DocumentText:
 
 
 def uri_to_path(uri: str) -> Path | None:
-    """Return the file behind a URI, with links resolved; None for a URI that is not a file, such as `untitled:Untitled-1`."""
+    """Return the path of the file that a URI names, with links resolved. Return None if it is not a file, such as
+    `untitled:Untitled-1`."""
     parts = urlsplit(uri)
     if parts.scheme != "file":
         return None

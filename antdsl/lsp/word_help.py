@@ -1,4 +1,4 @@
-"""Meanings of the language's words, wherever they are requested: in an editor, and by `antdsl check --explain WORD`."""
+"""The meanings of the language's words, for editors and for `antdsl check --explain WORD`."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def find_help_text(node: Any) -> str:
 
 
 def format_markdown(form: str, *lines: str, notation: str = "ant") -> str:
-    """Return Markdown: a form in the language, then the explanations, one paragraph each."""
+    """Return Markdown with a form in the language, followed by explanations, one paragraph each."""
     return "\n\n".join([f"```{notation}\n{form}\n```", *(line for line in lines if line)])
 
 
@@ -83,7 +83,7 @@ def _describe_builtin_attribute(key: NameKey) -> str | None:
 
 
 def _describe_defaults(name: str) -> str:
-    """Return the default of a setting in edition 1, and in each later edition with another default."""
+    """Return the default of a setting in edition 1, and in each later edition that changed it."""
     row = DEFAULT_BY_SETTING[name]
     texts = [row.get_default(edition) or "none" for edition in EDITIONS]
     changed_defaults = [f"in `ant {edition}`: {text}" for edition, text in zip(EDITIONS, texts, strict=True) if text != texts[0]]
@@ -184,8 +184,8 @@ def _make_word_rule(table: Mapping[str, tables.WordHelp | ThingKindRow], explana
 def describe_keyword(word: str, begins_line: bool) -> str | None:
     """Return the description of a keyword; None for another word.
 
-    `begins_line`: whether the word begins a line. Then it has another meaning, as `on` in `on spawn { … }` and in `field trail on
-    ground`."""
+    `begins_line`: whether the word begins a line. Its meaning may then differ: compare `on` in `on spawn { … }` and in `field
+    trail on ground`."""
     if not begins_line:
         return (
             format_markdown(tables.INNER_WORD_HELP[word].sample, tables.INNER_WORD_HELP[word].help)
@@ -275,7 +275,7 @@ def list_known_words() -> set[str]:
 def explain_word(word: str) -> str | None:
     """Return all meanings of a word as Markdown, or None for an unknown word.
 
-    The word may be a unit of several units, with a number before it."""
+    The word may be a compound unit, and may have a number before it."""
     meanings = [(title, rule(("", word))) for title, table, rule in _WORD_MEANINGS if word in table]
     unit = word.lstrip("0123456789. ")
     if not meanings and (unit_text := _describe_unit(("unit", unit))):
@@ -305,7 +305,7 @@ _PARAGRAPH_BREAK = "\n\n"
 
 
 def _describe_argument_uses(word: str) -> Iterator[str]:
-    """Yield the help for each call that takes an argument of this name."""
+    """Yield the help for each call that has an argument of this name."""
     for function_name, rows in vocabulary.BUILTINS_BY_NAME.items():
         for row in rows:
             if any(arg.name == word for arg in row.args):

@@ -1,4 +1,5 @@
-"""The files of one editing session: open buffers, which override the files on disk, checked by the chain of `antdsl check`."""
+"""The files of one editing session. Open documents override the files on disk, and are checked in the same way as by `antdsl
+check`."""
 
 from __future__ import annotations
 
@@ -41,7 +42,7 @@ _SCENE_KEY_PATTERN = re.compile(r"^(?:antdsl|crowd|extends)[ \t]*:", re.MULTILIN
 
 @dataclass(frozen=True)
 class NameIndex:
-    """The names of a document in text order, with the start offset of each."""
+    """The names of a document in text order, and the start offset of each."""
 
     occurrences: list[NameOccurrence]
     start_offsets: list[int]
@@ -58,9 +59,9 @@ class OpenDocument:
     """A file in its current state, in the editor or on disk.
 
     - `find_bindings`: returns the bindings of the file and of all files that it uses.
-    - `file_stamp`: two numbers that identify the state of the file on disk; None for an open buffer.
-    - `version`: the editor's number of the state of an open buffer.
-    - `last_valid_scene`: the names of the scene in its last valid text. They are used while the text is not valid YAML."""
+    - `file_stamp`: two numbers that identify the version of the file on disk; None for an open buffer.
+    - `version`: the editor's version number of an open buffer.
+    - `last_valid_scene`: the names in the last valid text of the scene. They are used while the text is not valid YAML."""
 
     path: Path
     text: DocumentText
@@ -94,7 +95,7 @@ class OpenDocument:
 
     @property
     def index(self) -> NameIndex:
-        """Return the index of the document's names. It is built again if a new check gave other bindings."""
+        """Return the index of the document's names. It is built again when a new check gives other bindings."""
         bindings = self.find_bindings(self.path) if self.is_program else NO_BINDINGS
         if self._cached_index is None or self._cached_index[0] is not bindings:
             name_occurrences = find_occurrences(self.names, bindings) if self.is_program else self.scene.occurrences
@@ -158,7 +159,7 @@ class OpenDocument:
 
 @dataclass(frozen=True, slots=True)
 class DocumentCheck:
-    """The result of checking a document. `program` and `scene` are None where errors prevented them."""
+    """The result of checking a document. `program`, `scene`: None if errors prevented their creation."""
 
     program: Program | None
     scene: Scene | None
@@ -167,7 +168,7 @@ class DocumentCheck:
 
 @dataclass(eq=False)
 class Workspace:
-    """All files of the session. `roots` are the editor's folders; `open_documents` has its open documents, by real path."""
+    """All files of the session. `roots`: the editor's folders. `open_documents`: the open documents by real path."""
 
     roots: list[Path] = field(default_factory=list)
     encoding: str = "utf-16"
@@ -196,7 +197,7 @@ class Workspace:
         return document
 
     def close_document(self, path: Path) -> None:
-        """Remove an open buffer. The file on disk counts again."""
+        """Remove an open buffer. From now on, the file on disk is used."""
         self.open_documents.pop(path, None)
         self._check_by_path.pop(path, None)
         self._last_good_programs.pop(path, None)
@@ -261,7 +262,7 @@ class Workspace:
         return NO_BINDINGS if result is None or result.program is None else result.program.bindings
 
     def find_last_good_program(self, path: Path) -> Program | None:
-        """Return the last program of this document that checked without errors, for queries during an edit."""
+        """Return the program from the document's last check without errors. It answers queries while the text is being edited."""
         result = self.check_document(path)
         return self._last_good_programs.get(path) or (result.program if result is not None else None)
 
@@ -297,8 +298,8 @@ class Workspace:
         return DocumentCheck(program, scene, report)
 
     def find_diagnostics(self, path: Path) -> list[Diagnostic]:
-        """Return the findings in this document; a finding about the complete document has no span. A YAML file that is not a
-        scene has no findings, because editors send every YAML file."""
+        """Return the findings in this document. A finding about the complete document has no span. Only scenes among YAML files
+        have findings, because editors send every YAML file."""
         document = self.find_document(path)
         if document is not None and not document.is_program and not _SCENE_KEY_PATTERN.search(document.text.text):
             return []
@@ -318,7 +319,7 @@ class Workspace:
     # --- which files belong together ---
 
     def find_linked_files(self, path: Path) -> list[Path]:
-        """Return a file, the files that it names, and the files that those name."""
+        """Return a file, the files that it names, and the files that they name."""
         paths: dict[Path, None] = {}
         stack = [path]
         while stack:

@@ -41,7 +41,7 @@ def load_code(text_or_name: str, build_text: Callable[[], str] | None = None) ->
 
 
 def is_code_available(text_or_name: str) -> bool:
-    """Return whether the code of a text, given by the text or its name, is in memory or stored."""
+    """Return whether code is in memory or stored. The code is identified by its text, or by the text's unique name."""
     target = llvm_compiler.find_host_target()
     key = object_cache.compute_object_key(text_or_name, target, versions=object_cache.list_environment_versions())
     with _code_lock:
@@ -62,7 +62,7 @@ def load_stored_data(key: str) -> bytes | None:
 
 
 def store_data(key: str, data: bytes) -> None:
-    """Store data that belongs to code. The data is signed, as stored code is."""
+    """Store data that belongs to compiled code. The data is signed in the same way as stored code."""
     _get_object_cache().store_bytes(key, data)
 
 
@@ -74,7 +74,7 @@ def take_messages() -> list[str]:
 
 
 def release_unused_code() -> None:
-    """Release the code in memory that nothing uses, as if the process had just started. Stored files are unchanged."""
+    """Release unused code from memory, as if the process had just started. Stored files are unchanged."""
     with _code_lock:
         _code_by_key.clear()
     _get_object_cache.cache_clear()

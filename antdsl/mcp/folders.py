@@ -1,4 +1,4 @@
-"""Granted folders: turns the paths of a call into absolute paths below one of them."""
+"""Folders that the user grants. The paths of a call are turned into absolute paths below one of them."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ class PathOutsideFolders(Exception):
 
 @dataclass(frozen=True, slots=True)
 class GrantedFolders:
-    """The folders that calls may read and write. `folders`: absolute, without links, at least one."""
+    """The folders that calls may read and write. `folders`: at least one absolute path without links."""
 
     folders: tuple[Path, ...]
 
     @staticmethod
     def open(paths: Sequence[Path]) -> GrantedFolders:
-        """Return the granted folders. Raises NotADirectoryError for a path that is no folder."""
+        """Return the granted folders. Raises NotADirectoryError for a path that is not a folder."""
         for path in paths:
             if not path.is_dir():
                 raise NotADirectoryError(f"there is no folder `{path}`")
         return GrantedFolders(tuple(dict.fromkeys(path.resolve() for path in paths)))
 
     def locate(self, text: str) -> Path:
-        """Return the absolute path that a text names, with all links resolved.
+        """Return a path as an absolute path, with all links resolved.
 
-        A relative path starts in the first folder that has such a file, otherwise in the first folder. Raises
-        PathOutsideFolders if the path leads out of the granted folders."""
+        A relative path starts in the first granted folder that has such a file. If none has it, it starts in the first folder.
+        Raises PathOutsideFolders if the path leads out of the granted folders."""
         if not text or "\0" in text or len(text) > _MAX_PATH_CHARACTERS:
             raise PathOutsideFolders(f"a path has 1 to {_MAX_PATH_CHARACTERS} characters; write one such as `scene.yaml`")
         choices = [(folder / text).resolve() for folder in self.folders]

@@ -32,7 +32,8 @@ def list_pages() -> tuple[str, ...]:
 
 
 def read_page(name: str) -> str | None:
-    """Return the Markdown text of a page. None if there is no such page. `name`: as in `list_pages`, or its last part."""
+    """Return the Markdown text of a page, or None if there is no such page. `name`: a name that `list_pages` returns, or its
+    last part."""
     names = list_pages()
     name = name.removesuffix(".md")
     found = name if name in names else next((each for each in names if each.rpartition("/")[2] == name), None)
@@ -44,9 +45,9 @@ def _read_listed_page(name: str) -> str:
 
 
 def search_pages(query: str, count: int = 5) -> list[Section]:
-    """Return the sections that fit a query best, best first; fewer than `count` if only few have any of its words.
+    """Return at most `count` sections that match a query, best match first. Sections with none of its words are left out.
 
-    A word counts by how rare it is (inverse document frequency, Spärck Jones 1972), and more in a heading."""
+    Rare words have more weight (inverse document frequency, Spärck Jones 1972), and so have words in a heading."""
     words = set(_split_words(query))
     sections = _list_sections()
     frequency = {word: sum(word in section.counts for section in sections) for word in words}
@@ -65,7 +66,7 @@ def search_pages(query: str, count: int = 5) -> list[Section]:
 
 
 def format_sections(sections: list[Section]) -> str:
-    """Return sections as Markdown, each with its page, and cut after a few paragraphs."""
+    """Return sections as Markdown. Each has the name of its page, and is cut after a few paragraphs."""
     parts = []
     for section in sections:
         excerpt = section.text if len(section.text) <= _EXCERPT_CHARACTERS else f"{section.text[:_EXCERPT_CHARACTERS]} […]"

@@ -1,4 +1,4 @@
-"""The server itself: registers the tools and answers over standard input and output."""
+"""The MCP server: registers the tools, reads calls from standard input and writes answers to standard output."""
 
 from __future__ import annotations
 
@@ -39,6 +39,6 @@ def run_server(tools: Tools) -> None:
 
 
 def _find_first_error(group: BaseExceptionGroup[OSError]) -> OSError:
-    """Return an error of a group, which may contain other groups."""
+    """Return the first single error of a group, which may contain other groups."""
     first = group.exceptions[0]
     return _find_first_error(first) if isinstance(first, BaseExceptionGroup) else first

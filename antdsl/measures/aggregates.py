@@ -1,9 +1,9 @@
-"""Aggregates: numbers over all agents of a species, all items or all cells of a field, and conditions on such numbers. Results do
-not depend on the order of rows.
+"""Aggregates: numbers over all agents of a species, all items or all cells of a field, and conditions on such numbers. Results
+do not depend on the row order.
 
-Totals and counts are stored in float64, correctly rounded (J. Shewchuk, Discrete & Computational Geometry 18, 1997: `math.fsum`).
-Everything else is float32 as in the language. Sums, differences and comparisons of totals and integers use float64, so that a
-tiny loss is visible in any number of agents."""
+Totals and counts are stored in float64, correctly rounded (J. Shewchuk, Discrete & Computational Geometry 18, 1997:
+`math.fsum`). Everything else is float32 as in the language. Sums, differences and comparisons of totals and integers use
+float64, so that even a tiny loss is visible among many agents."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _EXACT_OPERATIONS = frozenset(("add", "sub", "neg", "abs", "min", "max", "mul", 
 
 
 def sum_exactly(values: NDArray[Any]) -> np.float64:
-    """Return the sum, rounded once; not finite if a term is not."""
+    """Return the sum, rounded only once. The result is not finite if a term is not."""
     wide = np.asarray(values, np.float64)
     return np.float64(fsum(wide.tolist())) if np.isfinite(wide).all() else np.float64(wide.sum())
 
@@ -32,7 +32,7 @@ def sum_exactly(values: NDArray[Any]) -> np.float64:
 def evaluate_aggregate(world: World, populations: dict[str, Population], plan: AggregatePlan) -> Any:
     """Return the number that an aggregate computes: float64 for totals and counts, float32 for others.
 
-    Without agents, it is the result of the reduction of an empty set."""
+    Without agents, return the result for an empty set."""
     if plan.kind == "field" and plan.body_register is None:
         values = world.fields[plan.subject].amounts
         if plan.reducer == "count":
@@ -72,7 +72,7 @@ def _aggregate_values(operation: str, values: NDArray[Any], count: int) -> Any:
 
 
 def evaluate_uniform_node(world: World, node: ir.PlanNode, spec_values: dict[str, Any]) -> Any:
-    """Return the value of a node that is equal for all agents, from the elementwise table of the backends."""
+    """Return the value of a node that is equal for all agents, computed with the backends' table of elementwise operations."""
     values: dict[ir.PlanNode, Any] = {}
     with np.errstate(all="ignore"):
         for each in collect_required_nodes((node,)):
@@ -88,7 +88,8 @@ def evaluate_uniform_node(world: World, node: ir.PlanNode, spec_values: dict[str
 
 
 def _is_exact(node: ir.PlanNode, value: Any) -> bool:
-    """Return whether the value of a node is exact. Totals, results of only totals, bools and whole constants are exact."""
+    """Return whether the value of a node is exact. Totals, results computed only from totals, booleans and whole constants are
+    exact."""
     if isinstance(value, np.float32):
         return node.op == "const" and float(value).is_integer()
     return True

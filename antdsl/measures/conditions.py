@@ -1,6 +1,6 @@
-"""Compiles a condition from outside of programs, such as a breakpoint or the end of a run. It is in the language of specs.
+"""Compiles a condition that is not in a program, such as a breakpoint or the end of a run. It is in the language of specs.
 
-It is about the complete world, or about each agent of a species (`each SPECIES: …`)."""
+A condition concerns the complete world, or each agent of a species (`each SPECIES: …`)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _COMPLETE_RUN_HELP = "use the `share`, `count`, `any` or `every` of all"
 
 
 class ConditionError(Exception):
-    """Error for a text that is not a condition. The message is the reason. `help`: the text to write instead, or ""."""
+    """Error for a text that is not a condition. The message gives the reason. `help`: the text to write instead, or ""."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -32,8 +32,8 @@ class ConditionError(Exception):
 
 
 def check_condition(loaded: LoadedSources, text: str, *, allows_each: bool = True) -> Program:
-    """Return the program of the loaded files with a condition as its last spec. Raises ConditionError with the first error in the
-    text. `allows_each`: whether the condition may be about each agent."""
+    """Return the program of the loaded files, with the condition added as its last spec. Raises ConditionError with the first
+    error in the text. `allows_each`: whether the condition may be about each agent."""
     from antdsl.program import check
 
     short_text = " ".join(text.split())
@@ -70,7 +70,7 @@ def _make_spec_text(text: str) -> str:
 
 
 def _is_one_line(file: nodes.File) -> bool:
-    """Return whether the text consists of a single condition."""
+    """Return whether the file consists of a single condition."""
     if len(file.items) != 1 or not isinstance(file.items[0], nodes.Spec):
         return False
     [*lines] = file.items[0].lines
@@ -82,8 +82,8 @@ def _is_one_line(file: nodes.File) -> bool:
 def _raise_first_error(report: Report, suggestion: str = "") -> None:
     """Raise ConditionError with the first error in the text of the condition.
 
-    The error for a file that contains only a spec is ignored.
-    `suggestion`: a correction for a condition about the complete world that only applies to an agent."""
+    The error that a file contains only a spec is ignored.
+    `suggestion`: the text to write instead if a condition about the complete world could only be about an agent."""
     for error in report.sort_by_place():
         if error.severity == "error" and error.code != "empty-program":
             help = (error.help or "").replace("never: ", "")

@@ -1,6 +1,6 @@
-"""Evaluates the expressions of specs and measures, in a copy of the world with separate registers.
+"""Evaluates the expressions of specs and measures in a copy of the world with separate registers.
 
-The run's own backend evaluates them; nothing of the run changes."""
+The run's own backend evaluates them. The run itself does not change."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _UNKNOWN_VALUE = 1e300  # not representable as float32; marks agents that did no
 class RunEvaluator:
     """Evaluates the expressions of a spec, or of measures. Call `evaluate_frame` at each frame, from the first on.
 
-    `values`: after this call, the aggregates of the frame and values of earlier frames, by name."""
+    `values`: after each call, the aggregates of the frame and stored values of earlier frames, by name."""
 
     def __init__(self, plan: QueryPlan, world: World) -> None:
         self.plan, self.first = plan, world.frame
@@ -49,7 +49,7 @@ class RunEvaluator:
         return evaluate_uniform_node(world, node, self.values)
 
     def evaluate_frame(self, world: World, compared_values: Mapping[str, Any]) -> World:
-        """Return a copy of the world with the results of the expressions in its registers. `compared_values`: values of the
+        """Return a copy of the world in which registers have the results of the expressions. `compared_values`: values of the
         reference run."""
         self._store_motion_measures(world)
         self.values |= compared_values
@@ -76,7 +76,7 @@ class RunEvaluator:
         return spec_world
 
     def _store_values(self, world: World, spec_world: World) -> None:
-        """Store the values of this frame that later frames read."""
+        """Store the values of this frame that later frames need."""
         for each in self.plan.stored_values:
             if not isinstance(each, StartValuePlan):
                 if not np.isfinite(self.values.setdefault(each.name, np.float32(np.inf))) and self.evaluate_node(
@@ -90,7 +90,7 @@ class RunEvaluator:
                 self._record_first_values(spec_world.populations[each.species], each.name, each.source_register)
 
     def run_block(self, spec_world: World, block: str, species: str | None = None, rows: Any = None) -> None:
-        """Run a block of the spec for all agents, or for the rows `rows` of one species. Results go into its registers."""
+        """Run a block of the spec for all agents, or only for `rows` of one species. The results are written to its registers."""
         for name, population in spec_world.populations.items():
             if len(population) and getattr(population.plan, block).statements and species in (None, name):
                 self.backend.run(spec_world, population, block, rows)
@@ -119,7 +119,7 @@ class RunEvaluator:
         return _make_population(plan, start, now, nowhere)
 
     def _make_agent_population(self, spec_world: World, population: Population) -> Population:
-        """Return a population with the same agents and with registers for results."""
+        """Return a population with the same agents, and with additional registers for results."""
         respondents = copy(population)
         respondents.columns = population.columns.copy()
         respondents.plan, respondents.effects, respondents.cells = self.plan.plan.species[population.name], EffectRequests(), {}
@@ -142,7 +142,7 @@ class RunEvaluator:
         return _make_population(plan, start, now, items.position)
 
     def _record_first_values(self, judged: Population, name: str, register: str) -> None:
-        """Copy the value of a number in each agent's first frame to the register that the conditions read."""
+        """Copy a number's value in each agent's first frame to the register that conditions read."""
         ids, current_values = judged.ids, judged.now[register]
         values = self.start_values[name] = extend_table_for_ids(self.start_values.get(name, np.zeros(0)), ids, _UNKNOWN_VALUE)
         values[ids] = np.where(values[ids] == _UNKNOWN_VALUE, current_values, values[ids])
@@ -160,7 +160,7 @@ def extend_table_for_ids(table: NDArray[Any], ids: NDArray[np.int64], fill_value
 def _make_population(
     plan: ir.SpeciesPlan, start: dict[str, NDArray[Any]], registers: dict[str, NDArray[Any]], positions: NDArray[np.float64]
 ) -> Population:
-    """Return a population of things that are not agents, at positions [n,3], without ground."""
+    """Return a population of things that are not agents, at positions (n, 3), without ground."""
     n = len(positions)
     return Population(
         plan, make_fixed_columns(n, ids=np.arange(n), position=positions), start, registers, Footing.create_unplaced(n), {}, {}
@@ -192,7 +192,7 @@ def measure_geometry(world: World, population: Population, name: str) -> FloatAr
 
 
 def _measure_overlap(world: World, population: Population) -> FloatArray:
-    """Return the worst overlap of each agent with any other of all species: 0 apart, 1 at the same position."""
+    """Return the worst overlap of each agent with any other agent of any species: 0 if separate, 1 at the same position."""
     populations = list(world.populations.values())
     measured = [
         each for each in populations if "radius" in each.start and "position.x" in each.start and each.footing is not None
@@ -207,7 +207,7 @@ def _measure_overlap(world: World, population: Population) -> FloatArray:
 
 
 def _measure_penetration(world: World, population: Population) -> FloatArray:
-    """Return how deep each agent's middle is inside an obstacle that is a closed mesh, or inside a solid; 0 outside of all."""
+    """Return how deep each agent's centre is inside a solid or an obstacle that is a closed mesh; 0 outside."""
     depth = np.zeros(len(population))
     for name in world.plan.obstacles:
         scene = world.obstacles.get(name)
@@ -219,7 +219,7 @@ def _measure_penetration(world: World, population: Population) -> FloatArray:
 
 
 def _measure_surface_distance(world: World, population: Population) -> FloatArray:
-    """Return the distance of each agent from where it should be: its clearance above its point on a triangle or a solid."""
+    """Return how far each agent is from its correct position, which is its clearance above its point on a triangle or solid."""
     distance: NDArray[np.float64] = np.linalg.norm(population.position - world.ground.position(population.footing), axis=1)
     for number, volume in enumerate(world.solids.values(), len(world.setting.surfaces)):
         rows = np.flatnonzero(population.footing.mesh == number)

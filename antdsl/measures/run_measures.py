@@ -20,8 +20,8 @@ class RunMeasures:
     """Evaluates the measures of a run. Call `record_frame` at each frame, from the first on.
 
     `values`: the measures of the current frame by name. A number is in base units (mm, s, g, rad), and a condition is 0 or 1.
-    None is a value that is not finite, such as the time of an event that has not happened.
-    `is_over`: whether the condition that ends the run has held."""
+    None stands for a value that is not finite, such as the time of an event that has not happened.
+    `is_over`: whether the condition that ends the run has been true."""
 
     def __init__(self, measures: MeasuresPlan | None, until: SpecPlan | None, world: World) -> None:
         self.nodes: Mapping[str, ir.PlanNode] = {} if measures is None else measures.nodes
@@ -36,7 +36,7 @@ class RunMeasures:
         return tuple(self.nodes)
 
     def record_frame(self, world: World) -> None:
-        """Evaluate all measures, and whether the run ends with this frame."""
+        """Evaluate all measures in this frame, and whether the run ends with it."""
         if self._measured is not None:
             self._measured.evaluate_frame(world, {})
             for name, node in self.nodes.items():
@@ -49,15 +49,15 @@ class RunMeasures:
             self.is_over = bool(evaluator.evaluate_node(world, condition))
 
     def save_stored_values(self) -> NDArray[np.float64]:
-        """Return the values of earlier frames that later frames need, for a checkpoint, float64[n, 2].
+        """Return the values of earlier frames that later frames need, for a checkpoint, float64 (n, 2).
 
-        Row 0 is the first frame. A row has a value, NaN if it is not known yet, and 1 for a value of 64 bits."""
+        Row 0 is the first frame. Column 0 is the value, NaN if it is not known yet. Column 1 is 1 for a 64-bit value."""
         values = [each.values.get(name, np.float32(math.nan)) for each, name in self._list_stored()]
         first = [(float(each.first), 1.0) for each in self._evaluators()[:1]]
         return np.array([*first, *((float(each), float(isinstance(each, np.float64))) for each in values)]).reshape(-1, 2)
 
     def restore_stored_values(self, stored_values: NDArray[np.float64]) -> None:
-        """Set the values of earlier frames to those of a checkpoint. An array of another shape is ignored."""
+        """Restore the values of earlier frames from a checkpoint. An array of another shape is ignored."""
         stored = self._list_stored()
         if stored_values.shape != (len(stored) + 1, 2):
             return
@@ -75,5 +75,5 @@ class RunMeasures:
 
 
 def _make_finite(value: np.float32 | np.float64) -> float | None:
-    """Return a number with the fewest digits that identify it; None for one that is not finite."""
+    """Return a number with the fewest digits that identify it. Return None for a number that is not finite."""
     return float(str(value)) if math.isfinite(value) else None

@@ -1,7 +1,7 @@
-"""CRC-32, as in zip files and `zlib`, by carry-less products if the processor has them.
+"""CRC-32 checksums, the same as in zip files and `zlib`. They are computed by carry-less products if the processor has them.
 
-The method is that of V. Gopal, E. Ozturk, J. Guilford, G. Wolrich, W. Feghali, M. Dixon, D. Karakoyunlu, Fast CRC Computation for
-Generic Polynomials Using PCLMULQDQ Instruction, Intel 2009. Four registers represent the data so far: they have the same
+The method is that of V. Gopal, E. Ozturk, J. Guilford, G. Wolrich, W. Feghali, M. Dixon, D. Karakoyunlu, Fast CRC Computation
+for Generic Polynomials Using PCLMULQDQ Instruction, Intel 2009. Four registers represent the data so far: they have the same
 remainder. They consist of blocks of 16 bytes. To advance a block by n bits, each half of it is multiplied by the remainder of
 x**n. The last 16 bytes of state, and the fewer than 16 bytes of data after it, are processed byte by byte with a table. A
 register has 16 bytes. It has 64 if the processor multiplies 64 bytes at once (VPCLMULQDQ) without slowing down; this is almost
@@ -51,8 +51,8 @@ def compute_crc32(data: bytes | memoryview, previous_crc: int = 0) -> int:
 
 @cache
 def _build_crc_function() -> Callable[[NDArray[np.uint8], int], int] | None:
-    """Return a function of an array [n] and a previous CRC-32 that returns the CRC-32 of both together. The array has at least
-    one stride.
+    """Return a function that continues a CRC-32: it takes an array [n] and the CRC-32 of the preceding bytes. The array has at
+    least one stride.
 
     Return None if the processor has no carry-less products, or if nothing can be compiled."""
     if not llvm_compiler.is_available():
@@ -79,7 +79,7 @@ def has_carryless_products(target: llvm_compiler.Target) -> bool:
 
 
 def count_blocks_per_register(target: llvm_compiler.Target) -> int:
-    """Return the number of blocks in a register that are multiplied at once."""
+    """Return the number of 16-byte blocks per register that the processor can multiply at once."""
     return 4 if set(_WIDE_FEATURES) <= set(target.features.split(",")) else 1
 
 
@@ -94,7 +94,7 @@ def _compute_power_remainder(bits: int) -> int:
 
 
 def _build_table_text() -> str:
-    """Return the table of the CRC-32 remainder of each byte, in LLVM's language."""
+    """Return a table with the CRC-32 remainder of each byte value, in LLVM's language."""
     entries = []
     for byte in range(256):
         for _ in range(8):

@@ -1,7 +1,7 @@
-"""sin, cos, exp, log, pow and atan2 of float32, computed by basic float64 operations alone.
+"""sin, cos, exp, log, pow and atan2 of float32, computed only by basic float64 operations.
 
-Addition, multiplication, division and rounding give the same bits on every machine, for scalars and arrays alike. The
-transcendental functions of libraries do not. Errors stay below one unit in the last place of float32
+Addition, multiplication, division and rounding give the same bits on every machine, for scalars and for arrays. Transcendental
+functions of libraries do not. Errors stay below one unit in the last place of float32
 (tests/numerics/test_runtime_kernels.py). Reductions and series: W. J. Cody and W. Waite, Software Manual for the Elementary
 Functions, 1980, chapters 5 to 8 and 11."""
 
@@ -55,7 +55,7 @@ def _split_quarter_turns(x: FloatValue) -> tuple[FloatValue, FloatValue]:
 
 
 def _compute_sine_and_cosine(x: FloatValue) -> tuple[FloatValue, FloatValue, FloatValue]:
-    """Return the sine and the cosine of an angle without its quarter turns, and the number of quarter turns, 0 .. 3."""
+    """Reduce an angle by quarter turns. Return the sine and cosine of the remainder, and the number of quarter turns, 0 .. 3."""
     rest, quarter = _split_quarter_turns(x)
     square = rest * rest
     return rest * _evaluate_series(square, SIN_COEFFICIENTS), _evaluate_series(square, COS_COEFFICIENTS), quarter
@@ -71,7 +71,7 @@ def sin(x: FloatValue) -> FloatValue:
 
 
 def cos(x: FloatValue) -> FloatValue:
-    """Return the cosine of an angle (rad), with the properties of `sin`."""
+    """Return the cosine of an angle (rad). NaN and large angles are treated as in `sin`."""
     if np.ndim(x) == 0:
         return _get_cached_value(cos_float64, np.float64(x).tobytes())
     values = _run_kernel("write_cosines", x)
@@ -146,7 +146,7 @@ def atan2(y: FloatValue, x: FloatValue) -> FloatValue:
 
 
 def atan2_float64(y: FloatValue, x: FloatValue) -> FloatValue:
-    """Return the angle of `atan2` as float64, to about 1e-13."""
+    """Return the same angle as `atan2`, as float64, to about 1e-13."""
     wide_y, wide_x = _to_float64(y), _to_float64(x)
     high, low = np.maximum(np.abs(wide_y), np.abs(wide_x)), np.minimum(np.abs(wide_y), np.abs(wide_x))
     ratio = low / np.where(high == 0.0, 1.0, high)
@@ -176,8 +176,8 @@ def _get_cached_value(function: Callable[[FloatValue], FloatValue], number: byte
 
 
 def _run_kernel(kernel_name: str, *values: FloatValue) -> FloatValue | None:
-    """Return the result of a kernel of `elementary_loops`, by its name, for arrays. None if no kernel accepts these values, or if
-    a value is special."""
+    """Run the named kernel of `elementary_loops` on arrays, and return the result. None if no kernel accepts these values, or
+    if a value is special."""
     one = values[0]
     if not all(isinstance(v, np.ndarray) and v.dtype == np.float32 and v.ndim == 1 and v.size == one.size for v in values):
         return None

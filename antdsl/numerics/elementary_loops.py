@@ -1,5 +1,5 @@
-"""The functions of `elementary` for one number at a time, in compiled loops: the same float64 operations in the same order, so
-the same bits."""
+"""The functions of `elementary` as compiled loops over single numbers. They use the same float64 operations in the same order,
+so results have the same bits."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The elementwise operations of the plan, for float32 arrays and single float32 numbers. Both backends use this table.
+"""The elementwise operations of the plan, for float32 arrays and single float32 numbers.
 
-It has only our own kernels, and operations of which IEEE 754 defines the result to the last bit."""
+All backends use this table. It contains only antdsl's own kernels, and operations with results that IEEE 754 defines exactly."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ FLOAT32_ZERO = np.float32(0)
 
 
 def take_minimum(a: NumPyValue, b: NumPyValue) -> NumPyValue:
-    """Return the lesser number; if one of them is NaN, the other one. -0 becomes 0, since `fmin` may return either zero."""
+    """Return the lesser number. If one number is NaN, return the other one. -0 becomes 0, since `fmin` may return either zero."""
     return np.fmin(a, b) + FLOAT32_ZERO
 
 
 def take_maximum(a: NumPyValue, b: NumPyValue) -> NumPyValue:
-    """Return the greater number; NaN and -0 as in `take_minimum`."""
+    """Return the greater number. NaN and -0 are treated as in `take_minimum`."""
     return np.fmax(a, b) + FLOAT32_ZERO
 
 
@@ -33,7 +33,7 @@ def select_by_condition(condition: NumPyValue, true_value: NumPyValue, false_val
 
 
 def to_float32(a: NumPyValue) -> NumPyValue:
-    """Return a bool, a state or a row as float32."""
+    """Convert a bool, a state or a row to float32."""
     return np.float32(a) if np.ndim(a) == 0 else a.astype(np.float32)
 
 

@@ -1,7 +1,7 @@
-"""Sums that do not depend on the order of their terms: decision 23 of the language reference.
+"""Sums that do not depend on the order of their terms (decision 23 of the language reference).
 
-Each term is rounded to a multiple of 2**quantum, as (x + M) - M in float64. Multiples of one power of two add without rounding.
-"""
+Each term is rounded to a multiple of 2**quantum, by computing (x + M) - M in float64. Multiples of the same power of two can
+be added without rounding."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def quantise_terms(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float
 
 
 def sum_by_index(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], quantum: int, length: int) -> NDArray[np.float32]:
-    """Return the sum of the terms of each index 0 .. length-1, float32 [length]. Terms are rounded to multiples of 2**quantum;
-    their sum is exact, then rounded to float64 and float32."""
+    """Return, for each index 0 .. length-1, the sum of the terms with that index, float32 [length]. Terms are rounded to
+    multiples of 2**quantum; their sum is exact, then rounded to float64 and float32."""
     if index.size == 0:
         return np.zeros(length, np.float32)
     wide = quantise_terms(terms, quantum)
@@ -40,8 +40,8 @@ def sum_by_index(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], qu
 def _sum_in_two_words(
     index: NDArray[np.integer[Any]], terms: NDArray[np.float64], quantum: int, length: int
 ) -> NDArray[np.float32]:
-    """Return the sums of `sum_by_index` for larger totals. A term is split into a multiple of 2**(quantum + 22) and a rest; both
-    are summed exactly. Their total is rounded once."""
+    """Compute the result of `sum_by_index` for totals that are too large for one word. A term is split into a multiple of
+    2**(quantum + 22) and a rest; both are summed exactly. Their total is rounded once."""
     magic = np.ldexp(1.5, quantum + LOW_WORD_BITS + 52)
     high = (terms + magic) - magic
     low = np.bincount(index, weights=terms - high, minlength=length)

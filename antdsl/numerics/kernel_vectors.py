@@ -1,4 +1,4 @@
-"""Vectors in kernels: three numbers each. Sums have the order of `vectors.dot` and `vectors.cross`."""
+"""Vector functions for kernels. A vector is three numbers. Sums have the same order as in `vectors.dot` and `vectors.cross`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _MIN_LENGTH, _STEEP_COSINE = 1e-12, 0.9  # as in `vectors.normalise_or_fallback`
 
 @inlined
 def load_vector(table: Array1[F64], k: I64) -> Vec3:
-    """Return three numbers of a table, from index `k` on."""
+    """Return the vector that starts at index `k` of a table."""
     return table[k], table[k + 1], table[k + 2]
 
 
@@ -41,7 +41,7 @@ def get_column(vectors: Any, i: I64) -> Vec3:
 
 @inlined
 def replace_non_finite_vector(x: Any, y: Any, z: Any) -> Vec3:
-    """Return a vector in float64, 0 if a component is not finite."""
+    """Return a vector in float64, or 0 if any of its components is not finite."""
     a, b, c = np.float64(x), np.float64(y), np.float64(z)
     is_finite = np.isfinite(a) and np.isfinite(b) and np.isfinite(c)
     return (a if is_finite else 0.0), (b if is_finite else 0.0), (c if is_finite else 0.0)
@@ -103,20 +103,20 @@ def normalise_or_perpendicular(v: Vec3, up: Vec3) -> Vec3:
 
 @inlined
 def fmax(a: F64, b: F64) -> F64:
-    """Return the result of np.fmax for a number that may be NaN and a number that is not."""
+    """Return the greater number, like `np.fmax`. Only the first number may be NaN."""
     return a if a > b else b
 
 
 @inlined
 def fmin(a: F64, b: F64) -> F64:
-    """Return the result of np.fmin for a number that may be NaN and a number that is not."""
+    """Return the lesser number, like `np.fmin`. Only the first number may be NaN."""
     return a if a < b else b
 
 
 @inlined
 def clamp_weights(b1: F64, b2: F64) -> TriangleWeights:
-    """Return barycentric weights `b1` and `b2` limited to the triangle, to correct rounding errors: both at least 0, their sum at
-    most 1."""
+    """Return barycentric weights `b1` and `b2` limited to the triangle, to correct rounding errors. Then both are at least 0,
+    and their sum is at most 1."""
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
     total = b1 + b2
     if total > 1.0:
@@ -139,8 +139,8 @@ def rotate_between_normals(v: Vec3, source: Vec3, target: Vec3, direction: Vec3)
 
 @inlined
 def normalise_or_first_axis(c: F64, s: F64) -> tuple[F64, F64]:
-    """Return a direction in the plane of a face as a unit vector: cosine and sine of its angle from the face's first axis. A zero
-    vector gives the first axis.
+    """Normalise a direction in the plane of a face. Return the cosine and sine of its angle from the face's first axis. For a
+    zero vector, return the first axis.
 
     `c`, `s`: the components of the direction along the first and second axis of the face, of any length."""
     size = np.sqrt(c * c + s * s)
@@ -151,8 +151,8 @@ def normalise_or_first_axis(c: F64, s: F64) -> tuple[F64, F64]:
 
 @inlined
 def find_nearest_weights(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F64]:
-    """Return the weights of the second and third corner for the point of a triangle that is nearest to `v`, and the distance to
-    it.
+    """Find the point of a triangle that is nearest to `v`. Return its weights of the second and third corner, and its distance
+    from `v`.
 
     `edge1`, `edge2`: the edges from the first corner. `v`: a position relative to the first corner. The nearest point is the
     projection of `v` onto the plane if that is inside the triangle, else a point of an edge."""

@@ -1,8 +1,7 @@
-"""Gradient noise over space and time: smooth, with values around 0. It depends on its arguments only, not on frame or row.
-
-Gradients at lattice points and a quintic fade, which makes slope and curvature continuous: K. Perlin, Improving noise, SIGGRAPH
-2002. The 32 gradients in four dimensions (one of them time) are those of his reference code. Random bits of a lattice point:
-`hash_pcg4d`, M. Jarzynski and M. Olano, Hash functions for GPU rendering, JCGT 9(3), 2020."""
+"""Gradient noise over space and time. It is smooth, has values around 0, and depends only on its arguments, not on frame or
+row. Gradients at lattice points and a quintic fade, which makes slope and curvature continuous: K. Perlin, Improving noise,
+SIGGRAPH 2002. The 32 gradients in four dimensions (one of them time) are those of his reference code. Random bits of a lattice
+point: `hash_pcg4d`, M. Jarzynski and M. Olano, Hash functions for GPU rendering, JCGT 9(3), 2020."""
 
 from __future__ import annotations
 
@@ -49,8 +48,8 @@ def compute_fade(t: Floats) -> Floats:
 
 
 def _compute_lattice_offset(seed: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the offset (4, n) by which each seed moves the noise pattern on the lattice. The lattice has 2**32 points along each
-    axis."""
+    """Return the offset (4, n) on the lattice by which a seed shifts the noise pattern. The lattice has 2**32 points along
+    each axis."""
     zero = np.zeros(seed.shape, np.uint32)
     words = np.stack((seed.astype(np.uint32), (seed >> 32).astype(np.uint32), zero, zero))
     return hash_pcg4d(hash_pcg4d(words)).astype(np.int64)
@@ -63,7 +62,7 @@ def hash_pcg4d(words: UInt32Array) -> UInt32Array:
 
 
 def _mix_words(words: UInt32Array) -> UInt32Array:
-    """Return the four words of each column after one round of multiplications and additions."""
+    """Mix the four words of each column by one round of multiplications and additions."""
     x, y, z, w = words
     x = x + y * w
     y = y + z * x

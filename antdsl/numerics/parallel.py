@@ -1,6 +1,6 @@
-"""Parallel execution of kernels in parts.
+"""Runs kernels in parallel parts.
 
-Each part has enough agents to make a thread worthwhile. Threads wait for work in machine code (`workers`)."""
+Each part has enough agents to be worth a thread. Idle threads wait in machine code (`workers`)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MIN_LIGHT_ITEMS_PER_THREAD = 4_096  # the same for work of a few operations per 
 
 
 def make_contiguous(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """Return the arrays in contiguous form, which most kernels need. Arrays that are not contiguous are copied."""
+    """Return contiguous arrays, which most kernels need. Arrays that are not contiguous are copied."""
     return tuple(np.ascontiguousarray(a) for a in arrays)
 
 
@@ -27,10 +27,9 @@ def run_in_parts(
     work: Callable[[int, int], PartResult], count: int, threads: int, min_part_size: int = MIN_AGENTS_PER_THREAD
 ) -> list[PartResult]:
     """Call `work(begin, end)` over `count` agents, in parallel parts of at least `min_part_size` agents. Return the results in
-    order.
-
-    There are only as many parts as are worthwhile. A kernel (a `partial` of one, without its last two arguments) runs as machine
-    code, in more parts than threads, to balance their load. If another caller uses the threads, all work is done in one part."""
+    order. The number of parts depends on the amount of work. If `work` is a `partial` of a kernel (without its last two
+    arguments), it runs as machine code. To balance the load, there are more parts than threads. If another caller is using the
+    threads, all work is done in one part."""
     if threads < 2 or count < 2 * min_part_size or min(threads, count_available_cores()) < 2:
         return [work(0, count)]
     from antdsl.numerics import workers
@@ -52,7 +51,7 @@ def count_parts(count: int, threads: int, min_part_size: int = MIN_AGENTS_PER_TH
 
 
 def join_parts(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return, for each array [.., n], the values that parallel parts have written, joined into one array.
+    """Join the values that parallel parts have written into each array [.., n]. Return one array for each.
 
     `parts`: for each part, the index of its first value and its number of values; further numbers are ignored."""
     if len(parts) == 1:

@@ -1,7 +1,7 @@
-"""The box of a periodic world: what leaves it on one side enters on the opposite side.
+"""The box of a periodic world. Anything that leaves it on one side re-enters on the opposite side.
 
-An axis that does not wrap has the width 0. Each position has images, one box width apart along each wrapped axis. The difference
-of two positions is that between one and the nearest image of the other."""
+An axis that does not wrap has the width 0. Each position has images, one box width apart along each wrapped axis. The
+difference of two positions is measured to the nearest image."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class PeriodicBox:
         return PeriodicBox((x, y, z), self.widths)
 
     def count_widths(self, points: Floats) -> NDArray[np.int64]:
-        """Return how many widths each of `points` (n, 3) mm lies beyond the box, int64[n, 3]: 0 inside it and on its sides."""
+        """Return how many box widths each of `points` (n, 3) mm lies outside the box, int64[n, 3]; 0 inside and on the sides."""
         counts = np.zeros(points.shape, np.int64)
         for axis in self.axes:
             low, width = self.low[axis], self.widths[axis]
@@ -63,9 +63,9 @@ class PeriodicBox:
         return points + counts * np.array(self.widths) if counts.any() else points
 
     def find_nearest_images(self, offsets: NDArray[Any]) -> NDArray[Any]:
-        """Return by how many widths each of `offsets` (n, 3) mm must move to become the shortest, int64[n, 3].
+        """Return the number of widths to add to each of `offsets` (n, 3) mm so that it becomes shortest, int64[n, 3].
 
-        Exactly half a width stays, in either direction."""
+        It is 0 for offsets of exactly half a width."""
         counts = np.zeros(offsets.shape, np.int64)
         for axis in self.axes:
             half = offsets.dtype.type(self.widths[axis] / 2)
@@ -73,7 +73,7 @@ class PeriodicBox:
         return counts
 
     def list_images(self) -> list[NDArray[np.int64]]:
-        """Return the images next to the box: by how many widths each lies beyond it, int64[3]. The first is the box itself."""
+        """Return all images of the box that touch it, as offsets in widths, int64[3]. The first is the box itself."""
         return [np.array(step, np.int64) for step in product(*((0, -1, 1) if width else (0,) for width in self.widths))]
 
     def find_image_rows(self, position: tuple[NDArray[Any], ...], reach: float) -> tuple[NDArray[np.intp], tuple[Any, ...]]:
@@ -97,8 +97,8 @@ class PeriodicBox:
 def measure_offset(first: NDArray[Any], second: NDArray[Any], width: float) -> NDArray[Any]:
     """Return the nearest image of `first` minus `second` (mm, float32) along one axis. `width` (mm): 0 if it does not wrap.
 
-    The image is chosen by the plain difference. Then its coordinate is computed, and the difference last, so that a grid with
-    images of all agents gives the same bits."""
+    The image is chosen by the plain difference. Then the image's coordinate is computed, and the difference is computed from
+    it. A grid that contains images of all agents thus gives the same bits."""
     offset: NDArray[Any] = first - second
     if not width:
         return offset

@@ -1,5 +1,4 @@
-"""Fast sorting orders of many rows: integers by a radix sort of sixteen bits at a time, and points along a space-filling
-curve."""
+"""Fast sorting of many rows: integers by a radix sort with sixteen bits per pass, and points along a space-filling curve."""
 
 from __future__ import annotations
 
@@ -16,8 +15,8 @@ _DIGIT_BITS = 16  # NumPy uses a radix sort for numbers of this width
 
 
 def sort_stably(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
-    """Return the result of `argsort(keys, kind="stable")` for integers [n] (D. E. Knuth, The Art of Computer Programming 3,
-    5.2.5)."""
+    """Return the same result as `argsort(keys, kind="stable")`, for integers [n] (D. E. Knuth, The Art of Computer Programming
+    3, 5.2.5)."""
     if not keys.size:
         return np.empty(0, np.intp)
     low, high = int(keys.min()), int(keys.max())
@@ -38,8 +37,8 @@ def invert_order(order: NDArray[np.intp]) -> NDArray[np.int32]:
 
 
 def compute_morton_codes(cells: NDArray[np.uint64], threads: int = 1) -> NDArray[np.uint64]:
-    """Return the numbers of cells [n,3] along the curve of G. Morton (1966), which interleaves their bits. 21 bits of each axis
-    count."""
+    """Return the numbers of cells [n,3] along the curve of G. Morton (1966), which interleaves their bits. Only the lowest 21
+    bits of each axis are used."""
     code = np.zeros(len(cells), np.uint64)
     parallel.run_in_parts(
         partial(write_morton_codes, np.ascontiguousarray(cells), code), len(cells), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
@@ -67,7 +66,7 @@ def write_morton_codes(cells: Array2[U64], code: Array1[U64], begin: I64, end: I
 
 @inlined
 def find_lower_bound(keys: Array1[I64], key: I64, first: I64, last: I64) -> I64:
-    """Return how many keys are less than `key`. The binary search is limited to the indices from `first` to `last`."""
+    """Return how many keys are less than `key`. Only the indices from `first` to `last` are searched, by bisection."""
     a, b = first, last
     while a < b:
         middle = (a + b) >> 1
@@ -80,7 +79,7 @@ def find_lower_bound(keys: Array1[I64], key: I64, first: I64, last: I64) -> I64:
 
 @inlined
 def compact_indices(flags: Array1[Any], count: I64) -> I64:
-    """Move the indices of the 1s among the first `count` flags to the front; return how many there are."""
+    """Move the indices of all 1s among the first `count` flags to the front, and return the number of 1s."""
     hits = 0
     for k in range(count):
         flag = flags[k]

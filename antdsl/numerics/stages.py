@@ -1,4 +1,4 @@
-"""The current stage of a set-up. The code that sets up reports its stages, and progress displays listen."""
+"""Reports the current stage of a set-up. The code that sets up a run reports its stages; progress displays listen to them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def begin_stage(description: str) -> None:
 
 @contextmanager
 def report_stages_to(listener: Callable[[str], None]) -> Iterator[None]:
-    """Call `listener` with the words of each stage that this thread begins within the context."""
+    """Call `listener` within the context: once for each stage that this thread begins, with the stage's description."""
     token = _stage_listener.set(listener)
     try:
         yield

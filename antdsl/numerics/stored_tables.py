@@ -1,9 +1,9 @@
 """Tables that are computed from meshes and stored for later runs: plain arrays, keyed by a hash of their inputs.
 
 The inputs are the arrays and numbers that a table is computed from, the sources of the packages that compute it, and NumPy's
-version. Tables are stored like machine code (`object_cache`). They are signed by this user, since kernels trust their row
-numbers, and are never in a folder of a scene. Tables of small meshes are not stored. A table has the same values whether it was
-stored or not."""
+version. Tables are stored like machine code (`object_cache`). They carry a signature of this user, because kernels do not
+check their row numbers. They are never stored in a scene's folder. Tables of small meshes are not stored. A table has the same
+values whether it was stored or not."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def get_or_compute(
     - `name`: the name of the computation, a part of the key
     - `size`: the number of faces of the mesh, or of another `unit`; small results are not stored. 0 for a result that no other
       run needs
-    - `inputs`: all that the result depends on, the other part of the key"""
+    - `inputs`: everything that the result depends on; the other part of the key"""
     global _computed_tables
     key = _compute_key(name, inputs) if size >= MIN_STORED_SIZE else None
     tables = None if key is None else _unpack_tables(_open_store_once().get(key))
@@ -77,7 +77,7 @@ def count_computed_tables() -> int:
 
 
 def reset_store() -> None:
-    """Forget the open store, so that the next use looks up its folder again, as a new process does."""
+    """Close the store, so that the next use looks up its folder again, as in a new process."""
     _open_store_once.cache_clear()
 
 
@@ -116,7 +116,7 @@ def _hash_sources() -> str:
 
 
 def _list_modules() -> Iterator[Path]:
-    """Yield the source files of the packages that compute tables."""
+    """Yield the source files of all packages that compute tables."""
     package = Path(antdsl.__file__).parent
     for folder in _HASHED_PACKAGES:
         yield from sorted((package / folder).rglob("*.py"))
@@ -135,7 +135,7 @@ def _pack_tables(tables: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def _unpack_tables(data: bytes | None) -> Tables | None:
-    """Return the arrays that `_pack_tables` packed; None for None or invalid data."""
+    """Unpack arrays from the bytes of `_pack_tables`; return None for None or invalid data."""
     if data is None:
         return None
     tables: Tables = {}

@@ -1,4 +1,4 @@
-"""Vectors float64 (n, 3), one per row. Sums of three products have one fixed order."""
+"""Functions of vectors in rows, float64 (n, 3). Sums of three products are always added in the same order."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ def make_columns_contiguous(v: Floats) -> Floats:
 
 
 def take_rows(v: Floats, rows: Rows) -> Floats:
-    """Return selected rows (ascending) of vectors, with contiguous components."""
+    """Return the vectors of the given rows (ascending), with contiguous components."""
     if len(rows) == len(v):
         return v
     return v.T.take(rows, axis=1).T
 
 
 def find_rows_in_box(place: Floats, low: Floats, high: Floats) -> Rows:
-    """Return, ascending, the rows of positions [n, 3] that are in a box or on its surface. `low`, `high`: opposite corners
-    [3]."""
+    """Return the numbers, ascending, of the positions [n, 3] that are inside a box or on its surface. `low`, `high`: opposite
+    corners [3]."""
     inside = np.ones(len(place), np.bool_)
     for axis in range(3):
         coordinates = place[:, axis]
@@ -59,16 +59,16 @@ def normalise_or_fallback(v: Floats, fallback: Floats) -> Floats:
 
 
 def compute_unit_tangents(v: Floats, normal: Floats) -> Floats:
-    """Return the components of vectors perpendicular to normals, scaled to unit length."""
+    """Return unit vectors: the components of vectors perpendicular to normals, normalised."""
     flat = v - (v * normal).sum(axis=1)[:, None] * normal
     level: Floats = flat / np.maximum(length(flat), 1e-12)[:, None]
     return level
 
 
 def compute_view_axes(eye: Floats, aim: Floats, up: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the unit axes (3,) of a camera: to the right and the top of its picture, and ahead.
+    """Return three unit axes (3,) of a camera: to the right of its picture, to the top of its picture, and ahead.
 
-    A camera that is aimed at its own position looks along x. `up`: the direction that points to the top."""
+    If it is aimed at its own position, it looks along x. `up`: the direction that points to the top."""
     ahead = normalise_or_fallback(aim - eye, np.array([1.0, 0.0, 0.0]))
     upward = normalise_or_fallback(up, np.array([0.0, 1.0, 0.0]))
     right = np.cross(ahead, upward)

@@ -1,5 +1,5 @@
-"""Vectors by component: three arrays, or one array (3, n). Sums of three products are added in one fixed order, so that every
-machine gives the same bits."""
+"""Functions of vectors that are stored by component: three arrays, or one array (3, n). Sums of three products are added in
+one fixed order, so that every machine gives the same bits."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def subtract(a: VectorComponents, b: VectorComponents) -> VectorArrays:
 
 
 def scale(a: VectorComponents, s: Array | float | np.floating[Any]) -> VectorArrays:
-    """Return vectors multiplied by one number, or by one number each."""
+    """Multiply vectors by one number, or each vector by its own number."""
     return a[0] * s, a[1] * s, a[2] * s
 
 
@@ -48,17 +48,17 @@ def length(a: VectorComponents) -> Array:
 
 
 def select_vectors(condition: Array, a: VectorArrays, b: VectorArrays) -> VectorArrays:
-    """Return the vectors `a` where the condition is true, else `b`."""
+    """Return vectors from `a` where the condition is true, and from `b` elsewhere."""
     return np.where(condition, a[0], b[0]), np.where(condition, a[1], b[1]), np.where(condition, a[2], b[2])
 
 
 def copy(a: VectorArrays) -> VectorArrays:
-    """Return a copy with its own arrays."""
+    """Return a copy of the three arrays."""
     return np.array(a[0]), np.array(a[1]), np.array(a[2])
 
 
 def take_rows(a: VectorComponents, rows: NDArray[np.integer[Any]] | NDArray[np.bool_] | slice) -> VectorArrays:
-    """Return selected vectors: copies, or views for a slice."""
+    """Return the selected vectors: copies, or views if `rows` is a slice."""
     return a[0][rows], a[1][rows], a[2][rows]
 
 

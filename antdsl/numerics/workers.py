@@ -1,8 +1,7 @@
-"""Threads that wait for work in machine code. Starting work costs a few microseconds and takes no lock of the interpreter.
-
-Each is a Python thread that has called machine code (`workers_text`) and returns at the end of the program. A job of kernels
-never enters the interpreter. A job of Python functions takes the interpreter's lock in each thread that joins. If threads cannot
-wait in machine code, an executor of `concurrent.futures` replaces them."""
+"""Worker threads that wait for work in machine code. Starting work takes a few microseconds and does not need the
+interpreter's lock. Each worker is a Python thread that runs a function of machine code (`workers_text`) until the program
+ends. Jobs that consist of kernels never enter the interpreter. For a job of Python functions, each participating thread takes
+the interpreter's lock. If threads cannot wait in machine code, an executor of `concurrent.futures` replaces them."""
 
 from __future__ import annotations
 
@@ -40,8 +39,8 @@ _ENTRY_SIGNATURE = (None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 class WorkerPool:
     """Threads that work in addition to the caller's thread.
 
-    Only one caller can use a pool at a time, the key of `current_caller`. Other callers do not wait for it: each does its work
-    alone."""
+    Only one caller can use a pool at a time; it is the key of `current_caller`. Other callers do not wait, but work without
+    the pool."""
 
     def __init__(self, count: int) -> None:
         code = words.load_code()
@@ -76,7 +75,7 @@ class WorkerPool:
             each.start()
 
     def _run_worker(self, loop: Callable[[int, int, int], None], number: int) -> None:
-        """Run worker `number`: `loop`, its function of machine code, waits for work until the pool ends."""
+        """Run worker `number` until the pool ends. `loop` is its function of machine code that waits for work."""
         set_standard_floats()
         loop(self.address, number, 0)
 
@@ -121,7 +120,7 @@ class WorkerPool:
             self._run_all_function(self.address, 0, 0)
 
     def end_workers(self) -> None:
-        """End the threads, each after its current part. The calling thread of a job does the remaining parts."""
+        """End the threads after the parts they are working on. The calling thread of a job does the remaining parts."""
         self._end_function(self.address, 0, 0)
         for each in self._threads:
             each.join()
@@ -149,7 +148,7 @@ class ExecutorPool:
         self._executor = ThreadPoolExecutor(count, "kernels", set_standard_floats)
 
     def run_calls(self, work: Callable[[int], object], helpers: int) -> None:
-        """Call `work` in this thread and in the executor, as `WorkerPool.do`."""
+        """Call `work` in this thread and in the executor. Same as `WorkerPool.run_calls`."""
         others = [self._executor.submit(work, number) for number in range(1, helpers + 1)]
         try:
             work(0)
@@ -175,7 +174,7 @@ def count_parts(count: int, threads: int) -> int:
 
 
 def run_in_parts(work: Callable[[int, int], PartResult], count: int, threads: int, max_threads: int) -> list[PartResult]:
-    """Run `work` as `parallel.run_in_parts` does, with at most `max_threads` of `threads` threads."""
+    """Run `work` with at most `max_threads` of `threads` threads. Same as `parallel.run_in_parts` otherwise."""
     pool = _get_pool(threads)
 
     def run_parts_in_parallel() -> list[PartResult]:
@@ -227,13 +226,13 @@ def _pull_parts(
 
 
 def run_in_threads(work: Callable[[int], object], threads: int) -> None:
-    """Call `work` in several threads, as `parallel.run_in_threads`."""
+    """Call `work` in several threads. Same as `parallel.run_in_threads`."""
     pool = _get_pool(threads)
     _run_exclusively(pool, lambda: pool.run_calls(work, threads - 1), lambda: work(0))
 
 
 def call_for_each_row(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
-    """Call a function of machine code with each row, as `parallel.call_for_each_row`."""
+    """Call a function of machine code with each row. Same as `parallel.call_for_each_row`."""
     pool = _get_pool(threads)
 
     def call_in_order() -> None:
@@ -272,7 +271,7 @@ def _get_pool(threads: int) -> WorkerPool | ExecutorPool:
 
 
 def _forget_pools() -> None:
-    """Forget the pools in a forked process, which has none of their threads."""
+    """Discard all pools in a forked process, because their threads do not exist there."""
     global _POOL_LOCK
     _pool_by_threads.clear()
     _POOL_LOCK = Lock()
@@ -307,7 +306,7 @@ def _make_locked_lock() -> int:
 
 @cache
 def _measure_spin_turns() -> int:
-    """Return the number of iterations for which a thread without work spins before it blocks."""
+    """Measure for how many iterations a thread without work should spin before it blocks."""
     wait, buffer = words.load_code().function("turns"), np.zeros(1, np.int64)
     spent = []
     for _ in range(3):

@@ -1,4 +1,4 @@
-"""Paths of agents in a cache: their positions in the frames before and after a frame.
+"""Paths of agents in a cache: their positions in the frames around a given frame.
 
 This module also finds the rows of agents in the next frame, for motion blur."""
 
@@ -26,7 +26,7 @@ _READ_ARRAYS = frozenset(("P", "orient", "pscale", *IDENTITY_ARRAYS))
 
 @dataclass(frozen=True, slots=True)
 class PathWindow:
-    """The time before and after a frame that a path covers, in seconds."""
+    """The time span of a path before and after a frame, in seconds."""
 
     seconds_before: float = 1.0
     seconds_after: float = 2.0
@@ -44,7 +44,8 @@ class PathWindow:
 
 
 class AgentPaths:
-    """Reader of agents' paths in the frames around a picture. Each frame is read only once if the requested frames ascend."""
+    """Reads the paths of agents in the frames around a picture. Each frame is read only once if frames are requested in ascending
+    order."""
 
     def __init__(self, cache: Cache, dt: float, window: PathWindow) -> None:
         self._cache, self._window = cache, window
@@ -93,7 +94,7 @@ class AgentPaths:
 
 
 def match_agents(crowd: Crowd, next_crowd: Crowd) -> Crowd:
-    """Return the agents of `crowd`, in their order, with the values that they have in `next_crowd`. Both crowds must have ids.
+    """Return the agents of `crowd`, in the same order, with their values from `next_crowd`. Both crowds must have ids.
 
     The order of `next_crowd` may differ. Agents missing in `next_crowd` keep the values of `crowd`."""
     own, ids = np.asarray(crowd.ids), np.asarray(next_crowd.ids)

@@ -1,4 +1,4 @@
-"""Removes regions with a constant condition, or replaces them by their statements."""
+"""Removes regions with a constant condition: a false region is dropped, a true one is replaced by its statements."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ def fold_regions(plan: Plan) -> Plan:
     """Return an equivalent plan. Regions with a false condition are removed. Regions with a true condition are replaced by their
     statements.
 
-    No constants are computed here: the PlanBuilder has done so for all nodes."""
+    This pass computes no constants, because the PlanBuilder has already computed them."""
     return replace_blocks(plan, lambda species, block: _fold_block(species, block))
 
 

@@ -1,9 +1,10 @@
-"""Moves factors that are equal for all pairs of an agent out of the pairs. Shares factors that are equal for x, y and z.
+"""Moves factors that are equal for all pairs of an agent out of the computation per pair. Computes factors common to x, y and z
+once.
 
 A product within a set becomes component * (scalars of the pair * (factors of the agent)). The inner bracket is computed once per
-agent. The outer bracket is computed once per pair instead of once per component.
-A division by an agent's value counts as a factor. A sign moves outside, even outside of a sum. The last bit of a result may
-change. Every backend runs the resulting plan, so all backends still agree."""
+agent. The outer bracket is computed once per pair instead of once per component. Division by an agent's value is treated as a
+factor. A sign moves to the outside, even out of a sum. The last bit of a result may change. Every backend runs the resulting
+plan, so all backends still give equal results."""
 
 from __future__ import annotations
 
@@ -20,12 +21,13 @@ _PAIR_OPERATIONS = frozenset(("pair.x", "pair.y", "pair.z", "other"))
 def hoist_factors(plan: Plan, tracked_nodes: dict[PlanNode, PlanNode] | None = None) -> Plan:
     """Return the plan with products and quotients per pair reordered, so that factors of the agent are computed once per agent.
 
-    `tracked_nodes`: as in `rebuild_plan`."""
+    `tracked_nodes`: see `rebuild_plan`."""
     return rebuild_plan(plan, _reorder_product, tracked_nodes)
 
 
 def _reorder_product(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> PlanNode | None:
-    """Return a cheaper node in place of an operation per pair, or None to leave it unchanged. Arguments: as in `NodeMaker`."""
+    """Return a cheaper node for an operation per pair, or None to leave the operation unchanged. For the arguments, see
+    `NodeMaker`."""
     if op == "reduce.sum" and args[2].op == "neg":  # exact, because rounding to a multiple is symmetric about zero
         return b("neg", b("reduce.sum", *args[:2], args[2].args[0], attrs=attrs))
     if op == "div" and _is_computed_per_pair(args[0]) and not _is_computed_per_pair(args[1]):
@@ -48,7 +50,7 @@ def _build_product(b: PlanBuilder, args: tuple[PlanNode, ...]) -> PlanNode:
 
 
 def _collect_factors(args: tuple[PlanNode, ...]) -> tuple[list[PlanNode], bool]:
-    """Return the factors of the operands, from left to right, and whether the number of negations among them is odd."""
+    """Return the factors of the operands, from left to right. Also return whether the number of negations among them is odd."""
     factors: list[PlanNode] = []
     negative = False
     stack = list(reversed(args))

@@ -1,4 +1,4 @@
-"""Merges two successive regions with the same condition, so that their agents are collected once."""
+"""Merges two successive regions with the same condition, so that the agents for which it holds are collected only once."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from antdsl.plan.verify import find_written_registers
 
 
 def merge_regions(plan: Plan) -> Plan:
-    """Return a plan with merged regions and equal effects. Regions with the same condition node are not merged if the first one
-    writes a register that the condition reads."""
+    """Return an equivalent plan with merged regions. Two regions are not merged if the first writes a register that the
+    condition reads."""
     return replace_blocks(plan, lambda species, block: _merge_in_block(species, block))
 
 

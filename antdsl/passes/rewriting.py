@@ -1,4 +1,4 @@
-"""Builds a plan again: every node by a new PlanBuilder, which folds constants and shares nodes, and a copy of every statement."""
+"""Builds a plan again. A new PlanBuilder makes every node, folds constants and shares equal nodes. Every statement is copied."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def replace_blocks(plan: Plan, change_block: Callable[[SpeciesPlan, Block], Bloc
 
 
 def rebuild_plan(plan: Plan, make_node: NodeMaker | None = None, tracked_nodes: dict[PlanNode, PlanNode] | None = None) -> Plan:
-    """Return an equivalent plan with only the nodes that are needed: simplified, shared and numbered without gaps.
+    """Return an equivalent plan that has only the needed nodes. They are simplified, shared and numbered without gaps.
 
     - `make_node`: returns another node for an operation, or None for no change. The operands are already rebuilt.
     - `tracked_nodes`: nodes of the plan, or outside it, that must not be removed. On return, each is mapped to its new node."""
@@ -54,7 +54,7 @@ def rebuild_plan(plan: Plan, make_node: NodeMaker | None = None, tracked_nodes: 
 
 
 def _renumber_nodes(plan: Plan, tracked_nodes: dict[PlanNode, PlanNode]) -> Plan:
-    """Return the plan without the unused nodes that folding leaves. A new PlanBuilder made all nodes, so no two nodes are
+    """Return the plan without the unused nodes that remain after folding. A new PlanBuilder made all nodes, so no two nodes are
     equal."""
     new: dict[PlanNode, PlanNode] = {}
     for number, node in enumerate(collect_required_nodes([*list_root_nodes(plan), *tracked_nodes.values()])):

@@ -1,4 +1,5 @@
-"""Splits conditions, so that the expensive half is evaluated only for agents for which the cheap half holds."""
+"""Splits conditions into a cheap and an expensive part. The expensive part is evaluated only for agents for which the cheap part
+holds."""
 
 from __future__ import annotations
 
@@ -8,8 +9,8 @@ from antdsl.plan.traverse import collect_required_nodes
 
 
 def split_conditions(plan: Plan) -> Plan:
-    """Replace each `where cheap and expensive:` by two nested regions. Return the new plan. Only the conditions of the inner
-    region need a sense."""
+    """Replace each `where cheap and expensive:` by two nested regions. Return the new plan. Only the inner region's conditions
+    need a sense."""
     return replace_blocks(plan, lambda species, block: _split_in_block(species, block))
 
 
@@ -35,7 +36,7 @@ def _split_statement(species: SpeciesPlan, statement: PlanStatement) -> PlanStat
 
 
 def _split_conjunction(condition: PlanNode) -> list[PlanNode]:
-    """Return the conditions that a condition joins by `and`, in order."""
+    """Return the parts of a condition that `and` joins, in order."""
     conditions: list[PlanNode] = []
     stack = [condition]
     while stack:

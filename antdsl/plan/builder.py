@@ -1,4 +1,5 @@
-"""Builds plan nodes. It checks operands against the table, folds constants, and returns the same object for equal operations."""
+"""Builds plan nodes. It checks operands against the table of operations, folds constants, and returns the same object for equal
+operations."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ _REGISTER_OPERATIONS = frozenset(("snap", "load", "other", "agent.get", "item.ge
 
 
 class PlanError(AssertionError):
-    """Error for a plan that breaks the rules of plans. The cause is an error in antdsl, never in the author's program."""
+    """Error for a plan that breaks the rules of plans. The cause is a bug in antdsl, not the author's program."""
 
 
 def find_operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> str | None:
@@ -53,7 +54,7 @@ def _find_operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any,
 
 
 def infer_result_kind(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...], kind: ValueKind | None) -> ValueKind:
-    """Return the kind of the result of an operation. An operation that reads a register has the kind `kind`."""
+    """Return the kind of an operation's result. For an operation that reads a register, this is `kind`."""
     if op in _REGISTER_OPERATIONS:
         return kind or ValueKind.F32
     if op == "where":
@@ -78,7 +79,7 @@ def infer_result_rate(op: str, args: tuple[PlanNode, ...]) -> UpdateRate:
 
 
 class PlanBuilder:
-    """Builds the list of all nodes of a plan, without equal nodes. `span`: the source location of the next nodes."""
+    """Builds the list of all nodes of a plan, without duplicates. `span`: the source location for the next nodes."""
 
     def __init__(self) -> None:
         self.nodes: list[PlanNode] = []
@@ -116,11 +117,11 @@ class PlanBuilder:
         return self.true if x else self.false
 
     def add_row(self, index: int) -> PlanNode:
-        """Return a constant I32 node with a state index or an item row."""
+        """Return the node of an I32 constant, which is a state index or an item row."""
         return self("const.i32", attrs=(int(index),))
 
     def add_agent_id(self, x: int) -> PlanNode:
-        """Return the node of an I64 constant: the id of an agent."""
+        """Return the node of an I64 constant, which is the id of an agent."""
         return self("const.i64", attrs=(int(x),))
 
     def add_constant(self, kind: ValueKind, value: float | int | bool = 0) -> PlanNode:

@@ -33,7 +33,7 @@ class ValueKind(Enum):
 
 
 class UpdateRate(IntEnum):
-    """How often a node is computed; a higher rate means more often."""
+    """How often a node is computed. A higher rate means more often."""
 
     CONST = 0
     RUN = 1
@@ -190,7 +190,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class If:
-    """A region: its statements apply to the agents for which the condition holds. A NaN condition does not hold."""
+    """A region. Its statements apply to the agents for which the condition holds. A NaN condition does not hold."""
 
     condition: PlanNode
     body: Block
@@ -212,9 +212,9 @@ class Store:
 class Claim:
     """Claim of an amount from an attribute of an item or, if `item` is None, from the agent's cell of the field `target`.
 
-    `amount`: None claims all that remains. Claims are resolved after the block `decide`, in the order of a random draw and the
-    id, while enough remains. `won_register`: the BOOL register that is set for agents with a successful claim. `register`: the
-    register of the agent to which the amount is added; None: no register."""
+    `amount`: None claims all that remains. After `decide`, claims are granted in random order (ties by id) as long as enough
+    remains. `won_register`: the BOOL register that is set for agents with a granted claim. `register`: the register of the agent
+    to which the amount is added; None: no register."""
 
     target: str
     attribute: str
@@ -228,8 +228,8 @@ class Claim:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Give:
-    """Transfer of an amount from the agent's register `register` to an item's attribute, which has it in the next step.
-    `amount`: None gives all. A greater amount than the value of `register` is reduced to this value."""
+    """Transfer of an amount from the agent's register `register` to an item's attribute, which receives it in the next step.
+    `amount`: None gives all. The amount is capped at the value of `register`."""
 
     items: str
     attribute: str

@@ -17,16 +17,16 @@ _ID_BYTES = 8  # bytes of the other agent's id in a slot
 
 
 def find_written_register(statement: ir.PlanStatement) -> str | None:
-    """Return the register to which a statement assigns a value; None for a statement without one."""
+    """Return the register to which a statement assigns a value. Return None if there is none."""
     if isinstance(statement, ir.Store):
         return statement.register
     return statement.register if isinstance(statement, ir.Give) else None
 
 
 def find_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
-    """Return loads that must run before their first use, by the statement that they must precede.
+    """Return the loads that must run before their first use, grouped by the statement that they must precede.
 
-    A place is the index of a statement in each block around it, outermost first."""
+    A statement's position is its index in each block around it, outermost first."""
     read_paths: dict[ir.PlanNode, list[tuple[int, ...]]] = {}
     stores: dict[str, list[tuple[int, ...]]] = {}
     for path, statement in iterate_with_positions(block):
@@ -61,7 +61,8 @@ def number_statements(species: ir.SpeciesPlan) -> dict[ir.PlanStatement, int]:
 
 
 def find_cacheable_senses(species: ir.SpeciesPlan) -> tuple[ir.PlanNode, ...]:
-    """Return the shared senses with one value for the complete step, because no statement writes a register that they read."""
+    """Return the shared senses that have the same value during the complete step, because no statement writes a register that
+    they read."""
     return tuple(node for node in species.memoised_senses if all(part.op != "load" for part in collect_required_nodes((node,))))
 
 
@@ -79,13 +80,14 @@ def count_bytes_by_purpose(species: SpeciesPlan) -> dict[str, int]:
 
 
 def list_slot_register_names(name: str, count: int) -> list[tuple[str, str]]:
-    """Return the two registers of each slot of a pair value: the other agent's id (I64, -1 for a free slot) and the value
-    (F32)."""
+    """Return the two registers of each slot of a pair value. They store the other agent's id (I64, -1 for a free slot) and the
+    value (F32)."""
     return [(f"{name}|{k}.id", f"{name}|{k}") for k in range(count)]
 
 
 def find_pair_values(registers: Iterable[str]) -> dict[str, list[tuple[str, str]]]:
-    """Return the pair values among the registers of a species, by name: for each slot, the registers of its id and its value."""
+    """Return the pair values among a species' registers, by name. Each has, for each slot, the registers of the id and the
+    value."""
     counts: dict[str, int] = {}
     for register in registers:
         name, slot, number = register.partition("|")

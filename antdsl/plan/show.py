@@ -1,4 +1,4 @@
-"""Prints a plan for people: the statements of each species at birth and in the phases of a step."""
+"""Formats a plan as text for people: the statements of each species at birth and in the phases of a step."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def _join_axes(names: list[str]) -> list[str]:
 
 
 def _format_cost(nodes: list[PlanNode]) -> str:
-    """Return a text with the numbers of operations per step, per agent and per pair, and of senses."""
+    """Return a text with the number of operations per step, per agent and per pair, and the number of senses."""
     work = [n for n in nodes if n.op not in _LEAF_OPERATIONS]
     plain = [n.rate for n in work if n.op not in SENSE_OPERATIONS and n.op != "get"]
     count = Counter("pair" if rate is UpdateRate.PAIR else "agent" if rate is UpdateRate.AGENT else "step" for rate in plain)

@@ -1,8 +1,8 @@
-"""Safe algebra on one operation: computes results that are known, and removes operations without effect.
+"""Simplifies single operations: computes known results, and removes operations without effect.
 
-A rewrite must give the same value for every operand, including NaN and infinity; only the sign of a zero may change.
-Constants are float32 with the same bits that backends compute: a float64 result rounded once more. Double rounding is harmless
-for + - * / and the square root, since 53 >= 2 * 24 + 2. The source is Figueroa, "When is double rounding innocuous?", 1995."""
+A rewrite must give the same value for every operand, including NaN and infinity; only the sign of a zero may change. Constants
+are float32 with the same bits that backends compute: a float64 result rounded once more. Double rounding is harmless for + - * /
+and the square root, since 53 >= 2 * 24 + 2. The source is Figueroa, "When is double rounding innocuous?", 1995."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ PHASES = ("born", "decide", "act", "blend")
 
 
 def list_operands(statement: PlanStatement) -> tuple[PlanNode, ...]:
-    """Return the nodes that a statement itself uses."""
+    """Return the nodes that a statement uses directly."""
     match statement:
         case If():
             return (statement.condition,)
@@ -46,8 +46,8 @@ def iterate_statements(block: Block) -> Iterator[tuple[Block, PlanStatement]]:
 
 
 def iterate_with_positions(block: Block, path: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], PlanStatement]]:
-    """Yield the place of each statement, in order, and the statement. A place is the index in every block around the statement,
-    outermost first."""
+    """Yield the position of each statement, and the statement, in order. A position has the index in each block around the
+    statement, outermost first."""
     for k, statement in enumerate(block.statements):
         yield (*path, k), statement
         if isinstance(statement, If):
@@ -60,7 +60,8 @@ def list_blocks(species: SpeciesPlan) -> tuple[tuple[str, Block], ...]:
 
 
 def collect_required_nodes(roots: Iterable[PlanNode]) -> list[PlanNode]:
-    """Return the nodes `roots` and all nodes that they require, each once. Operands come before operations."""
+    """Return the nodes `roots` and all nodes that they require, without duplicates. Operands come before the operations that use
+    them."""
     nodes_by_number: dict[int, PlanNode] = {}
     stack = list(roots)
     while stack:
@@ -77,7 +78,7 @@ def list_field_nodes(field: FieldPlan) -> tuple[PlanNode, ...]:
 
 
 def list_root_nodes(plan: Plan) -> list[PlanNode]:
-    """Return every node that the plan uses outside of the operands of other nodes."""
+    """Return every node that the plan uses other than as an operand of another node."""
     nodes: list[PlanNode] = []
     for species in plan.species.values():
         for _, block in list_blocks(species):

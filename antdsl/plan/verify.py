@@ -56,7 +56,7 @@ def verify_plan(plan: Plan) -> None:
 
 
 def _check_nodes(plan: Plan) -> Iterator[str]:
-    """Check that each node matches the table of operations, follows its operands, and is in the plan's list of nodes."""
+    """Check that each node matches the table of operations, comes after its operands, and is in the plan's list of nodes."""
     known = set(plan.nodes)
     for node in list_root_nodes(plan):
         if node not in known:
@@ -128,7 +128,7 @@ def _check_elements(plan: Plan, reduction: PlanNode) -> Iterator[str]:
 
 
 def _iterate_pair_nodes(nodes: tuple[PlanNode, ...]) -> Iterator[PlanNode]:
-    """Yield the nodes at pair rate that belong to this reduction and not to a reduction inside it."""
+    """Yield the nodes at pair rate that belong to this reduction itself, not to a reduction inside it."""
     stack, visited = list(nodes), set()
     while stack:
         node = stack.pop()
@@ -206,7 +206,7 @@ def _check_statement(plan: Plan, species: SpeciesPlan, statement: PlanStatement)
 
 
 def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iterator[str]:
-    """Check that a request matches its row and that the names in it exist."""
+    """Check that a request matches its row in the table of effects, and that the names in it exist."""
     row = EFFECT_BY_OPERATION.get(statement.op)
     if row is None:
         yield f"no effect {statement.op}"
@@ -228,7 +228,7 @@ def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iter
 
 
 class _RegisterLoadState:
-    """What the check of the order of loads knows at a place in a block.
+    """The loads and stores that the check has found up to a position in a block.
 
     `version`: by register, the number of stores before its last load. `stale_registers`: the registers with a store after their
     last load."""

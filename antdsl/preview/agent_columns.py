@@ -1,4 +1,4 @@
-"""Arrays of the agents of one species for the page, sorted by id, under their names in packets."""
+"""Per-agent arrays of one species for the page, sorted by id, under their names in packets."""
 
 from __future__ import annotations
 

@@ -126,11 +126,11 @@ class LiveSimulation:
         self._enqueue_item(request, client)
 
     def add_client(self, client: Client) -> None:
-        """Send a page the complete state, and all updates from then on."""
+        """Add a page as client: send the complete state now, and all updates from then on."""
         self._enqueue_item("join", client)
 
     def remove_client(self, client: Client) -> None:
-        """Send no more updates to a page."""
+        """Remove a page from the clients, so that it gets no more updates."""
         self._enqueue_item("leave", client)
 
     def _enqueue_item(self, item: AnyRequest | str, client: Client) -> None:

@@ -52,7 +52,7 @@ def drop_cascading_errors(report: Report, skipped_spans: Iterable[Span]) -> Repo
 
 
 def add_all_locations(report: Report, repeated_spans: Mapping[Span, Sequence[Span]]) -> Report:
-    """Return the report in which a finding about the first of several spans lists the other spans too."""
+    """Return the report in which each finding about several spans has labels for all of them, not only for the first."""
     return Report(
         [
             replace(d, labels=_make_labels_of_all_spans(d, repeated_spans)) if d.span in repeated_spans else d
@@ -62,7 +62,7 @@ def add_all_locations(report: Report, repeated_spans: Mapping[Span, Sequence[Spa
 
 
 def merge_repeated_findings(report: Report) -> Report:
-    """Return the report with one finding in place of several with equal messages in one file. It lists all spans."""
+    """Return the report in which several findings with equal messages in one file are merged into one. It lists all spans."""
     groups: dict[tuple[str, str, str], list[Diagnostic]] = {}
     for each in report.diagnostics:
         groups.setdefault((each.code, each.message, each.span.source.path if each.span else ""), []).append(each)
@@ -84,7 +84,7 @@ def _make_labels_of_all_spans(diagnostic: Diagnostic, repeated_spans: Mapping[Sp
 
 
 def _make_labels_of_repetitions(others: Sequence[Span]) -> list[Label]:
-    """Return labels for the other spans of a finding. The last label counts the spans beyond `_MAX_LISTED_LOCATIONS`."""
+    """Return labels for the other spans of a finding. The last label says how many spans exceed `_MAX_LISTED_LOCATIONS`."""
     left = len(others) - _MAX_LISTED_LOCATIONS
     labels = [Label(span, "and here") for span in others[:_MAX_LISTED_LOCATIONS]]
     if left > 0:
@@ -129,7 +129,7 @@ def _add_unread_lines(unread_lines: _UnreadLines, span: Span) -> None:
 def _is_cascading_error(
     diagnostic: Diagnostic, unread_by_source: dict[Source, _UnreadLines], suggestions: set[tuple[Source, str | None]]
 ) -> bool:
-    """Return whether a finding follows from an unparsed line or from a misspelling that is reported."""
+    """Return whether a finding follows from an unparsed line or from a misspelling that is already reported."""
     if diagnostic.span is None:
         return False
     if diagnostic.code in _MISSING_PART_CODES and (word := _FIRST_WORD_PATTERN.search(diagnostic.help or "")):

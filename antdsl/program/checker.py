@@ -35,13 +35,13 @@ def check(
     strict: bool = False,
     memo: CheckResultCache | None = None,
 ) -> tuple[model.Program, Report]:
-    """Check names, types, units and rates of one or more files, and everything else that is decidable without a run.
+    """Check everything about the files of a program that can be decided without a run, such as names, types, units and rates.
 
     - `library`: returns the file behind `use NAME`, or None.
     - `modules`: the files behind `use "PATH" as NAME`, by `Source.path` or by the path as in the text.
-    - `strict`: adds warnings about legal code that depends on the number of frames per second.
-    - `memo`: supplies results of an earlier check for unchanged parts.
-    If the report has errors, the program can be inspected but not lowered."""
+    - `strict`: whether to warn about legal code that depends on the number of frames per second.
+    - `memo`: supplies results of an earlier check for unchanged parts. If the report has errors, the program can be inspected
+      but not lowered."""
     files = [files] if isinstance(files, nodes.File) else list(files)
     report = Report()
     declared = Declarations(TYPING_RULES, report, strict, memo=memo)
@@ -105,12 +105,13 @@ def _run_check(context: CheckContext, check_function: Check, report: Report) -> 
 
 
 def _restrict_to_state(species: model.Species, machine: model.Machine, state: model.State) -> model.Species:
-    """Return the species with this machine and state only, and without layers, for a check of one state."""
+    """Return the species with only this machine and state, and without layers. It is used to check one state."""
     return replace(species, machines=(replace(machine, states=(state,)),), layers=replace(species.layers, layers=()))
 
 
 def _convert_to_file_spans(loader: FileLoader, report: Report, skipped_spans: Sequence[Span]) -> tuple[Report, list[Span]]:
-    """Return the report and the skipped spans. Their locations in separately parsed parts become locations in complete files."""
+    """Return the report and the skipped spans, in which locations in separately parsed parts are converted to locations in
+    complete files."""
     files = {part: file.node for file in loader.known.values() for part in file.node.parts}
     if not files:
         return report, list(skipped_spans)
@@ -191,7 +192,7 @@ def _check_spec_names(declarations: Declarations, file: FileNames) -> None:
 
 
 def _find_used_modules(names: Sequence[FileNames]) -> list[FileNames]:
-    """Return the names of each file that another file uses by its path. Each file occurs once."""
+    """Return the names of each file that another file uses by its path, without duplicates."""
     modules: dict[int, FileNames] = {}
     stack = list(names)
     while stack:
@@ -203,8 +204,8 @@ def _find_used_modules(names: Sequence[FileNames]) -> list[FileNames]:
 
 
 def _check_behaviours(declarations: Declarations, names: Sequence[FileNames]) -> None:
-    """Check the behaviours of the program's own files, also those that no code calls. Library behaviours are checked when they
-    are called."""
+    """Check the behaviours of the program's own files, even if no code calls them. Library behaviours are checked when they are
+    called."""
     for file in names:
         for info in file.own_behaviours.values():
             check_behaviour(declarations, info)

@@ -1,6 +1,6 @@
-"""Estimates the cost of a program in each state from its senses, fields, draws and sums. Each has a rough weight.
+"""Estimates the cost of each state of a program from its senses, fields, draws and sums. Each of them has an approximate weight.
 
-The estimate compares states before a run. Nothing is measured."""
+The estimate serves to compare states before a run. Nothing is measured."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ _TAKE_COST = UseCost(40, "takes {thing}")
 class CostEntry:
     """One use of a sense, field or draw.
 
-    `kind`: senses, fields or draws. `description`: a text about the use with its count per step, from its row in the tables.
+    `kind`: "senses", "fields" or "draws". `description`: a text that describes the use and its count per step, from its row in
+    the tables.
     `weight`: the total weight; one addition has the weight 1."""
 
     kind: str  # senses, fields or draws
@@ -93,7 +94,7 @@ def _count_uses(program: model.Program, root: object) -> tuple[tuple[CostEntry, 
 
 
 def _find_ids_inside_sets(root: object) -> set[int]:
-    """Return the `id()` of each part of the program that is computed for each member of a set."""
+    """Return the `id()` of each part of the program that is computed once per member of a set."""
     return {
         id(inner)
         for part in iterate_parts(root)
@@ -139,7 +140,7 @@ def _make_cost_entries(part: object) -> Iterable[CostEntry]:
 
 
 def _make_entry(cost: UseCost, thing: str, args: tuple[model.Expr | None, ...] = (), op: str = "") -> CostEntry:
-    """Return the entry of a use, with count, thing and distance as its row describes."""
+    """Return the entry of a use. It has the count, thing and distance that its row describes."""
     count = 1
     if cost.multiplier_index is not None:
         times = args[cost.multiplier_index] if len(args) > cost.multiplier_index else None

@@ -1,4 +1,5 @@
-"""Data classes of checked specs and measures: expectations and their times, and expressions that only these can have."""
+"""The classes of checked specs and measures: expectations and their times, and expressions that only specs and measures can
+have."""
 
 from __future__ import annotations
 
@@ -65,7 +66,7 @@ class Measure:
 
 @expression_class
 class BodyMeasure(Expr):
-    """A value of an agent's pose, by its name in GEOMETRY_MEASURES. Agents themselves do not sense it."""
+    """A value that is measured from an agent's pose, by its name in GEOMETRY_MEASURES. Agents themselves do not sense it."""
 
     name: str
 
@@ -94,7 +95,7 @@ class ExpectationReading:
 
 @expression_class
 class Goal:
-    """A number that a run should reach at its end. `tolerance`: the accepted share of the target by which it may differ."""
+    """A number that a run should reach at its end. `tolerance`: the accepted difference, as a fraction of the target."""
 
     value: Expr
     target: Expr
@@ -108,8 +109,8 @@ class Expectation:
     - `kind`: always, never, eventually, finally, sooner, within, for or until.
     - `block_number`: the number of its `each` block from 1; 0 outside of such blocks.
     - `species`: the species of which each agent is judged separately; None for the complete run.
-    - `is_at_end`: it uses a measure that is known only at the end of the run.
-    - `hold_time`: the condition counts after it has held for this time.
+    - `is_at_end`: whether it uses a measure that is known only at the end of the run.
+    - `hold_time`: how long the condition must have held before it counts.
     - `start_condition`: the time starts whenever this condition becomes true.
     - `goal`: of a `goal`, which is judged like a `finally`."""
 
@@ -137,7 +138,7 @@ class SpecChange:
 
 @expression_class
 class ComparisonRun:
-    """The run that a spec compares its own run with.
+    """The reference run with which a spec compares its own run.
 
     `scene`: its scene, if it is not the scene of the spec. `changes`: its `set` lines, in addition to those of the spec."""
 
@@ -148,7 +149,7 @@ class ComparisonRun:
 
 @expression_class
 class Spec:
-    """A checked spec. `pass_share`: the share of the seeds that must pass, from 0 to 1. `reference_run`: the reference run, if
+    """A checked spec. `pass_share`: the fraction of seeds that must pass, from 0 to 1. `reference_run`: the reference run, if
     there is one."""
 
     name: str

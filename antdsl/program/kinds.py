@@ -18,7 +18,7 @@ class Dimension(NamedTuple):
 
 
 class TypeKind(Enum):
-    """The kind of a type. The kinds of things of the world are members too."""
+    """The kind of a type. This includes the kinds of things of the world."""
 
     _ignore_ = "word row"
     NUMBER = "number"

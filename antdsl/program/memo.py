@@ -1,4 +1,5 @@
-"""Cache of results about parts of a program, for the next check of an edited program. An editor checks at every key press."""
+"""A cache of results about parts of a program. The next check of an edited program uses it, because an editor checks at every
+key press."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ _PartKey = tuple[tuple[Any, ...], int]  # the inputs of a part, and the number o
 
 
 def get_or_compute_part(declarations: Declarations, key: tuple[Any, ...], compute: Callable[[], T]) -> T:
-    """Return the cached result of an earlier check if there is one; otherwise compute it by `compute`.
+    """Return the cached result of an earlier check if there is one. Otherwise, compute it by calling `compute`.
 
     `key`: all inputs of `compute`, except `declarations.outside`."""
     return (
@@ -55,9 +56,10 @@ class _CachedPart:
 
 
 class _UnknownNames(dict[tuple[str, ...], list[Span]]):
-    """The spans of each unknown name that was reported, by kind and name.
+    """The spans of all unknown names that were reported, by kind and name.
 
-    `has_omitted_finding`: whether a part omitted a finding because of an earlier one. Its result must not be cached."""
+    `has_omitted_finding`: whether a finding about a part was omitted because of an earlier one. The result of such a part must
+    not be cached."""
 
     has_omitted_finding = False
 
@@ -68,7 +70,7 @@ class _UnknownNames(dict[tuple[str, ...], list[Span]]):
 
 
 class CheckResultCache:
-    """Cached check results for parts of a program, by the inputs of each check.
+    """Cached check results for parts of a program. The keys are the inputs of each check.
 
     After a complete check, entries that it did not use are removed."""
 

@@ -1,6 +1,6 @@
 """The checked program: every name resolved, every expression with its type and rate, every behaviour call expanded.
 
-Only `check` makes these values. They are frozen, compare by identity, and have a Span."""
+Only `check` makes these values. They are immutable, compare by identity, and have a Span."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class FaceLine:
 @expression_class
 class Assign:
     """An assignment. `op` is `=`, `+=` or `-=`.
-    - `per_second`: the added value is a rate, to be multiplied by dt. This applies in the body of a state.
+    - `per_second`: whether the added value is a rate, to be multiplied by dt. This is so in the body of a state.
     - `pair_agent`, `other_agents`, `element`: for a pair value, the other agent, or the set of others and the name bound to
       each."""
 
@@ -76,7 +76,7 @@ class EffectRequest:
     """A request to `target`, as the row `op` of `antdsl.program.tables.effects` defines.
     - `args`: the row's `numbers` in order; None if absent.
     - `result_attribute`: the agent's attribute to which the result is added.
-    - `per_second`: the first of `args` is a rate, to be multiplied by dt.
+    - `per_second`: whether the first of `args` is a rate, to be multiplied by dt.
     - `draw_key`: the site of its random numbers."""
 
     op: str
@@ -103,9 +103,9 @@ class Give:
 class Play:
     """Plays a clip as long as the state lasts.
     - `group`: the transform group that the clip moves; "" for all joints.
-    - `speed`: the factor on the clip's own speed (None: 1). `weight`: the share of the clip in the pose (None: 1).
+    - `speed`: the factor on the clip's own speed (None: 1). `weight`: the weight of the clip in the pose, 0 to 1 (None: 1).
     - `restart_condition`: if this holds as an agent enters the state, the clip restarts.
-    - `is_additive`: the clip is added to other clips that play.
+    - `is_additive`: whether the clip is added to the other clips that play.
     - `blend_clips`: the clips for turning left, turning right, going up and going down; "" if absent."""
 
     clip: str
@@ -158,7 +158,7 @@ Statement = Steer | FaceLine | Assign | EffectRequest | Give | Play | Wear | Cha
 class Take:
     """Takes an amount from an item or a field. `source` has type ITEM, or FIELD for the cell below the agent's feet.
     - `amount`: None takes all.
-    - `attribute`: where the amount goes; None: an amount from a field disappears."""
+    - `attribute`: the attribute that receives the amount. If None, an amount from a field disappears."""
 
     attribute: str | None
     amount: Expr | None
@@ -195,7 +195,7 @@ class State:
     """A state of a machine.
 
     - `label`: the display name. `colour`: the display colour, RGB from 0 to 1.
-    - `min_duration`: the time for which an agent stays at least; None: no time.
+    - `min_duration`: the shortest time for which an agent stays; None for no limit.
     - `enter`, `exit`: the actions as an agent enters or leaves the state. `body`: the statements of each step."""
 
     name: str
@@ -378,7 +378,7 @@ class Field:
 
 @expression_class
 class Program:
-    """The program of all files together. Agents may meet agents of a species that another file declares."""
+    """The program that all files form together. Agents may interact with agents of a species that another file declares."""
 
     species: dict[str, Species]
     world: dict[str, WorldThing]

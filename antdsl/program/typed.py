@@ -11,7 +11,7 @@ from antdsl.source import Span
 
 @dataclass_transform(eq_default=False, frozen_default=True)
 def expression_class(cls: type) -> type:
-    """Make a class of expressions a frozen dataclass with slots. Its objects compare by identity."""
+    """Make a class of expressions an immutable dataclass with slots. Its objects compare by identity."""
     return dataclass(frozen=True, slots=True, eq=False, repr=False)(cls)
 
 
@@ -42,7 +42,7 @@ class NoneRef(Expr):
 
 @expression_class
 class StateConstant(Expr):
-    """A state, as its index in its machine."""
+    """A state, stored as its index in its machine."""
 
     machine: str
     index: int

@@ -33,10 +33,10 @@ REFUSAL_CODES: Final = frozenset(["bad-image", "bad-mesh", "bad-path", "bad-rig"
 
 
 class ReaderFailureError(Exception):
-    """Error if the reader gives no answer: it died, used too much time or memory, sent something invalid, or cannot be started.
+    """Error if the reader gives no answer. It died, used too much time or memory, sent something invalid, or cannot be started.
 
-    The text is worded to follow the name of a file; `help` says what to do. `is_lasting`: the same request would fail again.
-    `is_heavy`: it used too much time or memory, so other requests about the same files would too."""
+    The message is worded to follow a file name; `help` says what to do. `is_lasting`: the same request would fail again.
+    `is_heavy`: the request used too much time or memory, so other requests about the same files would fail too."""
 
     def __init__(self, message: str, help: str | None = None, *, is_lasting: bool = True, is_heavy: bool = False) -> None:
         super().__init__(message)
@@ -224,7 +224,7 @@ class FileReader:
         return self._check_answer(answer, memory)
 
     def _count_cpu_seconds(self, seconds: float) -> None:
-        """Add CPU time of the child to that of this scene, and to the budget of the check."""
+        """Add CPU time of the child to the totals of this scene and of the check's budget."""
         self._used_cpu_seconds += seconds
         cpu_budget.charge_cpu_seconds(seconds)
 

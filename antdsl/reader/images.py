@@ -47,7 +47,7 @@ def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDA
 
 
 def _require_complete_image(image: Any) -> None:
-    """Reject a file with strips or tiles that do not cover the image: Pillow leaves the other pixels black."""
+    """Reject a file with strips or tiles that do not cover the image, because Pillow leaves the missing pixels black."""
     boxes = [part[1] for part in image.tile]
     if boxes and all(boxes):
         covered_pixels = sum((right - left) * (bottom - top) for left, top, right, bottom in boxes)

@@ -51,8 +51,8 @@ def limit_request(seconds: int, memory: int) -> None:
 
 
 def raise_memory_limit(extra_bytes: int) -> None:
-    """Allow `extra_bytes` more bytes of address space for this request, for work of known size. No effect in a process without a
-    limit."""
+    """Allow `extra_bytes` more bytes of address space for this request, for work of known size. Does nothing if the process has
+    no limit."""
     try:
         import resource
     except ImportError:

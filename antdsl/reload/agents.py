@@ -1,5 +1,5 @@
-"""Moves agents of a running world to the world of an edited program. Values with the same name and meaning in both are
-retained."""
+"""Moves agents of a running world to the world of an edited program. Values that have the same name and meaning in both programs
+are retained."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SpeciesMigration:
     """The result of a migration for the agents of one species. Names in lists are attributes, or states as `machine.state`.
 
     `agent_count`: the number of agents. `moved_count`: how many moved to other positions.
-    `restart_counts`: by removed state and start state, how many agents start again."""
+    `restart_counts`: for each removed state and start state, how many agents changed from the first to the second."""
 
     species: str
     agent_count: int = 0
@@ -52,7 +52,7 @@ class SpeciesMigration:
 def migrate_agents(
     old_world: World, world: World, name: str, rows: RowIndices
 ) -> tuple[SpeciesMigration, dict[str, NDArray[Any]]]:
-    """Move agents, given by their rows in `old_world`, to a world that has no agents of the species yet.
+    """Move agents to a world that has no agents of the species yet. `rows`: the rows of the agents in `old_world`.
 
     Return the result of the migration, and the registers with retained values. When all species are migrated, `fill_registers`
     fills the other registers."""
@@ -80,7 +80,7 @@ def migrate_agents(
 
 
 def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> None:
-    """Fill the missing registers of a species in `values` with those of an agent born at the current position and frame.
+    """Add the missing registers of a species to `values`, as if each agent were born at its position in this frame.
 
     Requests that the species makes at birth have no effect."""
     population = world.populations[name]
@@ -96,7 +96,7 @@ def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> 
 
 
 def write_registers(population: Population, values: Mapping[str, NDArray[Any]]) -> None:
-    """Write registers of all agents: the current values, and the values at the start of the next step."""
+    """Write the registers of all agents, both their current values and the values at the start of the next step."""
     for name, array in values.items():
         population.now[name][:] = array
         if population.start[name] is not population.now[name]:
@@ -109,7 +109,7 @@ def write_registers(population: Population, values: Mapping[str, NDArray[Any]]) 
 def _find_matching_registers(
     old_world: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, migrated: SpeciesMigration
 ) -> list[str]:
-    """Return the registers with values that are retained, by name; write findings about the other registers to `migrated`."""
+    """Return the registers with retained values, by name. Write findings about the other registers to `migrated`."""
     matching = [
         name
         for name, register in new_plan.registers.items()
@@ -141,20 +141,20 @@ def _find_matching_registers(
 
 
 def _find_register_meaning(register: ir.Register) -> tuple[object, ...]:
-    """Return the properties of a register that must be equal for its values to be retained."""
+    """Return the properties of a register that must be equal in both programs for its values to be retained."""
     return register.kind, register.role, register.referenced_species, register.language_type
 
 
 def _is_memory_complete(memory: str, new_plan: ir.SpeciesPlan, matching_names: list[str]) -> bool:
     """Return whether the new plan still has all registers of the `keep` named `memory`.
 
-    Otherwise the `keep` starts again."""
+    Otherwise the `keep` starts from its initial value."""
     values = [name for name in (memory, *(f"{memory}.{axis}" for axis in "xyz")) if name in new_plan.registers]
     return all(name in matching_names for name in values)
 
 
 def _find_changed_defaults(old_world: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan) -> set[str]:
-    """Return the attributes that both plans set only at birth, and of which the birth value changed. Agents get the new value."""
+    """Return the attributes that both plans set only at birth, but to different values. Agents get the new value."""
     one, other = hash_birth_values(old_plan, find_birth_params(old_world)), hash_birth_values(new_plan, find_birth_params(world))
     stored = stored_registers(old_plan) | stored_registers(new_plan) | set(MIGRATED_REGISTERS)
     attributes = {name for name, register in new_plan.registers.items() if register.role == "attribute"}
@@ -168,7 +168,7 @@ def _find_changed_defaults(old_world: World, world: World, old_plan: ir.SpeciesP
 
 
 def _compute_place_digests(setting: WorldSetting, species: str, attribute: str) -> list[str]:
-    """Return, for each crowd line of the scene, a digest of the values that it gives to the attribute at birth."""
+    """Return, for each crowd line of the scene, a digest of the values it gives to the attribute at birth."""
     crowds = (crowd for crowd in setting.crowds if crowd.species == species)
     return [compute_digest((crowd.place.values.get(attribute), crowd.initial_values.get(attribute))) for crowd in crowds]
 
@@ -186,7 +186,8 @@ def _add_register_name(names: list[str], register: str) -> None:
 def _migrate_states(
     old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]], migrated: SpeciesMigration
 ) -> None:
-    """Convert the numbers of states to those of the new plan, by name. Agents in a removed state start in the initial state."""
+    """Convert state numbers to those of the new plan, matching states by name. Agents in a removed state start in the initial
+    state."""
     machines = {machine.name: machine for machine in old_plan.machines}
     for machine in new_plan.machines:
         known = machines.get(machine.name)
@@ -213,7 +214,7 @@ def _migrate_states(
 
 
 def _migrate_clips(old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
-    """Convert the numbers of clips in `values` to the numbers of the new plan. Removed clips become none."""
+    """Convert the clip numbers in `values` to those of the new plan. A removed clip becomes none."""
     number = np.array([new_plan.clips.index(clip) if clip in new_plan.clips else -1 for clip in old_plan.clips] + [-1])
     for machine in new_plan.machines:
         for register in (f"{machine.name}.{part}" for part in ("clip", "clip_before", "clip_earlier")):
@@ -226,8 +227,8 @@ def _migrate_pairs(
 ) -> None:
     """Remove values per pair if the new plan stores fewer for each agent.
 
-    The strongest values of each agent remain: those farthest from the value with which they begin, and to which they return,
-    in the new plan. At equal strength, the lesser id remains."""
+    The strongest values of each agent remain, which are those farthest from the new plan's initial value. Values return to this
+    initial value over time. If two are equally strong, the one with the smaller id remains."""
     old = find_pair_values(old_population.plan.registers)
     for name, slots in find_pair_values(new_plan.registers).items():
         if len(slots) >= len(old.get(name, ())) or slots[0][0] not in values:
@@ -248,7 +249,7 @@ def _map_state_numbers(old_machine: ir.MachinePlan, new_machine: ir.MachinePlan)
 
 
 def _migrate_items(old_world: World, world: World, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
-    """Convert the numbers of items in registers to those of the new world, by name. Removed items become none."""
+    """Convert the item numbers in registers to those of the new world, matching items by name. A removed item becomes none."""
     for name, register in new_plan.registers.items():
         if name in values and register.language_type and register.language_type[0] == "item":
             of = str(register.language_type[-1])
@@ -260,7 +261,7 @@ def _migrate_items(old_world: World, world: World, new_plan: ir.SpeciesPlan, val
 def hash_birth_values(plan: ir.SpeciesPlan, params: Mapping[str, float]) -> dict[str, int]:
     """Return a hash of each register's value at birth, by register name.
 
-    The hash includes the operations, the other registers that they read, and the params that they use."""
+    The hash includes the operations, the registers that they read, and the params that they use."""
     hashes: dict[str, int] = {}
     _hash_block(plan.born, (), hashes, params)
     return hashes
@@ -276,7 +277,7 @@ def find_birth_params(world: World) -> dict[str, float]:
 
 
 def _hash_block(block: ir.Block, condition_hashes: tuple[int, ...], hashes: dict[str, int], params: Mapping[str, float]) -> None:
-    """Add a hash of each register that a block sets. `condition_hashes`: hashes of the conditions around the block."""
+    """Add a hash for each register that a block sets. `condition_hashes`: hashes of the conditions around the block."""
     for statement in block.statements:
         if isinstance(statement, ir.If):
             _hash_block(statement.body, (*condition_hashes, _hash_value(statement.condition, hashes, params)), hashes, params)
@@ -287,7 +288,7 @@ def _hash_block(block: ir.Block, condition_hashes: tuple[int, ...], hashes: dict
 
 
 def _hash_value(node: ir.PlanNode, hashes: Mapping[str, int], params: Mapping[str, float]) -> int:
-    """Return a hash of a value's operations and inputs."""
+    """Return a hash of the operations and inputs that give a value."""
     node_hashes: dict[ir.PlanNode, int] = {}
     for each in collect_required_nodes([node]):
         attrs: tuple[object, ...] = each.attrs

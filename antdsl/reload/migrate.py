@@ -1,8 +1,8 @@
-"""An edited program continues from the state of the running one. A new world gets the agents, amounts, scents and dug solids
-of the old world.
+"""Continues an edited program from the state of the running one. A new world gets the agents, amounts, field values and dug
+solids of the old world.
 
-A value with the same name and meaning in both programs is retained. An edited value takes its new value. All other values
-start again. The old world is only read, so it can continue unchanged after any error."""
+A value with the same name and meaning in both programs is retained. An edited value takes its new value. All other values start
+again. The old world is only read, so it can continue unchanged after any error."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ _NO_IDS = np.empty(0, np.int64)
 class Migration:
     """The result of a migration.
 
-    `added_counts`, `removed_counts`: by species, how many agents were added or removed because the scene's crowd has another
+    `added_counts`, `removed_counts`: for each species, how many agents were added or removed because crowds of the scene changed
     size.
-    `restarted_items`: amounts that begin with the value of the scene, as `item.attribute`."""
+    `restarted_items`: amounts that start with the scene's value, as `item.attribute`."""
 
     species: list[SpeciesMigration] = field(default_factory=list)
     added_counts: dict[str, int] = field(default_factory=dict)
@@ -56,8 +56,8 @@ class Migration:
 def migrate_world(
     old_world: World, plan: ir.Plan, setting: WorldSetting, binding_cache: BindingCache | None = None
 ) -> tuple[World, Migration]:
-    """Return the world of an edited plan and setting at the frame of a running world, and the migration. Raises BindError as
-    `bind` does.
+    """Return the migrated world and a report on the migration. The world runs the edited plan and setting, at the frame of the
+    old world. Raises BindError like `bind`.
 
     `binding_cache`: a cache that the caller passes to each call, so that unchanged meshes are not processed again."""
     world = bind_empty(plan, setting, old_world.options, binding_cache=binding_cache, origin=old_world.origin)
@@ -82,7 +82,7 @@ def migrate_world(
 
 
 def _migrate_agents(old_world: World, world: World, migration: Migration) -> list[tuple[CrowdData, NDArray[np.int64]]]:
-    """Move all agents that stay. Return the crowd lines that need new agents, each with the ids of these agents."""
+    """Move all agents that stay. Return the crowd lines that need new agents, and the ids of these agents for each line."""
     values = {}
     for name in world.populations:
         if name in old_world.populations:
@@ -117,8 +117,8 @@ def _migrate_agents(old_world: World, world: World, migration: Migration) -> lis
 
 
 def _match_crowds(old_world: World, setting: WorldSetting) -> list[tuple[CrowdData, tuple[CrowdData, CrowdLineIds] | None]]:
-    """Return the crowd lines of the new setting. Each has the corresponding old line with the ids of its agents; None without
-    one."""
+    """Return the crowd lines of the new setting. Each is paired with its old line and the ids of that line's agents, or with
+    None."""
     matches = match_lines(list_line_names(old_world.setting), list_line_names(setting))
     old = list(zip(old_world.setting.crowds, old_world.crowd_lines, strict=True))
     return [(crowd, old[k] if k >= 0 else None) for crowd, k in zip(setting.crowds, matches, strict=True)]
@@ -145,7 +145,7 @@ def _find_staying_rows(old_world: World, setting: WorldSetting, name: str, migra
 
 
 def _number_new_lines(old_setting: WorldSetting, setting: WorldSetting) -> dict[int, int]:
-    """Return the index of the corresponding new crowd line, by the index of the old line."""
+    """Return, for each old crowd line, the index of its new crowd line."""
     matches = match_lines(list_line_names(old_setting), list_line_names(setting))
     return {old: new for new, old in enumerate(matches) if old >= 0}
 
@@ -193,7 +193,7 @@ def _migrate_solids(old_world: World, world: World, migration: Migration) -> Non
 
 
 def _migrate_fields(old_world: World, world: World, migration: Migration) -> None:
-    """Transfer the amounts of fields with equal cells, unless a field has another start value now."""
+    """Transfer the amounts of fields that have the same cells. A field with another start value is not transferred."""
     for name, now in world.fields.items():
         old_field = old_world.fields.get(name)
         starts = [setting.field_start.get(name) for setting in (old_world.setting, world.setting)]
@@ -222,7 +222,7 @@ def _is_same_grid(old_world: World, world: World, name: str) -> bool:
 
 
 def _migrate_flows(old_world: World, world: World) -> None:
-    """Transfer the state of flows that are computed over time, if the flows are equal."""
+    """Transfer the state of flows that are computed over several steps, if the flows are unchanged."""
     for name, flow in world.flows.items():
         state = flow.get_state()
         old_state = old_world.flows[name].get_state() if state and name in old_world.flows else {}
@@ -232,7 +232,7 @@ def _migrate_flows(old_world: World, world: World) -> None:
 
 
 def _migrate_feet(old_world: World, world: World) -> None:
-    """Transfer footholds and swings if bodies have the same legs and the ground is the same."""
+    """Transfer footholds and swings of legs, if bodies have the same legs and the ground is the same."""
     if old_world.foot_ground is None or world.foot_ground is None or old_world.foot_ground.names != world.foot_ground.names:
         return
     if compute_digest((old_world.foot_ground.meshes, old_world.setting.motion)) != compute_digest(
@@ -260,7 +260,7 @@ def _migrate_counts(old_world: World, world: World) -> None:
 
 
 def describe_migration(migration: Migration) -> str:
-    """Return the changes as one line, such as "… · 12 `forager` added · `load` is new"."""
+    """Return the changes as one line, for example "… · 12 `forager` added · `load` is new"."""
     parts = [f"kept {migration.agents:,} {_pluralise_agents(migration.agents)}"]
     several = len(migration.species) > 1
     for migrated in migration.species:
@@ -274,7 +274,7 @@ def describe_migration(migration: Migration) -> str:
 
 
 def _describe_species(migrated: SpeciesMigration, name_prefix: str) -> list[str]:
-    """Return the changes of one species as phrases. `name_prefix`: text in front of names, empty for a single species."""
+    """Return the changes of one species as phrases. `name_prefix`: text in front of names; empty if there is only one species."""
     parts = [
         f"{count:,} of removed state `{name_prefix}{_shorten_state_name(removed_state)}` "
         f"{'starts' if count == 1 else 'start'} again in `{name_prefix}{_shorten_state_name(start)}`"
@@ -311,8 +311,7 @@ def _describe_species(migrated: SpeciesMigration, name_prefix: str) -> list[str]
 
 
 def _drop_derived_names(names: list[str]) -> list[str]:
-    """Return names without those of derived attributes, which programs seldom set: strength follows from speed, radius from
-    size."""
+    """Return names without derived attributes, which programs seldom set: strength follows from speed, and radius from size."""
     follow = {"max_force": {"mass", "max_speed", "response"}, "radius": {"size"}}
     return [name for name in names if not follow.get(name, set()) & set(names)]
 

@@ -1,4 +1,4 @@
-"""The body of each agent, for species with several bodies."""
+"""Finds the body of each agent, for species with several bodies."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The complete state of a world as named arrays, and its hash. A run continues from the arrays without any difference.
-
-The hash is equal for any row order, chunk size, thread count and backend, and different for any other state."""
+"""Saves and restores the complete state of a world as named arrays, and computes its hash. A run that continues from these
+arrays gives identical results. The hash is equal for any row order, chunk size, thread count and backend, and different for
+any other state."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def take_checkpoint(world: World) -> Arrays:
 def restore_checkpoint(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Restore a state in a world that is bound to the same plan and setting.
 
-    Raises CheckpointError; the world is unusable after the error."""
+    Raises CheckpointError, after which the world is unusable."""
     try:
         _restore_world(world, arrays)
         for population in world.populations.values():
@@ -82,7 +82,7 @@ def restore_checkpoint(world: World, arrays: Mapping[str, NDArray[Any]]) -> None
 
 
 def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Restore a state. Arrays that do not match raise various errors."""
+    """Restore a state. Raises various errors if the arrays do not match."""
     world.frame = int(_read_array_of_shape(arrays, "frame"))
     world.faults.count = int(_read_array_of_shape(arrays, "faults"))
     for name in world.params:
@@ -193,7 +193,7 @@ def _read_array_of_shape(arrays: Mapping[str, NDArray[Any]], name: str, shape: t
 def state_hash(world: World) -> str:
     """Return a hash of the state: the first 128 bits of a SHA-256 hash, in hexadecimal.
 
-    It includes the `hash_rows` of each species, items, fields, solids and flows, and what notes remember."""
+    It includes the `hash_rows` of each species, items, fields, solids and flows, and the memory of notes."""
     digest, threads = sha256(), world.options.threads
     digest.update(np.int64(world.frame).tobytes())
     for name in sorted(world.populations):

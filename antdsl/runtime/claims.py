@@ -1,8 +1,8 @@
-"""Claims on items and field cells, resolved between the phases decide and act, and gifts to items. Losses equal gains exactly.
+"""Resolves claims on items and field cells, between the phases decide and act, and gifts to items. Losses equal gains exactly.
 
-An agent's own register is float32; an item's amount and a field's cell are float64. They change by exactly the difference in the
-register. From a field, agents take whole multiples of `DEPOSIT_QUANTUM`, as with deposits. While registers contain only such
-multiples, cells do, too."""
+An agent's own register is float32; an item's amount and a field's cell are float64. Amounts change by exactly the difference
+in the register. Agents take whole multiples of `DEPOSIT_QUANTUM` from a field, the unit that deposits also have. While
+registers contain only such multiples, so do cells."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ClaimEntries = list[tuple[Population, ClaimEntry]]
 
 
 def settle_claims(world: World) -> None:
-    """Resolve all claims: serve those on each amount in the order of (random draw, id) until the remainder does not suffice."""
+    """Resolve all claims: for each amount, grant claims in random order (ties by id) as long as enough remains."""
     item_claims: dict[tuple[str, str], ClaimEntries] = {}
     of_fields: dict[str, ClaimEntries] = {}
     for population in world.populations.values():
@@ -52,7 +52,7 @@ def settle_claims(world: World) -> None:
 
 
 def _merge_by_statement(entries: ClaimEntries) -> ClaimEntries:
-    """Merge the claims of each statement into one entry, independent of the division into chunks."""
+    """Merge the claims of each statement into one entry, so that the result does not depend on chunks."""
     if len(entries) == 1:
         return entries
     groups: dict[tuple[str, int], ClaimEntries] = {}
@@ -81,8 +81,8 @@ def _settle_amount(
 ) -> None:
     """Resolve the claims in `entries` on the amounts `rest`, and subtract what agents get.
 
-    `item`: the index in `rest` of each claim, -1 for none. `amount`: the claimed amount; inf claims all that is left, in
-    multiples of `unit`."""
+    `item`: the index in `rest` of each claim, -1 for none. `amount`: the claimed amount; inf claims everything that is left,
+    in multiples of `unit`."""
     draw = _join_arrays([_draw_claim_order(world, p, e) for p, e in entries])
     ids = _join_arrays([p.ids[e.rows] for p, e in entries])
     row = _join_arrays([e.rows for _, e in entries])
@@ -166,7 +166,7 @@ def _add_winnings(
     amount: NDArray[np.float32],
     granted_amounts: NDArray[np.float64],
 ) -> None:
-    """Add the amounts that agents get to their own registers. `granted_amounts`: the exact amount of each agent."""
+    """Add granted amounts to the registers of the agents. `granted_amounts`: the exact amount of each agent."""
     assert entry.statement.register is not None
     own = population.now[entry.statement.register]
     if entry.statement.amount is not None:
@@ -180,8 +180,8 @@ def _add_winnings(
 class _ServedClaims:
     """Claims in the order in which they are served.
 
-    `changes` float64: the exact amount by which the claim raises a register of the agent, or its amount if it has no register.
-    `claims_all`: whether the claim is for all that is left. `has_register`: whether the claim has a register.
+    `changes` float64: the exact amount by which the claim raises a register, or the claimed amount if there is no register.
+    `claims_all`: whether the claim is for everything that is left. `has_register`: whether the claim has a register.
     `register_values`: the current value of the register."""
 
     def __init__(
@@ -220,7 +220,7 @@ class _ServedClaims:
     def compute_complete_amounts(
         self, positions: NDArray[np.intp], remaining_amounts: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the amounts that claims for all that is left get, if `remaining_amounts` are left.
+        """Return the amounts granted to claims for everything that is left, given `remaining_amounts`.
 
         They are multiples of the unit that the agent's register can represent exactly."""
         had = self.register_values[positions].astype(np.float64)
@@ -250,7 +250,7 @@ def _number_agent_claims(species: NDArray[np.int64], ids: NDArray[np.int64], pla
 
 
 def _grant_amounts(rest: NDArray[np.float64], item_numbers: NDArray[np.integer], claims: _ServedClaims) -> NDArray[np.float64]:
-    """Return the amount that each claim gets, -1 if it is not served, and subtract these amounts from `rest`.
+    """Grant claims: return the amount that each claim gets (-1 for none), and subtract these amounts from `rest`.
 
     `item_numbers`: the sorted items of the claims."""
     item: NDArray[np.int64] = item_numbers.astype(np.int64, copy=False)

@@ -1,4 +1,5 @@
-"""Properties of the animation clips that a species plays. They come from its bodies and from the clip names of its states."""
+"""Reads properties of the animation clips that a species plays. The bodies of the species define these clips, and its states
+name them."""
 
 from __future__ import annotations
 
@@ -34,8 +35,8 @@ def find_table_starts(world: World, population: Population) -> NDArray[np.int32]
 def read_clip_value(
     world: World, population: Population, property_name: str, clip: Any, rows: Any = slice(None)
 ) -> NDArray[np.float32]:
-    """Return a property of clips, given by their numbers in the species' plan. Without a clip, the value is that of an unknown
-    clip.
+    """Return a property of clips, given by their numbers in the species' plan. An agent without a clip gets the value of an
+    unknown clip.
 
     `rows`: the rows of the agents with these clips."""
     values = make_clip_table(world, population, property_name)

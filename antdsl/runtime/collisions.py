@@ -1,8 +1,8 @@
-"""Bodies that touch at the start of a step, and new contacts: the input of `on collision`.
+"""Finds bodies that touch at the start of a step, and new contacts. These are the input of `on collision`.
 
 Two bodies start to touch when the gap between their capsules falls below a small share of their combined collision radii. They
-touch until the gap is several times that share. So bodies that press against each other and shake slightly do not collide
-repeatedly."""
+continue to touch until the gap is several times as large. So bodies that press against each other and shake slightly do not
+collide repeatedly."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _CONTACT_END_GAP = 0.25  # share of the sum of two radii: a contact ends above t
 
 
 def find_new_contacts(world: World, population: Population, other_species: str, rows: Rows, touched_ids: Ids) -> tuple[Ids, Ids]:
-    """Return each agent's new contact (n), and the ids (n, k) that it now touches.
+    """Return each agent's new contact (n), and the ids (n, k) of all agents that it now touches.
 
-    The new contact is the id of the agent of `other_species` that it starts to touch, -1 for none. Of several, it is the one with
-    the deepest overlap. `touched_ids` (n, k): the ids that it touched until now, -1 for none. If all k are in use, new contacts
-    are ignored."""
+    The new contact is the id of the agent of `other_species` that it starts to touch, -1 for none. If there are several, it is
+    the one with the deepest overlap. `touched_ids` (n, k): the ids that it touched until now, -1 for none. If all k are in
+    use, new contacts are ignored."""
     contact_ids = np.full(len(rows), -1, np.int64)
     known = _get_touching_agents(world).get((population.name, other_species))
     if known is None:

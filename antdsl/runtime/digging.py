@@ -1,6 +1,6 @@
-"""Digging: in each step, the balls that all agents dig are removed from the solids together, before any agent moves.
+"""Digging: in each step, all balls that agents dig are removed from the solids at once, before any agent moves.
 
-The new walls become cells of every field on the solid."""
+All fields on a solid get new cells on the new walls."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def dig_solids(world: World) -> None:
 
 
 def _carve_solid(world: World, solid: str, entries: list[tuple[Population, RequestEntry]]) -> None:
-    """Remove balls from one solid, in the order of (species, id, position in the source), which does not depend on rows."""
+    """Remove balls from one solid, in the order of (species, id, position in the source). This order does not depend on rows."""
     names = list(world.populations)
     species = np.concatenate([np.full(len(e.rows), names.index(p.name)) for p, e in entries])
     ids = np.concatenate([p.ids[e.rows] for p, e in entries])

@@ -1,6 +1,6 @@
-"""Values that are not finite: the agent, the place in the source, the operands, and whether the run continues (decision 24).
-
-To find the operands, the reference backend runs the agent's step again, because it has every intermediate value."""
+"""Records non-finite values (faults): the agent, the location in the source, and the operands. Also decides whether the run
+continues (decision 24). To find the operands, the reference backend runs the agent's step again, because it has every
+intermediate value."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Fault:
 
     @property
     def brief_text(self) -> str:
-        """Return the text of the fault with the file's name instead of its path, which is private to this machine."""
+        """Return a description of the fault that omits the path of the file, which is private to this machine."""
         if self.span is None:
             return self._describe_fault("")
         line, column = self.span.source.find_line_column(self.span.start)
@@ -54,7 +54,7 @@ class Fault:
 
 @dataclass(slots=True)
 class FaultLog:
-    """The faults of a run: their number `count`, and details of the first ones.
+    """The faults of a run: their total number, and details of the first ones.
 
     `rejected_births`: the number of births that were not possible. `fault_of_step`: the first fault of the current step."""
 
@@ -65,7 +65,7 @@ class FaultLog:
 
 
 class FaultStop(RuntimeError):
-    """Error after a step with a fault, if the run stops on faults. `fault` is the first fault of the step."""
+    """Error: a step had a fault, and the run stops on faults. `fault` is the first fault of the step."""
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(str(fault))
@@ -73,7 +73,7 @@ class FaultStop(RuntimeError):
 
 
 class LimitStop(FaultStop):
-    """Error within a step that would exceed the limits. The world is unusable afterwards."""
+    """Error: a step would exceed the limits. The world is unusable afterwards."""
 
 
 def collect_faults(world: World) -> None:

@@ -1,6 +1,6 @@
-"""Levels of detail: agents far from the camera sense obstacles as bounding boxes of their connected pieces, or not at all.
-
-The level depends only on the agent's position at the start of its step. No agent can pass through obstacles at any level."""
+"""Levels of detail: agents far from the camera do not sense the triangles of obstacles, but the bounding boxes of their
+connected pieces, or nothing. The level depends only on the agent's position at the start of its step. No agent can pass
+through obstacles at any level."""
 
 from __future__ import annotations
 
@@ -94,11 +94,11 @@ class DetailLevels:
         return felt_levels
 
     def get_box_scene(self, name: str) -> RayScene:
-        """Return the boxes of an obstacle's pieces as a ray scene, which feelers hit instead of the obstacle."""
+        """Return a ray scene of the boxes of an obstacle's pieces. Feelers hit these boxes instead of the obstacle."""
         return self._scenes[name]
 
     def get_box_clearance(self, world: World, population: Population, name: str) -> NDArray[np.float32]:
-        """Return a distance (mm, float32[n]) from each agent within which no box of the obstacle is; cached for the step."""
+        """Return a distance (mm, float32[n]) from each agent within which the obstacle has no box. Cached for the step."""
         key = (population.name, f"~boxes of {name}", population.version)
         distances: NDArray[np.float32] | None = world.clearances.get(key)
         if distances is None:
@@ -128,7 +128,8 @@ def _read_positions(population: Population) -> NDArray[np.float32]:
 
 
 class MeshPieces:
-    """The connected pieces of a mesh. Faces are connected if they share a corner, by number or by position."""
+    """The connected pieces of a mesh. Faces are connected if they share a corner: the same vertex, or vertices at the same
+    position."""
 
     def __init__(self, mesh: MeshData) -> None:
         self._used_vertices = np.unique(mesh.faces)

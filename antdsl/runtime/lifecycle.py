@@ -1,4 +1,4 @@
-"""Events, deaths and births. They change the number of agents, and the next step of other agents.
+"""Applies events, deaths and births. These change the number of agents, and affect other agents in the next step.
 
 Emitted events are stored for outputs such as caches. They are not part of the state, and no step reads them."""
 
@@ -45,7 +45,7 @@ def find_own_cells(world: World, population: Population) -> None:
 
 
 def apply_deposits(world: World) -> None:
-    """Add the deposits of agents to their own cells; they take effect when the fields step."""
+    """Add the deposits of agents to their own cells; these take effect when the fields advance."""
     for population in world.populations.values():
         for entry in population.effects.take_requests("deposit"):
             name = entry.request.target
@@ -108,7 +108,7 @@ def _notify_receiver(world: World, population: Population, entry: RequestEntry) 
 def _flag_in_reach(
     world: World, population: Population, entry: RequestEntry, other: Population, flags: NDArray[np.bool_]
 ) -> None:
-    """Set `flags` of the agents within the distance of any emitter, emitters included, at the start of the step."""
+    """Set `flags` of all agents that were within the distance of an emitter at the start of the step, including emitters."""
     within = entry.get_required_operand(0)
     own = [population.start[f"position.{axis}"][entry.rows] for axis in AXES]
     theirs = [other.start[f"position.{axis}"] for axis in AXES]
@@ -185,11 +185,11 @@ def _add_newborn(world: World, population: Population, births: BirthRows) -> NDA
 
 
 def initialise_newborn(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
-    """Run the block `born`, which sets the registers of newborn agents. Their position, up, heading and velocity are already set.
+    """Run the block `born`, which sets the registers of newborn agents. Their position, up, heading and velocity are already
+    set.
 
-    `newborn`: their rows, by species.
-    Agents born together sense each other's position and movement. Their other values read as 0 or none, in any order of
-    computation."""
+    `newborn`: their rows, by species. Agents born together sense each other's position and movement. Any other value of theirs
+    reads as 0 or none, whichever is computed first."""
     world.grids.clear()  # rows have changed
     world.trees.clear()
     world.touching_agents = None

@@ -1,6 +1,5 @@
-"""The tables of crowd lines: which ids the agents of each line have, as arrays of checkpoints and after changes of the crowd.
-
-Tables follow their lines to another scene of the same programs, and to an edited scene."""
+"""Tables that record which ids belong to each crowd line. Checkpoints store them as arrays. When a scene is edited, or
+continues another scene with the same programs, tables are assigned to the corresponding lines."""
 
 from __future__ import annotations
 
@@ -34,16 +33,15 @@ def reserve_ids(setting: WorldSetting) -> tuple[CrowdLineIds, ...]:
 
 
 def count_released(crowd: CrowdData, line: CrowdLineIds, frame: int) -> int:
-    """Return how many of the ids in a line's table belong to agents that were created up to a frame.
-
-    The last ids are for agents still to be created. The first ids may be of another scene that this one continues."""
+    """Return how many of the ids in a line's table belong to agents that were created up to a frame. The last ids of the table
+    are for agents still to be created. The first ids may come from another scene that this one continues."""
     return len(line) - crowd.count + crowd.count_created(frame)
 
 
 def take_created_ids(crowd: CrowdData, line: CrowdLineIds, previous_frame: int | None, frame: int) -> NDArray[np.int64]:
     """Return the ids of the agents of a line that are created after `previous_frame` and up to `frame`.
 
-    Without a previous frame, they are those created in any frame up to `frame`."""
+    Without a previous frame, return the ids of all agents created up to `frame`."""
     first = 0 if previous_frame is None else count_released(crowd, line, previous_frame)
     return line.list_ids_between(first, count_released(crowd, line, frame) - 1)
 
@@ -51,7 +49,7 @@ def take_created_ids(crowd: CrowdData, line: CrowdLineIds, previous_frame: int |
 def match_lines(old: Sequence[LineName], new: Sequence[LineName]) -> list[int]:
     """Return for each new line the index of the old line that corresponds to it; -1 for none.
 
-    Lines with one name correspond. The other lines of a species correspond in their order."""
+    Lines with the same name correspond. The remaining lines of a species correspond by their order."""
     matches = [old.index(line) if line[1] and line in old else -1 for line in new]
     left = [k for k in range(len(old)) if k not in matches]
     for number, line in enumerate(new):
@@ -76,7 +74,7 @@ def collect_line_arrays(world: World) -> dict[str, NDArray[Any]]:
 
 
 def restore_lines(world: World, arrays: Mapping[str, NDArray[Any]], *, as_start: bool = False) -> None:
-    """Restore the tables of a checkpoint. Older checkpoints have none, and the world's own tables stay.
+    """Restore the tables of a checkpoint. Older checkpoints have no tables; then the world's own tables are retained.
 
     With `as_start`, the world begins with the checkpoint. Its lines continue those of the checkpoint: agents to be created get
     new ids. Raises ValueError for arrays that do not match."""

@@ -1,4 +1,4 @@
-"""Measures of the motion in a run, to judge whether agents look alive. They influence no agent, and are not part of the state."""
+"""Measures of the motion in a run, to judge whether agents look alive. They affect no agent, and are not part of the state."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ class MotionMeasures:
 
     def _measure_bodies(self, world: World, needs_depths: bool, crowds: list[Population]) -> None:
         """Measure penetration depths of trunks (if `needs_depths`), and overlaps, heads and bodies of `crowds`, in parallel.
-        Overlaps are with the deepest neighbour: 0 without, 1 at equal positions. Heads and bodies inside the ground count."""
+        Overlaps are with the deepest neighbour: 0 for none, 1 at equal positions. Heads and bodies count if inside the ground."""
         looks: list[Callable[[], NDArray[Any]]] = [partial(measure_overlap_depths, world)] if needs_depths else []
         for population in crowds:
             places = *vec.get_vector_registers(population.now, "position"), population.now["radius"]
@@ -255,8 +255,8 @@ def _find_bins(angle: NDArray[np.float32]) -> Counts:
 
 @cache
 def _make_bin_table() -> tuple[NDArray[np.float32], Counts]:
-    """Return the least half chord of each histogram bin, and a lookup table from half chords to bins. They are float32[bins +
-    2], the last beyond all half chords, and int64[cells + 1]. Bins are found by bisection."""
+    """Return the least half chord of each histogram bin, and a lookup table from half chords to bins. The first is
+    float32[bins + 2] and ends beyond all half chords; the second is int64[cells + 1]. Bins are found by bisection."""
     bin_numbers = np.arange(1, _HISTOGRAM_BINS + 1)
     low, high = (np.full(_HISTOGRAM_BINS, np.float32(end).view(np.int32), np.int64) for end in (0.0, 1.0))
     while (low < high).any():  # positive floats have the same order as their bits
@@ -330,8 +330,8 @@ class HistogramBins(NamedTuple):
 
 
 class MotionLimits(NamedTuple):
-    """Thresholds. `dt`: seconds of a step. `min_push`: of an agent that intends to move. `standing_share`: an agent below this
-    share of its speed stands. A path ends after `steps` steps; shorter paths than `min_path_length` body lengths are ignored."""
+    """Thresholds. `dt`: seconds of a step. `min_push`: push of an agent that intends to move. `standing_share`: an agent below
+    this share of its speed stands. A path ends after `steps` steps; paths below `min_path_length` body lengths are ignored."""
 
     dt: F32
     min_push: F32

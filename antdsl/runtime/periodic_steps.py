@@ -1,4 +1,4 @@
-"""The limit of steps in a periodic world: a step of half a width or more has no nearest image."""
+"""Checks the length of steps in a periodic world: a step of half a width or more has no unique nearest image."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
-"""Periodic worlds: the images of the ground around the box of the scene, and the agents that leave the box.
-
-During a step, agents walk on over images of the ground, so that no part of the step knows about the seam. After the step, agents
-outside the box move into it by whole widths. The first faces of an extended mesh are those of the mesh itself."""
+"""Periodic worlds: the images of the ground around the box of the scene, and the agents that leave the box. During a step,
+agents continue to walk over images of the ground. So the code of a step needs no special case for the seam. After the step,
+agents outside the box move into it by whole widths. The first faces of an extended mesh are those of the mesh itself."""
 
 from __future__ import annotations
 
@@ -24,8 +23,8 @@ MARGIN_SHARE = 0.5  # of the width: how far images of the world reach beyond the
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaceImages:
-    """The faces of an extended mesh: `source` int32[m], the face of the mesh, and `counts` int64[m, 3], by how many widths the
-    face lies beyond it."""
+    """The faces of an extended mesh: `source` int32[m], the face of the mesh, and `counts` int64[m, 3], the offset of the
+    image from this face, in widths."""
 
     source: NDArray[np.int32]
     counts: NDArray[np.int64]
@@ -102,7 +101,7 @@ def _wrap_agents(world: World, population: Population) -> None:
 def measure_overlaps(
     world: World, x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32], radius: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return the result of `measure_worst_overlaps`, in a periodic world also for bodies on opposite sides of the seam."""
+    """Return the result of `measure_worst_overlaps`. In a periodic world, it includes overlaps across the seam."""
     if world.periodic is None:
         return measure_worst_overlaps(x, y, z, radius)
     reach = 2 * float(np.max(radius, initial=0.0, where=np.isfinite(radius)))
@@ -123,7 +122,7 @@ def _count_widths(world: World, population: Population) -> NDArray[np.int64]:
 
 
 def _update_unwrapped(population: Population, box: PeriodicBox) -> None:
-    """Add the last step to unwrapped positions: they follow the wrapped ones, without the jumps at the seam."""
+    """Add the last step to unwrapped positions: these follow the wrapped positions, but do not jump at the seam."""
     for k, axis in enumerate(AXES):
         register = population.now[UNWRAPPED_REGISTERS[k]]
         place, width = population.now[f"position.{axis}"], box.widths[k]

@@ -1,8 +1,8 @@
-"""The phases of a step in order, each with its wall time and CPU time. PHASES defines the order that the language reference
-shows.
+"""The phases of a step, in the order of PHASES, which the language reference also shows. Wall time and CPU time of each phase
+are measured.
 
-Agents, items and fields are read in their state at the start of the step (`start`, `visible_values`). Written values are visible
-in the next step."""
+Agents, items and fields are read in their state at the start of the step (`start`, `visible_values`). Written values are
+visible in the next step."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _SORT_INTERVAL_FRAMES, _MIN_AGENTS_TO_SORT = 16, 2048  # frames, agents
 def prepare_senses(world: World) -> None:
     """Prepare the senses of a step: clear cached values, publish the items' amounts, update flows, and find the agents' cells.
 
-    Senses are computed on first use. From this phase on, `time` and `frame` belong to the new frame."""
+    Senses are computed on first use. From this phase on, `time` and `frame` are those of the new frame."""
     world.is_stepping = True
     world.grids.clear()
     world.trees.clear()
@@ -97,13 +97,13 @@ def _run_block(world: World, block: str) -> None:
 def apply_effects(world: World) -> None:
     """Apply gifts, events for the next step and deposits, before fields spread or agents move.
 
-    Their order does not matter, because no effect reads values that another effect writes."""
+    The order of these effects does not matter, because none reads values that another writes."""
     _settle_requests("effects", world)
     claims.settle_gifts(world)
 
 
 def _settle_requests(phase: str, world: World) -> None:
-    """Apply all requests of a phase. A function that applies several kinds is called once."""
+    """Apply all requests of a phase. A function that applies several kinds of requests is called only once."""
     if any([population.effects.requests for population in world.populations.values()]):
         for settle in dict.fromkeys(SETTLER_BY_EFFECT[op] for op in list_effects_of_phase(phase)):
             settle(world)
@@ -153,7 +153,7 @@ def record_measures(world: World) -> None:
 
 
 def apply_births(world: World) -> None:
-    """Remove dead agents from the populations, add newborn ones, and those of crowd lines that are due."""
+    """Remove dead agents, add newborn agents, and create agents of crowd lines that are due."""
     _settle_requests("births", world)
     lifecycle.settle_newborn(world)
     releases.release_agents(world)

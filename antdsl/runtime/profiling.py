@@ -1,6 +1,6 @@
-"""The measured time of a run by phase, by layer of each species and by program line.
+"""Measures the time of a run by phase, by layer of each species and by program line.
 
-It is off unless a caller uses a `StepMeter`. No result depends on it."""
+Time is measured only if a caller uses a `StepMeter`. Results do not depend on it."""
 
 from __future__ import annotations
 
@@ -86,8 +86,8 @@ class _Measurement:
 class StepMeter:
     """A meter of the mean times per frame, over the frames of the last `seconds`, or over all frames (None).
 
-    Call `begin` before a step and `end` after it; each step may be of another world. Measurements of another program are dropped.
-    Measurements of NumPy are dropped once machine code runs the steps."""
+    Call `begin` before a step and `end` after it; different steps may be of different worlds. If the program changes, earlier
+    measurements are discarded. Measurements of NumPy are dropped once machine code runs the steps."""
 
     def __init__(self, seconds: float | None = 1.0, *, clock: Callable[[], float] = monotonic) -> None:
         self._seconds, self._clock = seconds, clock
@@ -138,7 +138,7 @@ class StepMeter:
             self._measurements.popleft()
 
     def stop(self) -> None:
-        """Stop measuring; results stay available."""
+        """Stop the measurement. The results remain available."""
         if self._world is not None and isinstance(self._world.backend, NumpyBackend):
             self._world.backend.set_timing(False)
         self._world = None
@@ -188,7 +188,7 @@ def _make_layer_time(species: str, layer: LayerPlan, ms: float) -> LayerTime:
 
 
 def _list_line_times(seconds_by_instruction: Iterator[tuple[BlockInstruction, float]], to_ms: float) -> list[LineTime]:
-    """Return the times by program line; a call counts for the line in which its text begins.
+    """Return the times by program line; the time of a call is assigned to the line in which its text begins.
 
     Files are identified by name, because parts of a file are read more than once."""
     seconds_by_line: dict[tuple[str, int], float] = {}

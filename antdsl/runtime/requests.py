@@ -1,6 +1,6 @@
-"""Requests of a step's blocks to other parts of the world. A backend fills an `EffectRequests`; later phases apply it.
-
-Every entry contains the rows of one statement in one chunk. The order in which entries are applied does not change any bit."""
+"""Requests that the blocks of a step make to other parts of the world. A backend fills an `EffectRequests`; later phases apply
+it. Every entry contains the rows of one statement in one chunk. The order in which entries are applied does not change any
+bit."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class RequestEntry:
 class FaultEntry:
     """Agents `rows` with a value for `register` that is not finite. `span`: the location of the statement in the source.
 
-    `block`: the block of the statement, which the reference backend runs again to explain the value."""
+    `block`: the block of the statement, the reference backend runs this block again to explain the value."""
 
     block: str
     register: str
@@ -90,7 +90,7 @@ class EffectRequests:
         return self.requests.pop(op, [])
 
     def append_all(self, other: EffectRequests) -> None:
-        """Append all claims, gifts, faults and requests of another object."""
+        """Append all claims, gifts, faults and requests of another `EffectRequests`."""
         self.claims += other.claims
         self.gifts += other.gifts
         self.faults += other.faults

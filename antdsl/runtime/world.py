@@ -1,4 +1,4 @@
-"""All mutable data: agents, items and fields of a running simulation, as arrays.
+"""All mutable data of a running simulation, as arrays: agents, items and fields.
 
 Registers are one array each, float32 unless the plan says otherwise; positions are also stored in float64. `start` has the
 values at the start of the step, which all agents sense. `now` has the values that agents have written in this step."""
@@ -55,9 +55,9 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How to run. No option changes a result, except that `on_fault` determines what happens after a fault.
-    `chunk`: number of rows that a thread processes at once. `shuffle_rows`: a seed for a random order of rows.
-    `wait_for_code`: the first step waits for machine code, instead of running in NumPy. `feet`: compute positions of feet."""
+    """Options of a run. They do not change results, except `on_fault`, which determines what happens after a fault. `chunk`:
+    number of rows that a thread processes at once. `shuffle_rows`: a seed for a random order of rows. `wait_for_code`: the
+    first step waits for machine code, instead of running in NumPy. `feet`: compute positions of feet."""
 
     backend: Literal["numpy", "native", "reference"] = "native"
     chunk: int = 16_384
@@ -89,7 +89,7 @@ class Items:
 
 
 class FixedColumn(Generic[Scalar]):
-    """A typed attribute of a population that reads and replaces the array with its name in `columns`."""
+    """An attribute of a population that reads and replaces the array of the same name in `columns`."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -302,7 +302,7 @@ def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
 
 
 def shares_start_array(plan: ir.SpeciesPlan, register: str, stored_registers: frozenset[str]) -> bool:
-    """Return whether a register needs only one array, for both the start of a step and the current values.
+    """Return whether a register needs only one array, which has both its values at the start of a step and its current values.
     This holds if the register never changes, or exists only within a step."""
     return register not in stored_registers or plan.registers[register].role == "temp"
 
@@ -333,7 +333,7 @@ def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
 
 
 def publish_state(population: Population, threads: int, rows: NDArray[np.intp] | None = None) -> None:
-    """Make the written values those at the start of the next step, which agents sense. `rows`: a new order of the agents.
+    """Make the current values the start values of the next step, which agents sense. `rows`: a new order of the agents.
     Registers stay in their arrays, unless one array serves as both `start` and `now`."""
     start, now = population.start, population.now
     if rows is not None:
@@ -386,7 +386,8 @@ def add_rows(population: Population, ids: NDArray[np.int64], frame: int, place: 
 
 
 def _replace_registers(population: Population, change: Callable[[NDArray[Any], str], NDArray[Any]]) -> None:
-    """Replace every register array by the result of `change`. Registers with one array for start and now continue to share it."""
+    """Replace every register array by the result of `change`. Registers that use one array for `start` and `now` continue to
+    do so."""
     for name, array in population.now.items():
         shared = population.start[name] is array
         population.now[name] = change(array, name)

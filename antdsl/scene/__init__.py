@@ -1,4 +1,4 @@
-"""A scene: real geometry and numbers for a program. `load.load` reads one.
+"""A scene adds real geometry and numbers to a program. `load` reads one.
 
 `document` reads YAML and stores the location of every value.
 `inheritance` merges the scenes that a scene extends.

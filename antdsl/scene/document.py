@@ -1,7 +1,7 @@
-"""Parser from a scene's text to a tree of mappings, sequences and scalars, each with its location.
+"""Parses a scene's text to a tree of mappings, sequences and scalars, each with its location.
 
-It reads YAML without tags, anchors, aliases, merges or duplicate keys. Scalars stay text. The schema decides the meaning of `no`,
-`1:30` or `010`."""
+It reads YAML without tags, anchors, aliases, merges or duplicate keys. Scalars stay text. The schema decides the meaning of
+`no`, `1:30` or `010`."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def find_span(node: DocumentNode, path: Sequence[PathKey], *, key: bool = False)
     """Return the location of the value at a path of keys, and the part of the path that exists.
 
     With `key`, return the location of the last key instead. If the value does not exist, return the location of its nearest
-    existing ancestor. Parts of the path that are not in the tree, such as the schema's own tags, are skipped."""
+    existing ancestor. Parts of the path that only the schema has, such as its tags, are skipped."""
     span, walked = node.span, ()  # type: tuple[Span, tuple[PathKey, ...]]
     for part in path:
         if isinstance(node, MappingNode) and isinstance(part, str) and part in node.entries:
@@ -78,7 +78,7 @@ def find_span(node: DocumentNode, path: Sequence[PathKey], *, key: bool = False)
 
 
 class _DocumentError(Exception):
-    """Error that ends reading. It is already in the report."""
+    """Error that ends reading. It has already been added to the report."""
 
 
 # Invisible characters and characters that look like a blank. YAML reads them as letters. Joiners belong to the spelling of words.
@@ -121,9 +121,9 @@ def decode_source(data: bytes, name: str, file_kind: str = "a scene") -> tuple[S
 def read_document(
     source: Source, subject: str = "the scene", example: str = "begin with `antdsl: 1`"
 ) -> tuple[MappingNode | None, Report]:
-    """Return the tree of a text and a report. The tree is None if the text has no usable one.
+    """Return the tree of a text and a report. The tree is None if the text cannot be used.
 
-    `subject`: what the text is, and `example`: advice for an empty one."""
+    `subject`: a name for the text, and `example`: advice if the text is empty."""
     reader = _DocumentReader(source, subject, example)
     try:
         root = reader.read_root()
@@ -142,7 +142,7 @@ class _UnfinishedNode:
 
 
 class _DocumentReader:
-    """Reader of one source. Errors go into `report`."""
+    """Reads one source. Errors are added to `report`."""
 
     def __init__(self, source: Source, subject: str, example: str) -> None:
         self.source, self.subject, self.example = source, subject, example
@@ -183,7 +183,7 @@ class _DocumentReader:
         return root
 
     def reject_depth(self, span: Span) -> _DocumentError:
-        """Report too deep nesting, and return the exception to raise."""
+        """Report nesting that is too deep, and return the exception to raise."""
         return self.make_error("too-large", f"values are nested more than {limits.MAX_YAML_DEPTH} levels deep", span)
 
     def report_odd_blank(self, match: re.Match[str]) -> None:

@@ -39,7 +39,7 @@ def list_settable_names(program: Program) -> list[str]:
 
 
 def format_suggested_setting(name: str, value: Quantity) -> str:
-    """Return a help text for an invalid value of a setting: the value to write instead. Empty if the value is valid."""
+    """Return what to write instead of an invalid value of a setting, as help text. Return an empty text if the value is valid."""
     word = name.partition(".")[2]
     if word == "keeps" and (value.step != -1 or not 0 <= value.number <= 1):
         return "write a share from `0 %/step` to `100 %/step`"
@@ -71,7 +71,7 @@ def replace_field_settings(program: Program, scene: Scene, values: Mapping[str, 
 
 
 def replace_field_setting(field: Field, setting_name: str, value: Expr) -> Field:
-    """Return a field with another value for one setting. A new setting for fading removes the other settings for fading."""
+    """Return a field with another value for one setting. A new setting for fading replaces all earlier settings for fading."""
     values: dict[str, Any] = dict.fromkeys(DECAY_SETTING_NAMES) if setting_name in DECAY_SETTING_NAMES else {}
     return replace(field, **{**values, setting_name: value})
 

@@ -1,5 +1,5 @@
-"""Explains mistakes in YAML's flow style: calls with commas, such as `{kill: all(ant, within: 9 mm)}`, and keys without a
-value, such as `{kill:guards}`. What to write instead."""
+"""Explains mistakes in YAML's flow style, and suggests what to write instead. Examples are calls with commas, such as `{kill:
+all(ant, within: 9 mm)}`, and keys without a value, such as `{kill:guards}`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def suggest_flow_mapping(call: str) -> str:
 
 
 def suggest_selector(call: str) -> str | None:
-    """Return which selector to write instead of a call such as `all(ant, within: 9 mm)`; None if none fits."""
+    """Return the selector to write instead of a call such as `all(ant, within: 9 mm)`, or None if no selector fits."""
     match = _CALL_PATTERN.fullmatch(call)
     parts = [part.strip() for part in match[2].split(",")] if match is not None else []
     conditions = [part for part in parts[1:] if _CONDITION_PATTERN.fullmatch(part)]

@@ -85,7 +85,7 @@ def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
 
 
 def _find_misindented_line(text: str, stop: int | None = None) -> _MisindentedLine | None:
-    """Return the first line with an indent that fits no level, or None. Lines after the offset `stop` are ignored."""
+    """Return the first line with an indent that matches no level, or None. Lines after the offset `stop` are ignored."""
     levels: list[_IndentLevel] = []
     opened = False  # the previous line has a key without a value
     for line in _iterate_lines(text, len(text) if stop is None else stop):

@@ -1,4 +1,4 @@
-"""A scene that `extends` another. Its own values override the values of the other, mapping by mapping.
+"""Merges a scene with the scenes that it `extends`. Its own values override theirs, mapping by mapping.
 
 Every value retains its location in its source file."""
 

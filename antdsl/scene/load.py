@@ -1,4 +1,4 @@
-"""Reader of a scene: from bytes to a tree to models. Every error has its location in the text, and says what to write instead."""
+"""Reads a scene: from bytes to a tree to models. Every error has its location in the text, and says what to write instead."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here", "-selector", "-region", "-e
 class Scene:
     """A scene as in the source, with types. It has not been matched with a program.
 
-    `added_notes`: how many of its last notes are not in its files."""
+    `added_notes`: how many notes at its end do not come from its files."""
 
     model: SceneModel
     document: MappingNode

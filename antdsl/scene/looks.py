@@ -1,6 +1,7 @@
-"""Looks of surfaces: the words of `look` in scenes, and the materials of pictures, USD and glTF. One row for each kind.
+"""The looks of surfaces: the words for `look` in scenes, and the materials in pictures, USD and glTF. There is one row for each
+kind.
 
-It also has the shapes of items, by words in their names."""
+The module also has the shapes of items, by words in their names."""
 
 from __future__ import annotations
 
@@ -57,14 +58,14 @@ def is_lamp_look(look: str | None) -> bool:
 
 
 def compute_remaining_share(amounts: Iterable[tuple[float, float]]) -> float:
-    """Return the share (0..1) of its initial amount that an item still has. It is 1 for an item that started with nothing.
+    """Return the fraction (0 to 1) of its initial amount that an item still has. It is 1 for an item that started with nothing.
 
     `amounts`: for each attribute, the initial and the current amount. The first attribute with an initial amount counts."""
     return next((min(max(now / first, 0.0), 1.0) for first, now in amounts if first > 0), 1.0)
 
 
 def compute_drawn_radius(radius: float, remaining_share: float) -> float:
-    """Return the radius of an item at which its volume is the remaining share of the full one."""
+    """Return the radius at which to draw an item, so that its volume is this fraction of the full volume."""
     return float(radius * min(max(remaining_share, 0.0), 1.0) ** (1 / 3))
 
 

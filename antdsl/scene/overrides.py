@@ -1,4 +1,4 @@
-"""Values that override values of the scene: params from the user who runs it, and settings of specs."""
+"""Values that override those of a scene: params that the user sets for a run, and settings of specs."""
 
 from __future__ import annotations
 

@@ -19,8 +19,8 @@ _INTEGER_RANGE_PATTERN = re.compile(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))
 
 
 class QuantityError(ValueError):
-    """Error for a text that is not a quantity. The message is the reason, and fits after the text. `help`: what to write, if
-    known."""
+    """Error for a text that is not a quantity. The message gives the reason, worded to follow the text. `help`: what to write,
+    if known."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)

@@ -1,6 +1,6 @@
 """Values that a command sets for keys of a scene, such as `crowd.walker.count` or `world.ground.mesh`.
 
-They replace the values of the file before the scene is checked, so errors are those of the file."""
+They replace the values in the file before the scene is checked, so they give the same errors as values in the file."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The inputs of the run time from a scene: geometry, things, crowds and numbers, in mm, seconds and the scene's own axes.
 
-They are plain frozen values, independent of readers, so that a test can write them by hand."""
+They are plain immutable values. They do not depend on file readers, so tests can create them directly."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class SpreadFlowData:
     `radius`: the distance in mm beyond which the flow is 0; None for no limit.
     `gather`: above 0, a flow along a line also leads onto it. At the radius, this is the ratio of the part onto the line to the
     part along it.
-    `cell`: the distance (mm) between its sample points; None for a share of the radius.
+    `cell`: the distance (mm) between its sample points; None for a fraction of the radius.
     `surfaces`: the surfaces; empty for all."""
 
     direction: Literal["tangent", "toward", "away"]
@@ -332,7 +332,7 @@ class WorldSetting:
 def compute_world_origin(setting: WorldSetting) -> NDArray[np.float64]:
     """Return the point (3,) in mm to which positions are relative.
 
-    It is the middle of the world in whole metres, or 0 if the world is near the zero point."""
+    It is the centre of the world, rounded to whole metres. It is (0, 0, 0) if the world is close to the coordinate origin."""
     meshes = setting.surfaces or {name: solid.mesh for name, solid in setting.solids.items()}
     meshes = meshes or setting.obstacles  # rounded, so that one more small object does not move the origin
     point_sets = [m.vertices for m in meshes.values() if len(m.vertices)]

@@ -1,8 +1,8 @@
-"""Agents in the order of the cells of a grid, by a counting sort in parallel chunks.
+"""Sorts agents by grid cell, with a counting sort that runs in parallel chunks.
 
 The sort counts the agents of each cell. Running sums of the counts give the first position of each cell, and each agent is
-stored at the next position of its cell (D. E. Knuth, The Art of Computer Programming 3, 5.2). Each thread processes one chunk of
-agents. Within a cell, chunks follow each other, so the order is the same as with one thread."""
+stored at the next position of its cell (D. E. Knuth, The Art of Computer Programming 3, 5.2). Each thread processes one chunk
+of agents. Within a cell, chunks follow each other, so the order is the same as with one thread."""
 
 from __future__ import annotations
 
@@ -39,10 +39,9 @@ NO_ORDER = np.empty(0, np.int64)
 
 @dataclass(frozen=True, slots=True)
 class GridShape:
-    """A box divided into cells. Lists have values for the box's longest, second and shortest axis: the fast, middle and slow one.
-
-    `axes`: the axes as indices into x, y, z. `low_corner`: the least corner of the box (mm). `extent`: the lengths of the box
-    (mm). `cell_widths`: the lengths of a cell (mm). `cells_per_axis`: the number of cells along each axis."""
+    """A box divided into cells. Each list has one value per axis, in the order longest, second, shortest (also called fast,
+    middle, slow). `axes`: the axes as indices into x, y, z. `low_corner`: the least corner of the box (mm). `extent`: the
+    lengths of the box (mm). `cell_widths`: the lengths of a cell (mm). `cells_per_axis`: the number of cells along each axis."""
 
     axes: tuple[int, ...]
     low_corner: list[float]
@@ -52,8 +51,8 @@ class GridShape:
 
     @classmethod
     def from_bounds(cls, low_corner: list[float], high_corner: list[float], cell_width: float) -> GridShape:
-        """Return the cells of the box between the corners `low_corner` and `high_corner` (mm), for queries with radius
-        `cell_width` (mm)."""
+        """Return a grid that covers the box between `low_corner` and `high_corner` (mm), for queries with radius `cell_width`
+        (mm)."""
         x, y, z = high_corner[0] - low_corner[0], high_corner[1] - low_corner[1], high_corner[2] - low_corner[2]
         axes: tuple[int, ...] = (0, 1, 2)
         extent = [x, y, z]
@@ -88,8 +87,8 @@ class GridShape:
         return GridShape(self.axes, self.low_corner, self.extent, widths, counts)
 
     def is_one_layer_enough(self, positions: Positions) -> bool:
-        """Return whether a crowd at these positions (float32[n] mm) needs no separate cells along the shortest axis, because
-        few agents, or few layers of cells, lie above each other, as on ground."""
+        """Return whether one layer of cells is enough for a crowd at these positions (float32[n] mm). This is so if few agents,
+        or few layers of cells, lie above each other along the shortest axis, as on ground."""
         if not self.extent[2] > 0:
             return False  # there is already only one layer of cells
         occupied = np.zeros((2, max(1 << 16, 64 * len(positions[0]))), np.bool_)
@@ -99,7 +98,7 @@ class GridShape:
 
 
 def reorder_axes(axes: tuple[int, ...], positions: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return the arrays of x, y and z in the order of the fast, middle and slow axis."""
+    """Return the x, y and z arrays reordered to fast, middle and slow axis."""
     a, b, c = axes
     return positions[a], positions[b], positions[c]
 
@@ -195,9 +194,8 @@ def run_in_chunks(run_kernel: partial[Any], chunks: int, threads: int) -> None:
 
 @kernel
 def _write_bounding_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32], corners: Array2[F64]) -> None:
-    """Write the bounding box of all finite positions to `corners` (2, 3): least x, y, z, then greatest; 0 if there are none.
-
-    `lanes` (6, 8): a buffer for the extremes of each SIMD lane."""
+    """Write the bounding box of all finite positions to `corners` (2, 3): first the least x, y, z, then the greatest. Zeros if
+    no position is finite. `lanes` (6, 8): a buffer for the extremes of each SIMD lane."""
     even = x.size & -8
     for lane in simd_range(0, 8):
         low_x, low_y, low_z = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
@@ -230,13 +228,13 @@ def _write_bounding_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: A
 
 @inlined
 def _take_minimum_if_valid(low: F32, place: F32, is_valid: BOOL) -> F32:
-    """Return the lesser of `low` and `place` if `is_valid`, else `low`."""
+    """Return the lesser of `low` and `place`, or `low` if not `is_valid`."""
     return place if is_valid & (place < low) else low
 
 
 @inlined
 def _take_maximum_if_valid(high: F32, place: F32, is_valid: BOOL) -> F32:
-    """Return the greater of `high` and `place` if `is_valid`, else `high`."""
+    """Return the greater of `high` and `place`, or `high` if not `is_valid`."""
     return place if is_valid & (place > high) else high
 
 
@@ -244,9 +242,8 @@ def _take_maximum_if_valid(high: F32, place: F32, is_valid: BOOL) -> F32:
 def _is_one_layer_enough(
     axis_positions: Columns, low: FloatTriple, inverse: FloatTriple, size: CellCounts, occupied: Array2[BOOL]
 ) -> BOOL:
-    """Return whether columns of cells contain few agents or few layers. Of very many columns, several share a number.
-
-    `occupied` (2, k): buffers for flags of the columns and of the cells that contain agents."""
+    """Return whether columns of cells contain few agents or few layers. If there are too many columns, several are counted as
+    one. `occupied` (2, k): buffers for flags of the columns and of the cells that contain agents."""
     agents, columns, cells = 0, 0, 0
     for row in range(axis_positions[0].size):
         a, b, c = axis_positions[0][row], axis_positions[1][row], axis_positions[2][row]
@@ -327,7 +324,7 @@ def _count_cells(
 
 @kernel
 def convert_counts_to_starts(counts: Array2[I32], cells: I64) -> None:
-    """Replace counts by the position in the order of each chunk's first agent of each cell, at index cell + 1.
+    """Replace counts by start positions, at index cell + 1: where each chunk stores its first agent of each cell.
 
     After `take_next_sorted_index` was called for all agents, the last row of `counts` contains the first agent of each cell."""
     last, position = counts.shape[0] - 1, 0
@@ -346,7 +343,8 @@ def convert_counts_to_starts(counts: Array2[I32], cells: I64) -> None:
 
 @inlined
 def take_next_sorted_index(counts: Array2[I32], chunk: I64, k: I64, key: I64) -> I64:
-    """Return the next position in the order of cell `key`, and advance it. If `counts` is empty, it is `k`, the agent's index."""
+    """Return the next free position for an agent of cell `key`, and advance the cell's counter. If `counts` is empty, return
+    `k`, the agent's index."""
     position = k
     if counts.shape[1] > 0:
         position = counts[chunk, key + 1]
@@ -392,7 +390,8 @@ def pack_columns_by_position(
 
 @inlined
 def count_agents_before(cell_starts: Array1[I32], keys: Array1[I64], key: I64) -> I64:
-    """Return how many sorted agents are in cells below `key`. Without `cell_starts`, the agents' cells `keys` are bisected."""
+    """Return how many sorted agents are in cells with numbers below `key`. If there are no `cell_starts`, search the sorted
+    cell numbers `keys` by bisection."""
     if cell_starts.size > 0:
         count = cell_starts[key]
     else:

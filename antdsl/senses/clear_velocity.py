@@ -1,13 +1,13 @@
-"""Reciprocal collision avoidance in the tangent plane of an agent's ground. It finds the velocity nearest to the wish that
-avoids all collisions within a time horizon.
+"""Reciprocal collision avoidance in the tangent plane of an agent's ground. For each agent, finds the collision-free velocity
+that is nearest to the agent's wish, for a given time horizon.
 
 Source: J. van den Berg, S. Guy, M. Lin, D. Manocha, Reciprocal n-Body Collision Avoidance, Robotics Research, Springer Tracts
 in Advanced Robotics 70, 2011, p. 3-19.
 
-Each neighbour allows a half-plane of velocities; both agents make half of the necessary change (section 4). An incremental
-linear program finds the nearest point that lies in all half-planes and within the circle of the greatest speed. Constraints
-are added one by one, the nearest neighbour's first. If no point satisfies all, it finds the point that violates them least
-(section 5.3).
+Each neighbour limits the velocity to a half-plane. Each of the two agents makes half of the necessary change (section 4). An
+incremental linear program finds the nearest point that lies in all half-planes and within the circle of the greatest speed.
+Constraints are added one by one, the nearest neighbour's first. If no point satisfies all, it finds the point that violates
+them least (section 5.3).
 
 Values are float64 and use only single sums, products, quotients and roots. Thus an agent's result has the same bits, whichever
 other agents are computed."""
@@ -51,10 +51,9 @@ _MAX_SPEED = 1e9  # mm/s, upper limit of speeds
 
 
 class WishedVelocities(NamedTuple):
-    """The velocities that the requesting agents wish for.
+    """The velocities that the requesting agents want to have.
 
-    `velocity`: x, y, z of each requester's wish (mm/s).
-    `horizon`: for how many seconds each requester avoids collisions.
+    `velocity`: x, y, z of each requester's wish (mm/s). `horizon`: for how many seconds each requester avoids collisions.
     `max_speed`: the greatest speed (mm/s) of each row of the requesters' species."""
 
     velocity: tuple[Column, Column, Column]
@@ -73,9 +72,9 @@ def fill_clear_velocities(
     end: I64,
 ) -> None:
     """Write the velocities that avoid collisions to `velocities` (3, n; mm/s), for requesters from `begin` to before `end`.
-
-    Each velocity is along the ground and no faster than `max_speed`. It is the one nearest to the wish that avoids all
-    collisions within the horizon, if the others make half of the change. Agents that overlap separate within `dt` s."""
+    Each velocity is parallel to the ground and at most `max_speed`. Of all velocities that avoid collisions within the horizon,
+    it is the nearest to the wish. The other agents are assumed to make half of each change. Agents that overlap separate within
+    `dt` s."""
     memory = CandidateMemory(
         allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
         allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
@@ -121,10 +120,9 @@ def write_velocity_border(
 ) -> None:
     """Write the half-plane of velocities that the neighbour `other` allows to entry `index` of `borders`.
 
-    A half-plane that is not finite gets no direction and allows every velocity.
-    `preferred_side`: the direction to use if both agents have the same position and velocity. `own_x`, `own_y`: the agent's
-    velocity.
-    `horizon`, `dt`: the times (s) within which separate agents avoid a collision, and overlapping agents separate."""
+    If the half-plane is not finite, the entry has no direction and allows every velocity. `preferred_side`: the direction to
+    use if both agents have the same position and velocity. `own_x`, `own_y`: the agent's velocity. `horizon`: separate agents
+    avoid collisions for this time (s). `dt`: overlapping agents separate within this time (s)."""
     px, py, dx, dy, is_valid = borders
     x, y, r = other.x, other.y, other.radius_sum
     square, square_radius = x * x + y * y, r * r
@@ -154,9 +152,8 @@ def write_velocity_border(
 def find_nearest_allowed_velocity(
     borders: BorderColumns, line_buffers: BorderColumns, border_count: I64, max_speed: F64, wished_x: F64, wished_y: F64
 ) -> tuple[F64, F64]:
-    """Return x and y of the velocity nearest to the wish (`wished_x`, `wished_y`) that the first `border_count` borders allow.
-
-    If the borders allow none, return the velocity that violates them least. `line_buffers`: work memory."""
+    """Return x and y of the velocity nearest to the wish (`wished_x`, `wished_y`) and allowed by the first `border_count`
+    borders. If the borders allow none, return the velocity that violates them least. `line_buffers`: work memory."""
     size = math.sqrt(wished_x * wished_x + wished_y * wished_y)
     part = 1.0
     if size > max_speed:
@@ -171,8 +168,8 @@ def find_nearest_allowed_velocity(
 
 @inlined
 def _compute_border_violation(borders: BorderColumns, border_index: I64, x: F64, y: F64) -> F64:
-    """Return by how much (mm/s) the velocity (`x`, `y`) violates border `border_index`; it is above 0 if the border forbids the
-    velocity."""
+    """Return by how much (mm/s) the velocity (`x`, `y`) violates border `border_index`; a positive result means that the border
+    forbids the velocity."""
     px, py, dx, dy, _ = borders
     violation: float = dx[border_index] * (py[border_index] - y) - dy[border_index] * (px[border_index] - x)
     return violation
@@ -182,11 +179,11 @@ def _compute_border_violation(borders: BorderColumns, border_index: I64, x: F64,
 def _find_point_on_borders(
     borders: BorderColumns, border_count: I64, max_speed: F64, wished_x: F64, wished_y: F64, x: F64, y: F64, seek_farthest: BOOL
 ) -> tuple[F64, F64, I64]:
-    """Return x and y of the allowed velocity nearest to the wish (`wished_x`, `wished_y`), and the index of the border that
-    left no velocity.
+    """Return the allowed velocity nearest to the wish (`wished_x`, `wished_y`) as x and y, and the index of the border that
+    cannot be satisfied.
 
-    The index is `border_count` if a velocity is allowed. The search starts from (`x`, `y`) in the circle of `max_speed`.
-    With `seek_farthest`, return the allowed velocity that is farthest in the wish's direction."""
+    If a velocity is allowed by all borders, the index is `border_count`. The search starts from (`x`, `y`), within the circle
+    of radius `max_speed`. With `seek_farthest`, return the allowed velocity that is farthest in the wish's direction."""
     px, py, dx, dy, _ = borders
     best_x, best_y = x, y
     for k in range(border_count):
@@ -227,7 +224,7 @@ def _find_least_violation(
 ) -> tuple[F64, F64]:
     """Return x and y of the velocity that violates the borders least.
 
-    The search starts from (`x`, `y`), which the borders before `failed_border` allow. `line_buffers`: work memory."""
+    The search starts from (`x`, `y`), a velocity that all borders before `failed_border` allow. `line_buffers`: work memory."""
     px, py, dx, dy, is_valid = borders
     qx, qy, ex, ey, _ = line_buffers
     best_x, best_y, deepest = x, y, 0.0
@@ -256,12 +253,12 @@ def _find_least_violation(
 
 
 def find_widest_gaps(x: Floats, y: Floats, is_present: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Return the direction into the middle of the widest gap between the bearings of an agent's neighbours.
+    """Return the direction towards the middle of the widest gap between neighbours, as seen by each agent.
 
-    The results are its components ahead and to the left, float64[n] each, of length 1.
-    `x`, `y` float64[n,m]: positions of neighbours, ahead and to the left. `is_present` [n,m]: which of them exist.
-    A single neighbour leaves a gap all round, with its middle opposite to that neighbour. Of equally wide gaps, the one
-    nearest to straight ahead is chosen, then the one to the left. Without neighbours, the result is 0."""
+    The result is a unit vector: its components ahead and to the left, float64[n] each. `x`, `y` float64[n,m]: positions of
+    neighbours, ahead and to the left. `is_present` [n,m]: whether each neighbour exists. With a single neighbour, the direction
+    is opposite to that neighbour. Of equally wide gaps, the one nearest to straight ahead is chosen, then the one to the left.
+    Without neighbours, the result is 0."""
     n, width = x.shape
     if not width:
         return np.zeros(n), np.zeros(n)

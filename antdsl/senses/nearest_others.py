@@ -1,7 +1,7 @@
-"""The nearest others of any species, for agents on a ground.
+"""Search for the nearest agents of any species around agents that stand on a ground.
 
-The search visits the cells within the radius and lists the nearest agents in scratch memory of the thread. A full list is
-reduced to the nearest, which also reduces the radius."""
+The search visits the cells within the radius and lists candidates in scratch memory of the thread. When the list is full, only
+the nearest candidates remain, and the search radius becomes smaller."""
 
 from __future__ import annotations
 
@@ -57,10 +57,9 @@ class CrowdTables(NamedTuple):
     """All agents of a grid, in the order of cells. Values that are not finite are 0.
 
     `packed_up`: four entries per agent: its up direction x, y, z, and its rank in the order of species and ids.
-    `packed_motion`: four entries per agent: its velocity x, y, z (mm/s), and its radius (mm).
-    `name_ranks`: for each rank of `packed_up`, the agent's rank in the order of species names and ids. It is empty if there is
-    only one species.
-    `image_reach` (3): an image this far (mm) along an axis or farther does not count; infinite without images."""
+    `packed_motion`: four entries per agent: its velocity x, y, z (mm/s), and its radius (mm). `name_ranks`: for each rank of
+    `packed_up`, the agent's rank in the order of species names and ids. It is empty if there is only one species. `image_reach`
+    (3): periodic images at this distance (mm) or farther along an axis are ignored; infinite if the scene has no images."""
 
     grid: CellGridTables
     packed_up: Array1[F32]
@@ -94,11 +93,11 @@ class TangentPlane(NamedTuple):
 
 
 class CandidateMemory(NamedTuple):
-    """Scratch memory of a search. Each array has `MAX_SEARCH_CANDIDATES` numbers.
+    """Scratch memory of a search. Each array has room for `MAX_SEARCH_CANDIDATES` numbers.
 
-    `candidates`: agents within the radius, as positions in the order of cells.
-    `candidate_keys`, `distance_ranks`: the sort key of each candidate, and its rank by distance.
-    `nearest_rows`, `nearest_keys`: the result, sorted: the nearest agents as positions in the order of cells, and their keys."""
+    `candidates`: agents within the radius, as positions in the order of cells. `candidate_keys`, `distance_ranks`: the sort key
+    of each candidate, and its rank by distance. `nearest_rows`, `nearest_keys`: the result, sorted: the nearest agents as
+    positions in the order of cells, and their keys."""
 
     candidates: Array1[I64]
     candidate_keys: Array1[I64]
@@ -132,7 +131,8 @@ def compute_tangent_plane(crowd: CrowdTables, requesters: NeighbourRequests, k: 
 
 @inlined
 def load_packed_vector(packed_vectors: Array1[F32], position: I64) -> Vec3:
-    """Return the first three of the four entries that `packed_vectors` has for the agent at `position` in the order of cells."""
+    """Return the vector of the agent at `position` in the order of cells: the first three of its four entries in
+    `packed_vectors`."""
     x, y, z, _ = load_consecutive(packed_vectors, 4 * position, 4)
     return np.float64(x), np.float64(y), np.float64(z)
 
@@ -148,7 +148,7 @@ def reset_candidates(memory: CandidateMemory) -> None:
 def find_nearest_others(crowd: CrowdTables, requesters: NeighbourRequests, k: I64, up: Vec3, memory: CandidateMemory) -> I64:
     """Write the nearest others of the `k`-th requester to `memory.nearest_rows`. Return their number.
 
-    They are sorted by distance, species and id. Only others on the side of the ground that `up` points to count."""
+    They are sorted by distance, species and id. Only agents on the side of the ground that `up` points to are counted."""
     grid, agent = crowd.grid, requesters.positions[k]
     low, inverse, size = grid.low_corner, grid.cells_per_mm, grid.cells_per_axis
     x, y, z = grid.positions[0][agent], grid.positions[1][agent], grid.positions[2][agent]
@@ -201,7 +201,7 @@ def find_nearest_others(crowd: CrowdTables, requesters: NeighbourRequests, k: I6
 def _select_nearest_others(
     crowd: CrowdTables, position: I64, reach: F32, up: Vec3, count: I64, max_others: I64, memory: CandidateMemory
 ) -> I64:
-    """Write the nearest of the first `count` candidates to `memory.nearest_rows`, sorted. Return their number.
+    """Reduce the first `count` candidates to the nearest and write them, sorted, to `memory.nearest_rows`. Return their number.
 
     `position`: the searching agent, as a position in the order of cells. `reach`: the radius (mm) of the search."""
     x, y, z, _ = load_consecutive(crowd.grid.packed_positions, 4 * position, 4)
@@ -251,7 +251,8 @@ def compute_relative_agent(crowd: CrowdTables, plane: TangentPlane, own_position
 
 @inlined
 def compare_agent_names(crowd: CrowdTables, position: I64, key: I64) -> F64:
-    """Return -1 if the agent at `position` comes before the agent with `key` in the order of species names and ids, else 1."""
+    """Compare two agents by species name, then id. Return -1 if the agent at `position` comes before the agent with `key`, else
+    1."""
     own_name, other = np.int64(crowd.packed_up[4 * position + 3]), key & _DISTANCE_ZERO_BITS_MASK
     if crowd.name_ranks.size > 0:
         own_name, other = crowd.name_ranks[own_name], crowd.name_ranks[other]
@@ -283,8 +284,8 @@ def fill_nearest_offsets(
 ) -> None:  # fmt: skip
     """Write the relative positions of the nearest others of requesters from `begin` to before `end`.
 
-    `x`, `y` (n, m): the distances ahead and to the left (mm). `is_present` (n, m): which entries of both are used.
-    `axes` (6, n): the unit vectors ahead and left of each requester, x, y, z each; written too."""
+    `x`, `y` (n, m): the distances ahead and to the left (mm). `is_present` (n, m): whether an entry of `x` and `y` is used.
+    `axes` (6, n): also written: for each requester, the unit vector ahead (x, y, z), then the unit vector to the left."""
     memory = CandidateMemory(
         allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
         allocate_scratch(MAX_SEARCH_CANDIDATES, I64),

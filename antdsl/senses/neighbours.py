@@ -1,6 +1,6 @@
 """A sorted cell grid of agents' positions, which returns pairs (query, neighbour) within a radius.
 
-The pairs have the same bits, in the same order, for any order of rows, chunk size or cell size."""
+The pairs are bit-identical, and in the same order, for any order of rows, chunk size or cell size."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class SearchProgress(NamedTuple):
 
 
 class TooManyNeighboursError(Exception):
-    """More agents are within the radius of one query than may be examined."""
+    """Error: there are more agents within the radius of one query than may be examined."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,11 +101,11 @@ class NeighbourPairs:
 
 
 class CellGrid:
-    """Agents sorted into the cells of a grid. Along the crowd's longest axis, cells are a quarter as long as along the others.
+    """Agents sorted into the cells of a grid. Cells are four times shorter along the crowd's longest axis than along the other
+    axes.
 
-    `x`, `y`, `z`: float32[n] mm. `ids`: int64[n], unique.
-    `cell`: the usual radius (mm) of a query. Queries can have any radius, and are fastest with this one.
-    An agent with a position that is not finite is never a neighbour."""
+    `x`, `y`, `z`: float32[n] mm. `ids`: int64[n], unique. `cell`: the usual radius (mm) of a query. Queries can have any
+    radius, and are fastest with this one. An agent with a position that is not finite is never a neighbour."""
 
     def __init__(self, x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float, threads: int = 1) -> None:
         self.x, self.y, self.z, self.ids = x, y, z, ids
@@ -156,7 +156,8 @@ class CellGrid:
         threads: int,
         limit: int,
     ) -> NeighbourPairs:
-        """Return the pairs of queries at `query` (x, y, z) with radii `reach` (mm). Other arguments as for `find_pairs`."""
+        """Return the pairs of queries at `query` (x, y, z) with radii `reach` (mm). The other arguments are those of
+        `find_pairs`."""
         none, grid, axes = np.empty(0, np.float32), self.make_tables(), self.shape.axes
         ids = np.empty(0, np.int64) if qid is None else qid
         values: tuple[NDArray[Any], ...] = (*query, ids, reach, *(view or (none,) * 4))
@@ -204,7 +205,7 @@ def _find_pairs(
 
 @inlined
 def find_first_cell(coordinate: F64, low: F64, inverse: F64, size: I64) -> I64:
-    """Return the first cell of a range along an axis that begins at coordinate `coordinate` (mm): from 0 to `size`.
+    """Return the first cell of the range that starts at `coordinate` (mm) along an axis, from 0 to `size`.
 
     `low`: the lowest coordinate of the grid (mm). `inverse`: cells per mm. `size`: the number of cells."""
     return math.floor(min(max((coordinate - low) * inverse, 0.0), float(size)))
@@ -212,7 +213,7 @@ def find_first_cell(coordinate: F64, low: F64, inverse: F64, size: I64) -> I64:
 
 @inlined
 def find_last_cell(coordinate: F64, low: F64, inverse: F64, size: I64) -> I64:
-    """Return the last cell of a range along an axis that ends at coordinate `coordinate` (mm): from -1 to `size` - 1."""
+    """Return the last cell of the range that ends at `coordinate` (mm) along an axis, from -1 to `size` - 1."""
     return math.floor(min(max((coordinate - low) * inverse, -1.0), size - 1.0))
 
 
@@ -237,11 +238,11 @@ def _find_spans(
     size: CellCounts,
     spans: Array1[I64],
 ) -> tuple[I64, I64]:
-    """Write to `spans` where the agents of all cells within the radius of a position are among the sorted agents.
+    """Find all cells within the radius of a position, and write the ranges of their sorted agents to `spans`.
 
     Returns the number of spans, and the number of agents in all spans. If `spans` is too short, returns -1 and the required
-    length. A span has two entries: its first agent, and the agent after its last.
-    `a`, `b`, `c`: the position along the fast, middle and slow axis of the grid (mm)."""
+    length. A span is a range of sorted agents with two entries: its first agent, and the agent after its last. `a`, `b`, `c`:
+    the position along the fast, middle and slow axis of the grid (mm)."""
     tiny = 1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18
     r = radius * RADIUS_SLACK + tiny
     b0, b1 = find_first_cell(b - r, low[1], inverse[1], size[1]), find_last_cell(b + r, low[1], inverse[1], size[1])
@@ -284,10 +285,10 @@ def _find_last_neighbour(
     x: F32, y: F32, z: F32,
     reach: F32, own_id: I64,
 ) -> tuple[F32, I64]:  # fmt: skip
-    """Return the distance and the id of the last of the `MAX_QUERY_NEIGHBOURS` agents nearest to a position.
+    """Return the distance and the id of the farthest neighbour that counts: number `MAX_QUERY_NEIGHBOURS` by distance and id.
 
-    The agents are the first `candidate_count` entries of `candidates`, except the agent with id `own_id`. The search bisects the
-    bits of the distance, then the ids at that distance."""
+    The agents are the first `candidate_count` entries of `candidates`, except the agent with id `own_id`. The search bisects
+    the bits of the distance, then the ids at that distance."""
     low, high = 0, float_to_bits(np.float64(reach)) >> _FLOAT32_ZERO_BITS
     nearer_count, closer_count = 0, 0
     while low < high:

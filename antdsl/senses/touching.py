@@ -1,6 +1,5 @@
-"""Pairs of agents that are near enough to touch. Every pair occurs once; cells are as wide as two agents.
-
-Method: a uniform grid and half of each cell's surroundings (C. Ericson, Real-Time Collision Detection, 2005, 7.1). Agents of
+"""Pairs of agents that are near enough to touch. Every pair occurs once. Method: a uniform grid with cells as wide as two
+agents, and a search of half of each cell's neighbours (C. Ericson, Real-Time Collision Detection, 2005, 7.1). Agents of
 similar size have one grid; all smaller agents query it as well. In a dense cluster, each agent is paired with a bounded number
 of the agents in reach. Thus many agents at one position need no more time than as many agents next to each other."""
 
@@ -52,7 +51,7 @@ _MIN_WRITTEN_CANDIDATES = 4  # number of candidates of a span that are always wr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchingPairs:
-    """Pairs of agents, each pair once, in no order.
+    """Pairs of agents, each pair once, in no particular order.
 
     `i`, `j`: the rows of both agents. `is_complete`: False if pairs were omitted in a dense cluster."""
 
@@ -79,9 +78,9 @@ def find_touching_pairs(
 ) -> TouchingPairs:
     """Return the pairs of agents that are closer than the sum of their reaches (float64[n], mm).
 
-    `positions`: x, y and z float64[n], mm. Agents without a finite position and reach are in no pair.
-    `order` int64[n], all different: decides which pairs are omitted in a dense cluster, so that rows do not.
-    `bounds`: the least and the greatest x, y, z and reach, if known. They are not finite if any value is not finite."""
+    `positions`: x, y and z float64[n], mm. Agents without a finite position and reach are in no pair. `order` int64[n], all
+    different: determines which pairs are omitted in a dense cluster, independent of the order of rows. `bounds`: the least and
+    the greatest x, y, z and reach, if known. They are not finite if any value is not finite."""
     x, y, z, reach = make_contiguous(*positions, reach)
     rows, bounds = _find_usable_rows((x, y, z), reach, bounds)
     if bounds is None:
@@ -95,10 +94,9 @@ def find_touching_pairs(
 
 
 def iterate_neighbour_searches(place: PositionColumns, reach: Floats) -> Iterator[PairSearch]:
-    """Yield searches that together visit each pair of agents within the sum of both reaches exactly once.
+    """Yield searches that together visit each touching pair of agents (within the sum of both reaches) exactly once.
 
-    The arguments are those of `find_touching_pairs`.
-    Sparse crowds get wider cells, so that a table of all cells stays small."""
+    The arguments are those of `find_touching_pairs`. Sparse crowds get wider cells, so that a table of all cells stays small."""
     x, y, z, reach = make_contiguous(*place, reach)
     rows, bounds = _find_usable_rows((x, y, z), reach, None)
     if bounds is not None:
@@ -174,13 +172,12 @@ class PairSearch(NamedTuple):
 
 
 class _ContactGrid(NamedTuple):
-    """Agents of similar size in the order of their cells. At either end of each axis, one row of cells is free.
+    """A grid of agents of similar size, sorted by cell. At either end of each axis, one row of cells is empty.
 
-    `axes`: the axes from the longest to the shortest. `low_corner` and `cells_per_axis` are in this order.
-    `low_corner`: low corner (mm). `cells_per_mm`: cells per mm. `cells_per_axis`: numbers of cells, 1 if layers are not
-    separated.
-    `agents`: position and reach (four entries per agent), row, and cell of each agent.
-    `cell_starts`: the first agent of each cell, empty if there are too many cells for a table."""
+    `axes`: the axes from the longest to the shortest. `low_corner` and `cells_per_axis` are in this order. `low_corner`: low
+    corner (mm). `cells_per_mm`: cells per mm. `cells_per_axis`: numbers of cells, 1 if layers are not separated. `agents`:
+    position and reach (four entries per agent), row, and cell of each agent. `cell_starts`: the first agent of each cell,
+    empty if there are too many cells for a table."""
 
     axes: tuple[int, ...]
     low_corner: tuple[float, ...]
@@ -324,9 +321,9 @@ def _store_queries(
 def find_span_start(
     agents: Agents, cell_starts: Array1[I32], cells: I64, is_self_search: BOOL, position: I64, span: I64, key: I64
 ) -> I64:
-    """Return the position of the first agent in the three cells around cell `key`.
-
-    `position`: the position of the searching agent. If it searches its own grid and cell, only later agents count."""
+    """Return the position of the first agent in the three cells around cell `key`. `position`: the position of the searching
+    agent. If the searching agent is in these cells itself (`is_self_search`), only agents after it count, so each pair is
+    found once."""
     return (
         position + 1 if is_self_search and span == 0 else count_agents_before(cell_starts, agents[2], min(max(key - 1, 0), cells))
     )
@@ -344,7 +341,7 @@ def _fill_pairs(
     is_self_search: BOOL,
     max_partners: I64, buffers: CandidateBuffers, i: Array1[I64], j: Array1[I64],
 ) -> tuple[I64, I64]:  # fmt: skip
-    """Write the rows of pairs to `i` and `j`. Return the number of pairs, and the number of spans of which pairs were omitted.
+    """Write the rows of pairs to `i` and `j`. Return the number of pairs, and the number of spans in which pairs were omitted.
 
     The number of pairs is -1 if the arrays are too short. A span is three consecutive cells near an agent. The agent is paired
     with at most `max_partners` agents of each span. `span_offsets`: from the agent's cell to the middle cell of each span.

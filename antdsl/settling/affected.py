@@ -1,4 +1,5 @@
-"""Agents that edits affect without selecting them: they overlap others because of edits, or lost an agent that they touched."""
+"""Finds agents that edits affect although no edit selects them. Edits made them overlap others, or removed an agent that they
+touched."""
 
 from __future__ import annotations
 
@@ -16,9 +17,8 @@ _MIN_TOUCH_DEPTH = -0.05  # of the smaller width: a wider gap between two bodies
 def find_affected_agents_by_frame(cache: EditedCache, *, includes_touched: bool = True) -> Iterator[tuple[int, set[int]]]:
     """Yield each frame with the keys of the agents that edits affect in it.
 
-    Of two agents that overlap because of edits, the agent that no edit changes is affected. If edits change both, it is the agent
-    with the greater id. With `includes_touched`, an agent is also affected if it touched another one that edits removed or moved
-    away."""
+    If edits make two agents overlap, the one that no edit changes is affected. If edits change both, the one with the greater id
+    is affected. With `includes_touched`, an agent is also affected if edits removed or moved away an agent that it touched."""
     sizes = [list(iterate_capsules(each)) for each in (cache.original, cache)]
     for number in cache.frames():
         old, new = cache.original.frame(number), cache.frame(number)

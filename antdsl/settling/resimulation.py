@@ -1,4 +1,4 @@
-"""Simulates some agents of a cache again, among all others as its edits leave them."""
+"""Simulates some agents of an edited cache again; all other agents follow the edited cache."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class SettlingResult:
 
 
 class SettlingError(Exception):
-    """Error if agents cannot be simulated again. The message is complete without context. `help`: what to do."""
+    """Error if agents cannot be simulated again. The message needs no further context. `help`: what the user can do."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
@@ -78,13 +78,13 @@ def _open_history(cache: EditedCache, scene: Path | None, grants: Mapping[str, P
 
 
 class EditSettling:
-    """Simulates the agents again that the edits of a cache affect. `run_rounds` works in parts, for callers with other work to
-    do.
+    """Simulates again the agents that the edits of a cache affect. `run_rounds` works in parts, so that callers can do other work
+    in between.
 
     - `open_history`: returns the history of the cache for the first frame that is simulated again
-    - `next_ids`: by species, the first id that no agent of the run has
-    - `attributes`: the names of the arrays of agents in frames, by default those of the scene's output
-    - `settlement`: the result, None before the end and if edits affect no agent"""
+    - `next_ids`: for each species, the first id that no agent of the run uses
+    - `attributes`: the names of the agent arrays in frames, by default those of the scene's output
+    - `settlement`: the result; None until the end, and None if edits affect no agent"""
 
     def __init__(
         self,
@@ -192,10 +192,10 @@ def _step(history: History, world: World) -> None:
 
 
 class _Resimulation:
-    """A run in which only some agents are free; all others follow the cache.
+    """A run in which only some agents are simulated freely; all others follow the cache.
 
-    `begins`: by agent, the last frame in which the agent is as edits leave it. It is free afterwards. `frames`: the arrays of the
-    free agents, by frame."""
+    `begins`: for each agent, the last frame in which it still follows the edits; it is free from the next frame on. `frames`: the
+    arrays of the free agents, by frame."""
 
     def __init__(
         self,
@@ -257,7 +257,7 @@ class _Resimulation:
                     registers[f"position.{axis}"][:] = population.position[:, k]
 
     def _copy_free_rows(self, free_ids: Mapping[str, Ids]) -> Arrays:
-        """Return the arrays of the free agents in the world's current frame, as a cache has them."""
+        """Return the arrays of the free agents in the world's current frame, in the format of a cache."""
         names = [entry.name for entry in self.cache.manifest.species]
         keys = np.concatenate([ids * SPECIES_PER_KEY + names.index(name) for name, ids in free_ids.items()])
         arrays = self.maker.frame(self.world)

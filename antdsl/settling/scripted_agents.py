@@ -119,7 +119,7 @@ def _write_vector(population: Population, name: str, rows: NDArray[np.intp], val
 
 
 def _write_register(population: Population, name: str, rows: NDArray[np.intp], values: NDArray[np.floating]) -> None:
-    """Write a register: its current values, and its values at the start of the step."""
+    """Write both copies of a register: its current values, and its values at the start of the step."""
     for registers in (population.now, population.start):
         registers[name][rows] = values
 

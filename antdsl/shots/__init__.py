@@ -1,2 +1,2 @@
-"""Shots of a sequence and frames of caches as tasks of an executor. `caches`, `stills` and `exports` do the work on a worker.
-`task_destination` transfers its files to the requested folder."""
+"""Runs shots of a sequence and frames of caches as tasks of an executor. `caches`, `stills` and `exports` do the work on a
+worker. `task_destination` transfers the written files to the requested folder."""

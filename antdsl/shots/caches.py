@@ -28,10 +28,10 @@ _REFUSED_ERRORS = (
 def make_cache_task(
     shot: Shot, scene: Path, choices: RunChoices, options: Mapping[str, Any], destination: Destination, name: str
 ) -> Task:
-    """Return a task that writes the cache of a shot to the folder `name` of a destination. Raises StartError if the shot cannot
+    """Return a task that simulates a shot into the cache folder `name` of a destination. Raises StartError if the shot cannot
     start.
 
-    `options`: the fields of `Options` except threads. It also has `resume` and `force`."""
+    `options`: the fields of `Options` except threads, and also `resume` and `force`."""
     scene = resolve_path(scene)
     document = {
         "scene": str(scene),
@@ -49,7 +49,7 @@ def make_cache_task(
 
 
 def simulate_cache(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
-    """Simulate a scene into a cache, as the task of `make_cache_task`. Return the answer of the task."""
+    """Simulate a scene into a cache. Runs a task that `make_cache_task` made, and returns the task's answer."""
     grants = {name: worker.find_local_path(folder) for name, folder in document["grants"].items()}
     choices = RunChoices(grants, FrameRange(*document["frames"]), document["seed"], document["set"], until=document["until"])
     shot, report = open_scene(worker.find_local_path(document["scene"]), choices)
@@ -75,7 +75,7 @@ def simulate_cache(document: Mapping[str, Any], worker: WorkerContext) -> dict[s
 
 
 def remove_other_frames(folder: Path, files: list[Any], name: str) -> None:
-    """Remove frames and checkpoints of an earlier run from a cache that was fetched."""
+    """Remove frames and checkpoints of an earlier run from a cache fetched from a worker."""
     current_names = {str(file) for file, *_ in files}
     for kind in FRAME_FOLDER_NAMES:
         for path in (folder / kind).glob("*.npz"):

@@ -23,14 +23,14 @@ FRAMES_PER_TASK = 4  # frames per task
 def make_still_tasks(
     cache: Path, picture_request: DrawRequest, frames: Sequence[int], camera_frames: Sequence[int], destination: Destination
 ) -> Iterator[Task]:
-    """Yield tasks that draw all frames. `cache`: an absolute path without links. `camera_frames`: the frames for which the camera
-    is chosen."""
+    """Yield tasks that together draw all frames. `cache`: an absolute path without links. `camera_frames`: the frames that
+    determine the camera."""
     pictures = {"cache": str(cache), "wanted": asdict(picture_request), "all": list(camera_frames)}
     return destination.make_frame_tasks(draw_stills, {"pictures": pictures}, frames, FRAMES_PER_TASK)
 
 
 def draw_stills(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
-    """Draw some frames, as a task of `make_still_tasks`. Return the answer of the task.
+    """Draw some frames. Runs a task that `make_still_tasks` made, and returns the task's answer.
 
     The drawing state is cached in the process for the next task with the same picture settings."""
     to, pictures = Destination.from_document(document), document["pictures"]

@@ -1,4 +1,4 @@
-"""The cases of paths: a spec, its scene and a seed each; and their outcomes."""
+"""The cases to run, and their outcomes. A case is one spec with its scene and one seed."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ MAX_NAMED_AGENTS = 8  # maximum number of ids in a failure
 class SpecFailure:
     """An expectation of a spec that was not met.
 
-    - `values`: the values in the condition, each as its text in the source and its formatted value.
+    - `values`: for each value in the condition, its text in the source and its formatted value.
     - `agent`: the species and the id of the first failing agent of an `each`.
     - `other_count`: the number of other agents that fail in the same frame.
     - `agents`: the ids of the failing agents, at most MAX_NAMED_AGENTS.
     - `wait_start_frame`: the frame in which the agent's expired waiting time began.
-    - `states_and_position`: the states and the position of the agent, each as a name and a text."""
+    - `states_and_position`: names and texts that describe the agent's states and position."""
 
     message: str
     span: Span | None
@@ -48,7 +48,7 @@ class SpecFailure:
 
 @dataclass(frozen=True, slots=True)
 class GoalValue:
-    """The value of a goal at the end of a run. `text`: the goal's line in the source. `tolerance`: a share of the target."""
+    """The value of a goal at the end of a run. `text`: the goal's line in the source. `tolerance`: a fraction of the target."""
 
     text: str
     value: float
@@ -58,10 +58,10 @@ class GoalValue:
 
 @dataclass(frozen=True, slots=True)
 class SavedFrames:
-    """The cache with the frames from `first_frame` to the failure in `frame`.
+    """A cache with the frames from `first_frame` to the failure in `frame`.
 
-    - `folder`: the folder of the cache; None if it could not be written. `note`: the problem in words; "" without one.
-    - `view_command`: the command that shows the frames. `resume_command`: the command that continues the run from there."""
+    - `folder`: the folder of the cache; None if it could not be written. `note`: the problem, as text; "" without one.
+    - `view_command`: the command that shows the frames. `resume_command`: the command that continues the run from them."""
 
     folder: Path | None
     note: str = ""
@@ -73,7 +73,7 @@ class SavedFrames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparisonShot:
-    """The reference run of a spec, as a shot and the spec's plan for it."""
+    """The reference run of a spec: its shot, and the plan of the spec for that shot."""
 
     shot: Shot
     plan: SpecPlan
@@ -108,7 +108,7 @@ class SpecCase:
 
 @dataclass(slots=True, eq=False)
 class SpecRun:
-    """Cases that are judged in the same simulation."""
+    """Cases that are judged in one simulation."""
 
     shot: Shot
     seed: int
@@ -118,10 +118,10 @@ class SpecRun:
 def collect_cases(
     paths: Iterable[Path], *, grants: Mapping[str, Path] | None = None, seeds: int | None = None, name_filter: str = ""
 ) -> tuple[list[SpecRun], Report]:
-    """Return what to run for programs, scenes and folders, and a report on files, scenes and specs.
+    """Return the runs for programs, scenes and folders, and a report on files, scenes and specs.
 
-    Folders are searched for programs; a scene counts when it is named. `seeds`: 1 to this number instead of each spec's own.
-    `name_filter`: only specs with this text in their name."""
+    Folders are searched for programs; scenes are used only if they are named. `seeds`: run seeds 1 to this number instead of
+    each spec's own. `name_filter`: run only specs with this text in their name."""
     paths = list(paths)
     files, report = find_files(paths)
     parsed = SharedParsedFiles()
@@ -138,7 +138,8 @@ def collect_cases(
 
 
 class CaseFinder:
-    """Opens each scene once for each set of changed params. `params`: values that override those of all scenes."""
+    """Finds the cases to run. Each scene is opened once for each set of changed params. `params`: values that override those of
+    all scenes."""
 
     def __init__(
         self, grants: dict[str, Path], parsed_files: ParsedFileCache, report: Report, params: Mapping[str, str] | None = None
@@ -149,14 +150,16 @@ class CaseFinder:
         self.scene_and_spec_by_key: dict[tuple[Path, Span], tuple[Path, Spec]] = {}
 
     def add_spec(self, file: Path, spec: Spec) -> None:
-        """Add a spec with its scene, only once for any number of paths. A scene adds the specs that run on it."""
+        """Add a spec with its scene; a spec that several paths contain is added once. `file`: if it is a scene, only specs that
+        run on it are added."""
         program_path = Path(spec.span.source.path)
         scene = self._find_scene(program_path, spec, file)
         if scene is not None and (file.suffix == ".ant" or scene.resolve() == file.resolve()):
             self.scene_and_spec_by_key.setdefault((scene.resolve(), spec.span), (scene, spec))
 
     def _find_scene(self, program_path: Path, spec: Spec, file: Path) -> Path | None:
-        """Return the scene of a spec; without `on`, the scene of the path, or `scene.yaml` next to the program."""
+        """Return the scene of a spec. If the spec has no `on`, return the scene of the path, or `scene.yaml` next to the
+        program."""
         folder = program_path.resolve().parent
         if spec.scene is None:
             if file.suffix != ".ant":
@@ -199,7 +202,7 @@ class CaseFinder:
     def _find_comparison_shot(self, scene: Path, spec: Spec) -> ComparisonShot | None:
         """Return the reference run of a spec; None if the spec has none, or if it has errors.
 
-        The changes of the spec apply there too, except names that its `against` block changes."""
+        The spec's changed params also apply to the reference run, except those that its `against` block changes."""
         assert spec.reference_run is not None
         if spec.reference_run.scene is not None:
             scene_path = self._find_named_scene(Path(spec.span.source.path), spec.reference_run.scene)
@@ -212,7 +215,7 @@ class CaseFinder:
         return None if shot is None or plan is None else ComparisonShot(shot, plan)
 
     def _open_shot(self, scene: Path, changes: tuple[SpecChange, ...]) -> Shot | None:
-        """Return the shot of a scene with changed params, opened once; None if it has errors."""
+        """Return the shot of a scene with changed params. It is opened only once. None if it has errors."""
         key = (scene.resolve(), tuple(sorted(f"{c.name} = {' '.join(c.value.span.text.split())}" for c in changes)))
         if key not in self.shots:
             shot, report = open_scene(scene, RunChoices(self.grants, params=self.params, changes=changes), parsed=self.parsed)
@@ -221,7 +224,7 @@ class CaseFinder:
         return self.shots[key]
 
     def _find_plan(self, shot: Shot, spec: Spec, scene: Path) -> SpecPlan | None:
-        """Return the plan of a spec for the program of a scene."""
+        """Return the plan of a spec, lowered for the program of a scene."""
         same_spec = _find_same_spec(shot.program, spec)
         if same_spec is None:
             message = f"`{scene.name}` has no crowd from `{Path(spec.span.source.path).name}`"
@@ -234,7 +237,7 @@ class CaseFinder:
 
 
 def _find_same_spec(program: Program, spec: Spec) -> Spec | None:
-    """Return the spec at the same position of the same source in another program, or None."""
+    """Return the spec in another program that has the same source and position, or None."""
     place = (spec.span.source, spec.span.start)
     return next((each for each in program.specs if (each.span.source, each.span.start) == place), None)
 
@@ -248,9 +251,9 @@ def _find_first_line(spec: Spec) -> Span:
 
 @dataclass(frozen=True, slots=True)
 class SpecVerdict:
-    """The verdict about a spec of which a share of the seeds must pass.
+    """The verdict on a spec that must pass with a required fraction of its seeds.
 
-    `passed_count`, `case_count`: the numbers of seeds that have passed, and of all seeds. `has_passed`: whether enough seeds have
+    `passed_count`: the number of seeds that passed. `case_count`: the number of all seeds. `has_passed`: whether enough seeds
     passed; None if cases are still waiting."""
 
     spec: Spec
@@ -260,7 +263,7 @@ class SpecVerdict:
 
 
 def resolve_verdicts(cases: Sequence[SpecCase]) -> list[SpecVerdict]:
-    """Return the verdicts about all specs that require a share of their seeds. Call this after all runs.
+    """Return the verdicts on all specs that must pass with a required fraction of their seeds. Call this after all runs.
 
     If enough seeds of a spec have passed, its failed cases get the outcome `allowed`."""
     groups: dict[tuple[str, int, str], list[SpecCase]] = {}

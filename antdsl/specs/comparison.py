@@ -1,5 +1,5 @@
-"""The reference run of a spec that compares two runs. It runs first, with the same seed, and stores the values that the
-comparison needs from each frame."""
+"""The reference run of a spec that compares two runs. It runs first, with the same seed. In each frame, it stores the values
+that the comparison needs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class ReferenceRunRecord:
         self.blank_values = {each.name: np.float32(np.nan) for each in plan.reference_values}
 
     def record_frame(self, world: World) -> None:
-        """Store the numbers of this frame, and whether it is the first in which the condition of a `sooner` holds."""
+        """Store the numbers of this frame. Also store whether the condition of a `sooner` holds for the first time."""
         self.evaluator.evaluate_frame(world, self.blank_values)
         self.values_by_frame.append(
             {each.name: self.evaluator.evaluate_node(world, each.value) for each in self.plan.reference_values}
@@ -48,14 +48,15 @@ class ReferenceRunRecord:
                 self.steps_by_line.setdefault(place, world.frame - self.first)
 
     def get_reference_values(self, frame: int) -> Mapping[str, Any]:
-        """Return the values of the reference run in a frame, counted from its first. After its last frame, they stay constant."""
+        """Return the values of the reference run in a frame, counted from its first frame. After its last frame, the values stay
+        constant."""
         return self.values_by_frame[min(frame, len(self.values_by_frame) - 1)]
 
     def find_steps_until_held(self, line: JudgementPlan) -> int | None:
-        """Return the number of steps until the condition of a `sooner` held in the reference run; None if it never held."""
+        """Return after how many steps the condition of a `sooner` held in the reference run. None if it never held."""
         return self.steps_by_line.get(_make_line_key(line))
 
 
 def _make_line_key(line: JudgementPlan) -> JudgementKey:
-    """Return the key of a line of a spec: its location in the source, which is the same in both runs."""
+    """Return the key of a spec's line: its location in the source, which is equal in both runs."""
     return line.span.source.path, line.span.start

@@ -1,4 +1,4 @@
-"""Which states agents were in and which transitions they made, over all runs together."""
+"""Records which states agents were in and which transitions they took, over all runs together."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ CoverageKey = tuple[str, int, str]  # source, offset in it, name
 class CoverageEntry:
     """A state or a transition, and how often it occurred.
 
-    `name`: such as `forager.main.search` for a state, `forager.main.search->approach#1` for a transition. `count`: of a state,
-    the agents in it, added over all frames; of a transition, the agents that took it."""
+    `name`: such as `forager.main.search` for a state, `forager.main.search->approach#1` for a transition. `count`: for a state,
+    the agents in it, summed over all frames; for a transition, how many agents took it."""
 
     name: str
     span: Span
@@ -28,7 +28,7 @@ class CoverageEntry:
 
 @dataclass(frozen=True, slots=True)
 class _MachineCoverageTable:
-    """The entries of one machine's states and transitions, in the order of their numbers in the plan.
+    """The entries of one machine's states and transitions, in the order in which the plan numbers them.
 
     `claim_changes`: the numbers of the transitions that depend on a claim."""
 
@@ -48,12 +48,12 @@ class SpecCoverage:
 
     @property
     def covered_share(self) -> float:
-        """Return the share of all states and changes that occurred, from 0 to 1; 1 if there are none."""
+        """Return the fraction of all states and transitions that occurred, from 0 to 1. Return 1 if there are none."""
         all = [*self.states.values(), *self.changes.values()]
         return sum(each.count > 0 for each in all) / len(all) if all else 1.0
 
     def watch_world(self, world: World, program: Program) -> None:
-        """Count states in this world, including its current frame."""
+        """Count the states in this world from its current frame on."""
         machines = [self._make_machine_coverage(s.name, m) for s in program.species.values() for m in s.machines]
         for machine in machines:
             states = world.populations[machine.species].now.get(f"{machine.name}.state")
@@ -62,7 +62,7 @@ class SpecCoverage:
         world.watchers.append(partial(_count_all_changes, machines=machines))
 
     def _make_machine_coverage(self, species: str, machine: Machine) -> _MachineCoverageTable:
-        """Return the entries of a machine; new entries are added with count 0."""
+        """Return the coverage entries of a machine. If they do not exist yet, add them with count 0."""
         pairs = [change for state in machine.states for change in state.transitions]
         return _MachineCoverageTable(
             species,
@@ -90,7 +90,7 @@ def _count_all_changes(world: World, machines: list[_MachineCoverageTable]) -> N
 def _count_changes(world: World, machine: _MachineCoverageTable) -> None:
     """Count the transitions of a machine in a step. Call this after all agents have acted, before dead agents are removed.
 
-    Transitions have the numbers of `plan.machines`."""
+    Transitions are numbered as in `plan.machines`."""
     population = world.populations[machine.species]
     previous_states, next_states = (table.get(f"{machine.name}.state") for table in (population.start, population.now))
     if previous_states is not None and next_states is not None:

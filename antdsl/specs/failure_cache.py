@@ -1,7 +1,8 @@
-"""Stores the frames before a failure: a cache with a checkpoint of every frame, to inspect and continue from.
+"""Stores the frames before a failure in a cache. It has a checkpoint of every frame, so that the run can be inspected and
+continued.
 
-While a spec is judged, only periodic copies of the state are stored. After a failure, the frames from the last such copy are
-simulated once more, now into a cache."""
+While a spec is judged, only periodic copies of the state are stored. After a failure, the frames since the last copy are
+simulated once more and written to the cache."""
 
 from __future__ import annotations
 
@@ -35,7 +36,7 @@ MAX_STORED_CASES = 5  # maximum number of stored cases of one `antdsl test`
 
 @dataclass(frozen=True, slots=True)
 class FailureSnapshot:
-    """The frame in which a case failed, with the data to simulate it again.
+    """The frame in which a case failed, and the data needed to simulate it again.
 
     `hash`: the hash of the state in this frame; None if the step to it failed. `arrays`: the stored state of an earlier frame."""
 
@@ -50,27 +51,27 @@ class FailureSnapshot:
 
 
 class StateSnapshots:
-    """Stores the last periodic copy of a run's state.
+    """Stores the most recent periodic copy of a run's state.
 
-    If the scene moves anything by its frames, the first copy is stored instead, because the run can only continue from there."""
+    If the scene animates anything over its frames, the first copy is stored instead. A run can continue only from there."""
 
     def __init__(self, setting: WorldSetting) -> None:
         self.keeps_first_copy = bool(setting.motion) or any(camera.is_moving for camera in setting.cameras.values())
         self.last: Arrays | None = None
 
     def store_copy(self, world: World) -> None:
-        """Store a copy if it is due. Call it for each frame after it was judged."""
+        """Store a copy of the state if one is due. Call this for each frame after judging it."""
         if self.last is None or (not self.keeps_first_copy and world.frame >= int(self.last["frame"]) + COPY_INTERVAL_FRAMES):
             self.last = take_checkpoint(world)
 
     def make_failure_point(self, world: World) -> FailureSnapshot:
-        """Return the data that is needed to simulate this frame again."""
+        """Return the data needed to simulate this frame again."""
         return FailureSnapshot(world.frame, state_hash(world), take_checkpoint(world) if self.last is None else self.last)
 
 
 @dataclass(slots=True)
 class FailureSaver:
-    """Saves failed cases below `folder`, or below `out/failed` next to their scenes."""
+    """Saves the frames of failed cases in `folder`, or in `out/failed` next to their scenes."""
 
     folder: Path | None
     grants: Mapping[str, Path]
@@ -80,8 +81,8 @@ class FailureSaver:
     def save_failure(
         self, run: SpecRun, case: SpecCase, failure_point: FailureSnapshot, binding_cache: BindingCache
     ) -> SavedFrames:
-        """Simulate the frames before a failure again, and write them into a cache. The result's `note` has the problem, if
-        any."""
+        """Simulate the frames before a failure again, and write them to a cache. If this fails, the `note` of the result gives
+        the problem."""
         self.count += 1
         if self.count > MAX_STORED_CASES:
             return SavedFrames(None, f"not saved: only the first {MAX_STORED_CASES} are")
@@ -116,7 +117,7 @@ class FailureSaver:
         )
 
     def _record_frames(self, shot: Shot, folder: Path, failure_point: FailureSnapshot, binding_cache: BindingCache) -> str:
-        """Write the frames from the copy to the failure; return the hash of the last."""
+        """Write the frames from the copy to the failure. Return the state hash of the last frame."""
         model = shot.scene.model
         output = model.output.model_copy(update={"checkpoint": 1})
         short = FrameRange(failure_point.first_frame, failure_point.frame)
@@ -137,12 +138,13 @@ class FailureSaver:
 
 
 def make_folder_name(name: str) -> str:
-    """Return a name as a folder name: letters, digits and hyphens."""
+    """Convert a name to a folder name that has only letters, digits and hyphens."""
     return "-".join(re.findall("[a-z0-9]+", name.lower()))[:60].strip("-") or "spec"
 
 
 def _format_flag_value(shot: Shot, value: Expr) -> str:
-    """Return a changed value in the form that `--set` accepts: as in the source, or a computed number with its unit."""
+    """Return a changed value in the form that `--set` accepts. It is written as in the source, or as a computed number with its
+    unit."""
     text = "".join(value.span.text.split())
     try:
         parse_quantity(text)

@@ -1,4 +1,4 @@
-"""Judges one spec over a run: evaluates the world frame by frame, stores what the spec needs, and reports failures."""
+"""Judges one spec during a run. It evaluates the world frame by frame, stores what the spec needs, and reports failures."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _NUMBER_PATTERN = re.compile(NUMBER_REGEX)
 class SpecJudge:
     """Judges one spec over a run. Call `judge_frame` for each frame, from the first on, until `is_over` is true.
 
-    `failures`: the failures in the order of detection. `fulfilled_at_start`: lines with `within` or `eventually` that hold in the
-    first frame already, so that they test nothing. A spec that compares runs also needs the reference run."""
+    `failures`: the failures in the order of detection. `fulfilled_at_start`: lines with `within` or `eventually` that already
+    hold in the first frame, and so test nothing. For a spec that compares runs, the record of the reference run is required."""
 
     def __init__(self, plan: SpecPlan, world: World, last: int, compared_run: ReferenceRunRecord | None = None) -> None:
         self.plan, self.first, self.reference_run = plan, world.frame, compared_run
@@ -42,7 +42,7 @@ class SpecJudge:
         self.is_over = False
 
     def judge_frame(self, world: World) -> None:
-        """Judge the world as it is at this frame."""
+        """Judge the current frame of the world."""
         if self.is_over:
             return
         spec_world = self.evaluator.evaluate_frame(
@@ -91,12 +91,12 @@ class SpecJudge:
         )
 
     def _evaluate_condition(self, world: World, node: ir.PlanNode | str) -> bool:
-        """Return whether a condition on aggregates holds; NaN makes it false."""
+        """Return whether a condition on aggregates holds. A condition with NaN does not hold."""
         assert isinstance(node, ir.PlanNode)
         return bool(self.evaluator.evaluate_node(world, node))
 
     def _find_released(self, line: JudgementLine, ids: AgentIds) -> NDArray[np.bool_]:
-        """Return the agents for which an `until` of the same block has held before this frame."""
+        """Return the agents for which an `until` of the same block held in an earlier frame."""
         free = np.zeros(len(ids), np.bool_)
         for other in self.lines:
             if other.plan.kind == "until" and other.plan.block_number == line.plan.block_number:
@@ -104,8 +104,8 @@ class SpecJudge:
         return free
 
     def _judge_sooner(self, line: JudgementLine, observation: FrameObservation) -> AgentIds:
-        """Judge `sooner`: the condition must hold in an earlier frame here than in the other run. Frames are counted from the
-        first of each run."""
+        """Judge a `sooner` line. Its condition must hold in an earlier frame of this run than of the reference run. Frames are
+        counted from the first frame of each run."""
         assert self.reference_run is not None
         holds = bool(len(line.find_failed(observation)))
         reference_steps = self.reference_run.find_steps_until_held(line.plan)
@@ -126,7 +126,8 @@ class SpecJudge:
     def _format_values(
         self, world: World, spec_world: World, plan: JudgementPlan, row: int | None
     ) -> tuple[tuple[str, str], ...]:
-        """Return the texts and values of a line's readings. `row`: the failed agent's row; None for a line about an aggregate."""
+        """Return the text and the formatted value of each value that a line reads. `row`: the failed agent's row; None for a
+        line about an aggregate."""
         reading_values: list[tuple[ReadingPlan, Any]] = []
         for reading in plan.readings:
             if reading.node is not None:
@@ -163,7 +164,7 @@ class SpecJudge:
 
 
 def find_last_frame(plan: SpecPlan, world: World, last_scene_frame: int) -> int:
-    """Return the last frame of a spec that begins now: the scene's last frame, or the end of the spec's `for`."""
+    """Return the last frame of a spec that begins in this frame: the last frame of the scene, or the end of the spec's `for`."""
     steps = count_duration_steps(world, plan.duration)
     return last_scene_frame if steps is None else world.frame + steps
 

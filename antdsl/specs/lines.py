@@ -1,6 +1,7 @@
-"""The kinds of lines: which agents fail a line in each frame, and why. `since` means the condition of a `when`.
+"""The kinds of spec lines. Each decides which agents fail a line in a frame, and why. In names, `since` refers to the condition
+of a `when`.
 
-A line about aggregates is judged like one about a single agent with the id 0 that exists from the first frame on."""
+A line about aggregates is judged like a line about a single agent. This agent has the id 0 and exists from the first frame on."""
 
 from __future__ import annotations
 
@@ -59,7 +60,7 @@ def observe_aggregate(
 
 
 def count_duration_steps(world: World, time: ir.PlanNode | None) -> int | None:
-    """Return a duration in whole steps, rounded up. Its float32 value may lie slightly above."""
+    """Return a duration as a number of whole steps, rounded up. The float32 value of the duration may be slightly too large."""
     if time is None:
         return None
     return max(1, ceil(float(evaluate_uniform_node(world, time, {})) * float(world.setting.fps) * (1 - 1e-6)))
@@ -69,8 +70,8 @@ def count_duration_steps(world: World, time: ir.PlanNode | None) -> int | None:
 class JudgementLine:
     """The state of judging one line of a spec over a run. Arrays are indexed by the agent's id.
 
-    - `steps`, `held_steps`: the times of the line and of its `held`, in steps; None without one.
-    - `is_undecided`: whether the line is still judged. `failure_reason`: the reason of the last failure in words.
+    - `steps`, `held_steps`: the durations of the line and of its `held`, in steps; None without one.
+    - `is_undecided`: whether the line is still judged. `failure_reason`: the reason of the last failure, as text.
     - `is_fulfilled`: whether the agent has fulfilled the line.
     - `count`: the number of successive frames in which the condition has held.
     - `previous_start_condition`: whether the condition of the `when` held in the previous frame.
@@ -91,7 +92,7 @@ class JudgementLine:
     def find_failed(self, observation: FrameObservation) -> AgentIds:
         """Return the ids of the agents that fail in this frame.
 
-        Sets `failure_reason` to the reason in words; "" if the condition alone is the reason."""
+        Sets `failure_reason` to a text; it is "" if the false condition is the only reason."""
         self.failure_reason = ""
         if self.held_steps is not None:
             self.held_step_counts = extend_table_for_ids(self.held_step_counts, observation.ids, 0)
@@ -104,21 +105,22 @@ class JudgementLine:
         return _JUDGE_BY_KIND[self.plan.kind](self, observation)
 
     def is_fulfilled_at_start(self, observation: FrameObservation) -> bool:
-        """Return whether the first frame already fulfils a line that waits for its condition, for all agents that it concerns."""
+        """Return whether a line that waits for its condition is already fulfilled in the first frame, for all its agents."""
         waits = (
             self.plan.kind in ("within", "eventually") and observation.start_condition_holds is None and self.held_steps is None
         )
         return waits and len(observation.ids) > 0 and bool(observation.condition_holds.all())
 
     def find_start_frame(self, agent: int) -> int | None:
-        """Return the frame in which an agent's expired waiting time began, if the line has a `when`."""
+        """Return the frame in which an agent's expired waiting time began. Return None if the line has no `when`."""
         is_pending = self.plan.start_condition is not None and agent < len(self.pending_since_frames)
         return (
             int(self.pending_since_frames[agent]) if is_pending and self.pending_since_frames[agent] != _NO_FRAME_NUMBER else None
         )
 
     def _find_removed(self, observation: FrameObservation, is_waiting: BoolArray) -> AgentIds:
-        """Return the agents that waited before and no longer exist. `is_waiting`: by row, whether the agent waits now."""
+        """Return the agents that waited in the previous frame and no longer exist. `is_waiting`: for each row, whether the agent
+        waits now."""
         is_present = np.zeros(max(int(observation.ids.max(initial=-1)), int(self.waiting_ids.max(initial=-1))) + 1, np.bool_)
         is_present[observation.ids] = True
         removed_ids = self.waiting_ids[~is_present[self.waiting_ids]]
@@ -143,7 +145,7 @@ def _judge_finally(line: JudgementLine, observation: FrameObservation) -> AgentI
 
 
 def _judge_for(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Return the agents for which the condition does not hold within the duration from their first frame."""
+    """Return the agents for which the condition does not hold. An agent counts only within the duration from its first frame."""
     assert line.steps is not None
     last = observation.first_frames + line.steps
     if line.plan.species is None and (observation.frame >= last).all() and observation.condition_holds.all():
@@ -152,7 +154,7 @@ def _judge_for(line: JudgementLine, observation: FrameObservation) -> AgentIds:
 
 
 def _judge_eventually(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Return the ids of the agents that fail `eventually` or `within`. A `within` fails as soon as its time is over."""
+    """Return the ids of the agents that fail `eventually` or `within`. `within` fails as soon as its time has elapsed."""
     line.is_fulfilled = extend_table_for_ids(line.is_fulfilled, observation.ids, False)
     line.is_fulfilled[observation.ids[observation.condition_holds | observation.is_released]] = True
     waiting = ~line.is_fulfilled[observation.ids]
@@ -191,7 +193,7 @@ def _update_waiting_agents(line: JudgementLine, observation: FrameObservation) -
 
 
 def _judge_since_within(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Judge a `when` with `within` or `eventually`. Of overlapping waiting times only the first counts; all end with it."""
+    """Judge a `when` with `within` or `eventually`. If waiting times overlap, only the first counts, and all end with it."""
     comes = _update_waiting_agents(line, observation)
     pending: AgentIds = line.pending_since_frames[observation.ids]
     pending = np.where(comes & (pending == _NO_FRAME_NUMBER), observation.frame, pending)

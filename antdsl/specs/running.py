@@ -1,5 +1,5 @@
-"""Runs cases: one simulation for all specs of one scene, seed and set of params, headless, until the last of them has its
-result."""
+"""Runs cases without a display. One simulation serves all specs of a scene, seed and set of params. It ends when all of them
+have a result."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ FrameCallback = Callable[[SpecRun, int, int], None]
 class RunContext:
     """The options, callbacks and results that all runs share, except the outcomes of cases.
 
-    - `failure_saver`: saves the frames before failures; None: do not save. `golden_comparison`: compares golden runs; None: do
-      not.
-    - `report_case`: called after each case. `report_frame`: called with a run, the number of its frame, and that of its last
-      frame.
-    - `messages`: sentences for the user about deviations of a run from the request, each once. They change no verdict.
+    - `failure_saver`: saves the frames before failures; None to save nothing. `golden_comparison`: compares golden runs; None to
+      skip this.
+    - `report_case`: called after each case. `report_frame`: called with a run, the number of the current frame, and the number
+      of the last frame.
+    - `messages`: sentences for the user about deviations of a run from the request, without duplicates. They change no verdict.
     - `worlds`: the worlds of the current run."""
 
     options: Options
@@ -44,8 +44,7 @@ class RunContext:
 
 
 def run_cases(runs: Iterable[SpecRun], context: RunContext) -> None:
-    """Simulate all runs and set the outcome of each case. A problem in one run, even a fault, only fails the cases of this
-    run."""
+    """Simulate all runs and set the outcome of each case. A problem in a run, even a fault, fails only the cases of this run."""
     for run in runs:
         started = perf_counter()
         moments: dict[int, FailureSnapshot] = {}
@@ -137,7 +136,7 @@ def _fail_with_fault(run: SpecRun, stop: FaultStop) -> None:
 
 
 def _describe_fault(stop: FaultStop, prefix: str) -> SpecFailure:
-    """Return a fault as a failure. `prefix`: text in front of its message."""
+    """Return a failure that describes a fault. `prefix`: text in front of its message."""
     fault = stop.fault
     culprit = (fault.species, fault.agent)
     words = f"{prefix}`{fault.value_name}` {fault.reason}"
@@ -145,8 +144,8 @@ def _describe_fault(stop: FaultStop, prefix: str) -> SpecFailure:
 
 
 def _run_compared(run: SpecRun, work: RunContext) -> dict[int, ReferenceRunRecord]:
-    """Return the reference runs of cases by the case's id. Cases with the same shot share one run. A fault in a run fails its
-    cases."""
+    """Return the records of the reference runs, by the `id()` of the case. Cases with the same shot share one run. A fault in a
+    run fails its cases."""
     compared_runs: dict[int, ReferenceRunRecord] = {}
     for shot in {
         id(case.comparison_shot.shot): case.comparison_shot.shot for case in run.cases if case.comparison_shot is not None
@@ -161,7 +160,7 @@ def _run_compared(run: SpecRun, work: RunContext) -> dict[int, ReferenceRunRecor
 
 
 def _simulate_compared(run: SpecRun, work: RunContext, shot: Shot, cases: list[SpecCase]) -> dict[int, ReferenceRunRecord]:
-    """Simulate one run that cases compare with, to the last frame that one of them needs."""
+    """Simulate one reference run for some cases, up to the last frame that any of them needs."""
     world = _make_world(shot, run.seed, work)
     first = world.frame
     rivals = {

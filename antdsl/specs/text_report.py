@@ -1,4 +1,5 @@
-"""Results in words: a case for each spec and seed, with location, frame, agents and values of failures; golden runs; coverage."""
+"""Formats results as text: a line for each spec and seed; the location, frame, agents and values of failures; golden runs;
+coverage."""
 
 from __future__ import annotations
 
@@ -15,18 +16,18 @@ _MAX_LISTED_DIFFERENCES = 6
 
 
 def format_case_line(case: SpecCase) -> str:
-    """Return a case in one line: `passed  "no crumb is lost", seed 3: 240 frames, 1.2 s`."""
+    """Return a case as one line: `passed  "no crumb is lost", seed 3: 240 frames, 1.2 s`."""
     return f'{case.outcome:<7} "{escape_text(case.name)}", seed {case.seed}: {case.frames} frames, {case.seconds:.1f} s'
 
 
 def describe_failed_case(case: SpecCase) -> str:
-    """Return the case's line, then each failure with its location, frame, agent and values; then how to view it."""
+    """Return the line of a case, then its failures with location, frame, agent and values, then the command to view it."""
     lines = [format_case_line(case), *(f"  {line}" for failure in case.failures for line in describe_failure(failure))]
     return "\n".join(lines + ([] if case.saved_frames is None else [f"  {line}" for line in _describe_saved(case.saved_frames)]))
 
 
 def describe_failure(failure: SpecFailure) -> list[str]:
-    """Return a failure in lines: what was expected where, when it failed, for which agents, and the values."""
+    """Return a failure as lines of text: what was expected and where, when it failed, for which agents, and the values."""
     where = f"{failure.span}: " if failure.span is not None else ""
     lines = [f"{escape_text(where)}{escape_text(failure.message)}"]
     if failure.frame is not None:
@@ -75,7 +76,7 @@ def describe_verdict(verdict: SpecVerdict) -> str:
 
 
 def describe_golden(result: GoldenResult) -> str:
-    """Return a golden run in words: what differs first, and for which agents."""
+    """Return a golden run's result as text: what differs first, and for which agents."""
     words = {"same": "same", "differs": "differs", "written": "written"}.get(result.outcome, "waiting")
     line = f"{words:<7} {escape_text(result.name)}, seed {result.seed}: "
     if result.outcome != "differs":
@@ -105,8 +106,8 @@ def describe_counts(cases: Sequence[SpecCase], error_count: int, goldens: Sequen
 
 
 def describe_coverage(coverage: SpecCoverage) -> str:
-    """Return every state and change with its count, in the order of the text: agents in a state per frame, agents that
-    changed."""
+    """Return every state and transition with its count, in the order of the program. For states, the count is the agents per
+    frame; for transitions, the agents that took it."""
     both = [(each, "state") for each in coverage.states.values()] + [(each, "change") for each in coverage.changes.values()]
     both.sort(key=lambda pair: (pair[0].span.source.path, pair[0].span.start, pair[1] == "change"))
     wide = max((len(f"{each.count:,}") for each, _ in both), default=0)
@@ -115,7 +116,7 @@ def describe_coverage(coverage: SpecCoverage) -> str:
 
 
 def describe_uncovered(coverage: SpecCoverage) -> str:
-    """Return how many states and changes occurred, and the names of those that never occurred."""
+    """Return how many states and transitions occurred, and the names of those that never occurred."""
     lines = []
     for noun, verb, table in (("states", "entered", coverage.states), ("changes", "made", coverage.changes)):
         if table:
@@ -129,7 +130,7 @@ def describe_uncovered(coverage: SpecCoverage) -> str:
 
 
 def _shorten_name(name: str) -> str:
-    """Return a name without internal parts: the machine `main`, and the number of a change if it is the first."""
+    """Return a name without internal parts, which are the machine `main` and the number of a first transition."""
     return name.replace(".main.", ".").removesuffix("#1").replace("->", " -> ")
 
 

@@ -1,4 +1,4 @@
-"""Values as an author would write them: with a unit, a state by its name, an item by its name."""
+"""Formats values as an author would write them: numbers with a unit, and states and items by name."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ _COORDINATE_DECIMALS = 6  # digits after the point
 
 
 def format_value(world: World, value: Any, type: ValueType, unit: str, is_exact: bool = False) -> str:
-    """Format a value: `41.3 mm/s`, `12 %`, `move_world`, `yes`, `apple`. `is_exact`: a number with all digits instead of six."""
+    """Format a value: `41.3 mm/s`, `12 %`, `move_world`, `yes`, `apple`. `is_exact`: whether a number has all digits instead of
+    six."""
     match type.kind:
         case TypeKind.BOOL:
             return "yes" if value else "no"
@@ -31,7 +32,7 @@ def format_value(world: World, value: Any, type: ValueType, unit: str, is_exact:
 
 
 def describe_states_and_position(world: World, species: str, row: int) -> tuple[tuple[str, str], ...]:
-    """Return the agent's states, the time since it entered them, and its position in the scene's units."""
+    """Return the agent's states, the time since it entered each, and its position in the scene's units."""
     population = world.populations[species]
     entries = []
     for machine in population.plan.machines:
@@ -42,8 +43,8 @@ def describe_states_and_position(world: World, species: str, row: int) -> tuple[
 
 
 def format_position(position: Iterable[float], origin: Iterable[float], unit_mm: float) -> str:
-    """Format a position, in mm and relative to an origin, as coordinates in a unit. There are four significant digits of the
-    relative value, and at least one after the point."""
+    """Format a position as coordinates in a unit. `position`: in mm, relative to `origin`. Coordinates have four significant
+    digits of the relative value, and at least one digit after the point."""
     return ", ".join(_format_coordinate(float(x) / unit_mm, float(o) / unit_mm) for x, o in zip(position, origin, strict=True))
 
 

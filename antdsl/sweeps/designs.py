@@ -1,7 +1,7 @@
-"""Designs of experiments. A design chooses the points to run from the space of all values of a sweep's factors.
+"""Designs of experiments. A design chooses which points to run from the space of all values of a sweep's factors.
 
-A design returns shares from 0 to 1 for each factor, one row per point. Factors convert shares to values. All draws come from one
-seed, so equal arguments choose equal points.
+For each point and factor, a design returns a position from 0 to 1 in the factor's range. Factors convert positions to values.
+All random draws come from one seed, so equal arguments choose equal points.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ ParameterPoint = Mapping[str, str]
 class SamplingDesign:
     """A design of experiments.
 
-    `sample_shares(factors, count, seed)`: returns an array (points, factors) of numbers from 0 to 1; None for a grid.
-    `description`: a description, for help texts.
+    `sample_shares(factors, count, seed)`: returns an array (points, factors) of positions from 0 to 1 in the factors' ranges;
+    None for a grid.
+    `description`: a short text for help texts.
     `count_meaning`: the meaning of `count`, for help texts; empty if the design takes no count.
     `points_per_unit`: the design has `count` × (factors + `points_per_unit`) points; None for `count` points.
     `needs_power_of_two`: whether the count must be a power of two.
@@ -47,8 +48,8 @@ class SamplingDesign:
 
 @dataclass(frozen=True, slots=True)
 class ChosenPoints:
-    """The points that a design has chosen, in order, possibly with duplicates. `shares`: the shares (points, factors) from which
-    they were computed; None for a grid."""
+    """The points that a design has chosen, in order, possibly with duplicates. `shares`: for each point and factor, the
+    position in the factor's range, 0 to 1; None for a grid."""
 
     design: SamplingDesign
     factors: tuple[Factor, ...]
@@ -57,23 +58,24 @@ class ChosenPoints:
 
     @property
     def unique_points(self) -> list[ParameterPoint]:
-        """Return every point once, in order."""
+        """Return the points in order, without duplicates."""
         points_by_value = {tuple(point.values()): point for point in self.points}
         return list(points_by_value.values())
 
 
 def _sample_latin_hypercube(factors: int, count: int, seed: int) -> RangeShares:
-    """Return a Latin hypercube: shares of `count` points. M. D. McKay, R. J. Beckman, W. J. Conover: A comparison of three
-    methods for selecting values of input variables in the analysis of output from a computer code, Technometrics 21 (1979)."""
+    """Return `count` points of a Latin hypercube, as positions from 0 to 1. M. D. McKay, R. J. Beckman, W. J. Conover: A
+    comparison of three methods for selecting values of input variables in the analysis of output from a computer code,
+    Technometrics 21 (1979)."""
     from scipy.stats import qmc
 
     return np.asarray(qmc.LatinHypercube(factors, seed=np.random.default_rng(seed)).random(count))
 
 
 def _sample_sobol(factors: int, count: int, seed: int) -> RangeShares:
-    """Return `count` points of a scrambled Sobol sequence, as shares. I. M. Sobol': On the distribution of points in a cube, USSR
-    Comp. Math. Math. Phys. 7 (1967), scrambled after A. B. Owen: Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14
-    (1998)."""
+    """Return `count` points of a scrambled Sobol sequence, as positions from 0 to 1. I. M. Sobol': On the distribution of
+    points in a cube, USSR Comp. Math. Math. Phys. 7 (1967), scrambled after A. B. Owen: Scrambling Sobol' and
+    Niederreiter-Xing points, J. Complexity 14 (1998)."""
     from scipy.stats import qmc
 
     return np.asarray(qmc.Sobol(factors, scramble=True, seed=np.random.default_rng(seed)).random(count))
@@ -114,7 +116,7 @@ _DESIGN_BY_NAME = {design.name: design for design in DESIGNS}
 
 
 def choose_design(name: str, factors: Sequence[Factor], point_count: int | None, seed: int) -> tuple[ChosenPoints | None, Report]:
-    """Return the points of the named design, or None if the arguments are in conflict, and a report with the conflicts and
+    """Return the points of the named design, or None if the arguments conflict. Also return a report with the conflicts and
     corrections."""
     report, design = Report(), _DESIGN_BY_NAME[name]
     _check_design_fit(design, factors, point_count, report)
@@ -132,7 +134,7 @@ def choose_design(name: str, factors: Sequence[Factor], point_count: int | None,
 
 
 def _check_design_fit(design: SamplingDesign, factors: Sequence[Factor], point_count: int | None, report: Report) -> None:
-    """Report a number of points or factors that do not suit a design."""
+    """Report a point count or a number of factors that does not suit the design."""
     ranges = [factor for factor in factors if not factor.levels]
     flag = f"`--design {design.name}`"
     if design.sample_shares is None:

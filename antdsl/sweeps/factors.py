@@ -1,4 +1,4 @@
-"""The factors of a sweep: single values (`30mm,60mm`), or all values between two ends (`30mm..90mm`)."""
+"""The factors of a sweep. Each is a list of single values (`30mm,60mm`) or all values between two ends (`30mm..90mm`)."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _SIGNIFICANT_DIGITS = 6  # digits of a value that was drawn from a range
 
 @dataclass(frozen=True, slots=True)
 class Factor:
-    """A name of a sweep that varies, with its values.
+    """A setting that a sweep varies, with its values.
 
-    `levels`: single values; empty for a range.
+    `levels`: the single values; empty for a range.
     `low`, `high`, `unit`: the ends of a range, as numbers in `unit`."""
 
     name: str
@@ -33,14 +33,15 @@ class Factor:
         return self.name.rpartition(".")[2]
 
     def format_value_at(self, share: float) -> str:
-        """Return the value at a position in the range or in the list of levels, as text. `share`: the position from 0 (first) to
-        1 (last). Each level has an equal part."""
+        """Return, as text, the value at a position in the range or in the list of levels. `share`: the position, from 0
+        (first) to 1 (last). Each level covers an equal part of 0 to 1."""
         if self.levels:
             return self.levels[min(floor(share * len(self.levels)), len(self.levels) - 1)]
         return self._format_value(self.low + share * (self.high - self.low))
 
     def find_end_values(self) -> tuple[str, ...]:
-        """Return the values to check: each level, or the two ends of the range. If these are allowed, all values are."""
+        """Return the values to check: each level, or the two ends of the range. If they are allowed, so are all values
+        between them."""
         return self.levels or (self._format_value(self.low), self._format_value(self.high))
 
     def parse_number(self, text: str) -> float:
@@ -52,8 +53,8 @@ class Factor:
 
 
 def parse_factors(text_by_name: Mapping[str, str]) -> tuple[list[Factor], Report]:
-    """Return the factors of a sweep, and a report of those that cannot be read. `text_by_name`: `A,B,C` or `A..B` for each
-    name."""
+    """Return the factors of a sweep, and a report of the factors that cannot be read. `text_by_name`: for each name, its
+    values as `A,B,C` or `A..B`."""
     report = Report()
     parsed_factors = [
         _parse_range(name, text, report) if ".." in text else _parse_levels(name, text, report)
@@ -102,7 +103,7 @@ def _parse_range(name: str, text: str, report: Report) -> Factor | None:
 
 
 def build_end_points(factors: Iterable[Factor]) -> list[dict[str, str]]:
-    """Return the fewest points that cover every end of every factor."""
+    """Return the smallest set of points in which every end value of every factor occurs."""
     chosen = list(factors)
     value_count = max((len(factor.find_end_values()) for factor in chosen), default=0)
     return [

@@ -1,6 +1,7 @@
-"""The only interface to matplotlib. Figures have its packaged defaults, whatever settings the working directory or the user has.
+"""The only interface to matplotlib. Figures use its packaged defaults and ignore settings of the user or the working
+directory.
 
-Settings of matplotlib can start programs (`text.usetex` starts LaTeX), and on import it first looks for settings in the working
+Settings of matplotlib can start programs (`text.usetex` starts LaTeX). On import, it first looks for settings in the working
 directory. Therefore it is imported from a folder of antdsl, with environment variables that point to the installation.
 """
 
@@ -31,8 +32,8 @@ def is_matplotlib_available() -> bool:
 
 @contextmanager
 def open_figure(width: float, height: float, path: Path) -> Iterator[Figure]:
-    """Yield a figure of a size in inches. At the end of the context, it is written to `path` as a PNG file. Raises OSError if
-    that fails."""
+    """Yield a figure with a width and height in inches. When the context ends, the figure is written to `path` as a PNG file.
+    Raises OSError if writing fails."""
     matplotlib = _import_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -48,8 +49,8 @@ def open_figure(width: float, height: float, path: Path) -> Iterator[Figure]:
 
 @cache
 def _import_matplotlib() -> Any:
-    """Return matplotlib, with all modules loaded that read settings or the font list on import. The font list is stored in a
-    folder that only this user may write to."""
+    """Return matplotlib with every module loaded that reads settings or the font list on import. The font list is stored in a
+    folder that only this user can write to."""
     import importlib
 
     with ExitStack() as opened:
@@ -74,7 +75,7 @@ def _import_matplotlib() -> Any:
 
 @contextmanager
 def _set_environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Set environment variables of this process within the context."""
+    """Set environment variables of this process while the context is active."""
     previous_values = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:

@@ -21,7 +21,7 @@ class NotASweepFolderError(Exception):
 
 
 class FinishedRunStore:
-    """The folder of a sweep: `runs/` has a file for each finished run."""
+    """The folder of a sweep. Its folder `runs/` has a file for each finished run."""
 
     def __init__(self, folder: Path) -> None:
         if folder.is_dir() and any(folder.iterdir()) and not (folder / "runs").is_dir():
@@ -33,12 +33,12 @@ class FinishedRunStore:
         create_folder_durably(self.runs)
 
     def get_run_path(self, job: SweepJob) -> Path:
-        """Return the path of a run's file."""
+        """Return the path of the file that stores a run."""
         return self.runs / f"{job.key}.json"
 
     def read_measures(self, job: SweepJob) -> dict[str, Any] | None:
-        """Return the measures of an earlier finished run. Return None if there is none or its file is damaged. Files of older
-        versions, which have no hash, are accepted."""
+        """Return the measures of a run that finished earlier, or None if there is no file or it is damaged. Files of older
+        versions have no hash and are accepted."""
         try:
             document = json.loads(read_size_limited(self.get_run_path(job), _MAX_RUN_FILE_BYTES))
         except (OSError, ValueError, RecursionError):
@@ -54,7 +54,7 @@ class FinishedRunStore:
         return len({path.stem for path in self.runs.glob("*.json")} - {job.key for job in jobs})
 
     def write_measures(self, job: SweepJob, measures: Mapping[str, Any]) -> None:
-        """Write a run's measures atomically."""
+        """Write the measures of a run to its file, atomically."""
         document = describe_job(job) | {"key": job.key, "antdsl": __version__, "measures": measures}
         document["hash"] = _hash_document(document)
         write_atomically(self.get_run_path(job), (json.dumps(document, indent=1) + "\n").encode(), sync=False)

@@ -1,4 +1,4 @@
-"""The jobs of a sweep: each scene with each combination of values and each seed. Each run has a key that identifies it."""
+"""The jobs of a sweep: one for each scene, each combination of values and each seed. Each run has a key that identifies it."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ class SweepJob:
 
     `scene`: the path of the scene.
     `label`: the display name of its variation.
-    `params`, `grants`: names with the values of params, and names with the folders of granted roots.
+    `params`: values of params by name. `grants`: folders of granted roots by name.
     `frames`: the first and the last frame.
-    `until`: the condition that ends the run; None for that of the scene.
+    `until`: the condition that ends the run; None to use the condition of the scene.
     `key`: an identifier, which contains a hash of everything that the result depends on."""
 
     scene: str
@@ -63,7 +63,7 @@ class SweepJob:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> SweepJob:
-        """Return the job from JSON values; the inverse of `SweepJob.make_document`."""
+        """Return the job from JSON values. This is the inverse of `SweepJob.make_document`."""
         return _JOB_ADAPTER.validate_python(document)
 
     def make_choices(self) -> RunChoices:
@@ -76,7 +76,7 @@ _JOB_ADAPTER = TypeAdapter(SweepJob)
 
 
 def make_variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]]) -> list[SceneVariation]:
-    """Return every scene with the values of every point."""
+    """Return every combination of a scene and a point's values."""
     scenes, points = list(scenes), list(points)
     stems = [scene.stem for scene in scenes]
     combinations = []
@@ -99,8 +99,8 @@ def build_jobs(
     until: str | None,
     grants: Mapping[str, Path],
 ) -> tuple[list[SweepJob], Report]:
-    """Return all runs, ordered by seed, so that a stopped sweep has results of every variation. Each problem with a scene or a
-    value is in the report once."""
+    """Return all runs, ordered by seed, so that a stopped sweep has results of every variation. Also return a report that
+    lists each problem with a scene or value once."""
     report = Report()
     shots: list[tuple[SceneVariation, FrameRange, Scene, Mapping[str, str]]] = []
     parsed = SharedParsedFiles()
@@ -127,9 +127,10 @@ def build_jobs(
 
 
 def find_start_hashes(shot: Shot) -> Mapping[str, str]:
-    """Return, by name, hashes of the start state that a scene takes from another cache; empty without such a cache.
+    """Return hashes, by name, of the start state that the scene takes from another cache. Empty if the scene does not use
+    one.
 
-    Also record that the files of that cache are read (`scene.paths.record_requested_paths`)."""
+    Also record that files of that cache are read (`scene.paths.record_requested_paths`)."""
     folder = find_start_cache(shot)
     if folder is not None:
         record_request(folder / MANIFEST_FILE_NAME, shot.scene.roots.folder)

@@ -1,6 +1,6 @@
-"""Runs the jobs of a sweep as tasks, without caches. The measures are everything that `antdsl run --summary` reports, and the
-frame at which each amount ran out. If a run fails or crashes its process, this is reported, and the others continue. The
-distribution over processes does not change any result."""
+"""Runs the jobs of a sweep as tasks, without caches. The measures are those that `antdsl run --summary` reports, and the
+frame at which each amount ran out. A run that fails or crashes its process is reported, and the others continue. How runs
+are distributed over processes does not change any result."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def run_jobs(
     report_frame: Callable[[SweepJob, int], None] = lambda job, frame: None,
     report_note: Callable[[str], None] = lambda sentence: None,
 ) -> Iterator[JobOutcome]:
-    """Run jobs and yield each outcome when it arrives. `jobs` is read one at a time, when there is capacity for another.
+    """Run jobs and yield each outcome as soon as its run ends. The next job is taken from `jobs` only when a process is free.
 
     `report_frame`: is called from time to time with the progress of a run.
-    `report_note`: is called with messages about deviations from the request, one sentence for each run and cause.
+    `report_note`: is called with messages about deviations from the request: one sentence for each run and cause.
     """
     tasks = (Task(job.key, measure_job, job.make_document()) for job in jobs)
     for outcome in run_tasks(
@@ -55,8 +55,8 @@ def run_jobs(
 
 
 def measure_job(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
-    """Simulate the run of a job and return its measures by name. A measure is a number, or None if its event did not happen. Data
-    that a run computes from meshes stays in the process for the next run.
+    """Simulate the run of a job and return its measures by name. A measure is a number, or None if its event did not happen.
+    Data that is computed from meshes stays in the process and is used again by the next run.
 
     Equal jobs with the same antdsl give equal measures, except `seconds`, `fps` and `processor`.
     """
@@ -110,7 +110,7 @@ def _simulate_job(job: SweepJob, worker: WorkerContext, binding_cache: BindingCa
 
 
 def _record_frame(measures: RunMeasures, world: World, series: MeasureSeries, empty_frames: dict[str, int | None]) -> None:
-    """Store the measures of a frame, and the amounts that it used up."""
+    """Store the measures of a frame, and the amounts that became 0 in it."""
     measures.record_frame(world)
     series.add_frame(world.frame, measures.values)
     _record_empty(world, empty_frames)

@@ -1,5 +1,5 @@
-"""Plots of a table, with a panel for each measure. Every run is a dot; the median and the quartiles are a bar. For a design over
-ranges, there is a panel for each measure and range. Needs matplotlib."""
+"""Plots of a sweep's table, with one panel per measure. Each run is a dot; a bar marks the median and the quartiles. A design
+over ranges has one panel for each measure and range. Needs matplotlib."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ INSTALL_HINT = "plots need matplotlib: pip install 'antdsl[plots]'"
 
 
 def draw_measures(results: Sequence[RunResult], measures: Sequence[str], path: Path) -> None:
-    """Write one PNG with a panel per measure. Above the dashed line of a panel are the runs in which the measured event did not
-    happen."""
+    """Write one PNG with a panel per measure. Runs in which the measured event did not happen are above the panel's dashed
+    line."""
     labels = list(dict.fromkeys(job.label for job, _ in results))
     height = max(2.0, 0.45 * len(labels) + 1.0)
     with open_figure(9.0, height * len(measures), path) as figure:
@@ -57,10 +57,10 @@ def _draw_panel(panel: Axes, results: Sequence[RunResult], labels: Sequence[str]
 def draw_factors(
     study: SweepStudy, results: Sequence[RunResult], measures: Sequence[str], effects: Sequence[FactorEffect], path: Path
 ) -> None:
-    """Write one PNG with a row per measure and a column per range. If the design provides the importance of factors, add a column
-    for it.
+    """Write one PNG with a row per measure and a column per range. If the design provides the importance of factors, a last
+    column displays it.
 
-    A dot is the median of a point over its seeds, with its quartiles. The line and the band are the median and the quartiles of
+    Each dot is the median over a point's seeds, with the quartiles. The line and the band are the median and the quartiles of
     all points in a part of the range.
     """
     columns = len(study.range_factors) + bool(effects)
@@ -118,7 +118,7 @@ def _draw_over_range(
 
 
 def _draw_trend(panel: Any, factor: Factor, medians: Sequence[tuple[float, float]], colour: str) -> None:
-    """Draw the median and the quartiles of all points in each part of a range."""
+    """Divide a range into parts, and draw the median and the quartiles of the points in each part."""
     parts: dict[int, list[float]] = {}
     for value, median in medians:
         share = (value - factor.low) / (factor.high - factor.low)

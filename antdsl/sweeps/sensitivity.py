@@ -1,6 +1,7 @@
-"""The importance of each factor of a sweep: Sobol indices and elementary effects, computed by SALib (the extra `[sensitivity]`).
+"""The importance of each factor of a sweep: Sobol indices and elementary effects, computed by SALib (the extra
+`[sensitivity]`).
 
-The analysis uses the median over seeds of a measure at each point. All points have the same seeds.
+The analysis takes the median of a measure over the seeds of each point. All points use the same seeds.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class SensitivityAnalysis:
 
     `title`: the title of its table.
     `importance_column`: the column with the importance of a factor.
-    `half_width_column`: the column with half the width of its 95 % interval.
+    `half_width_column`: the column with half the width of the 95 % interval of the importance.
     `compute_columns(shares, values)`: returns columns by name, with one number per factor."""
 
     title: str
@@ -110,7 +111,7 @@ ELEMENTARY_EFFECTS = SensitivityAnalysis(
 
 
 def _make_salib_problem(factors: int) -> dict[str, Any]:
-    """Return the description of the factors that SALib needs: shares from 0 to 1."""
+    """Return the description of the factors that SALib needs. Every factor ranges from 0 to 1."""
     return {"num_vars": factors, "names": [str(k) for k in range(factors)], "bounds": [[0.0, 1.0]] * factors}
 
 
@@ -125,8 +126,8 @@ def find_effects(
     """Return the effect of each factor on each measure, and the reasons why some measures have none.
 
     `names`: the names of the factors.
-    `shares`: the shares (points, factors) of the design.
-    `scenes`: the labels of the design's points in order, by the name of the scene.
+    `shares`: the position in each factor's range, 0 to 1 (points, factors).
+    `scenes`: for each scene name, the labels of the design's points in order.
     `medians`: the median of a measure over seeds, by label and measure."""
     effect_list: list[FactorEffect] = []
     notes: list[str] = []
@@ -152,7 +153,7 @@ def find_effects(
 
 
 def format_effects(analysis: SensitivityAnalysis, effect_list: Sequence[FactorEffect]) -> str:
-    """Return a block of lines per scene and measure, with the most important factor first."""
+    """Return lines of text, with one block per scene and measure. The most important factor comes first."""
     lines: list[str] = [analysis.title]
     width = max(len(effect.factor) for effect in effect_list)
     several = len({effect.scene for effect in effect_list}) > 1

@@ -12,7 +12,7 @@ _MAX_SERIES_NUMBERS = 400_000  # of one run; longer runs store every second fram
 
 
 class MeasureSeries:
-    """Collects the measures of a run. `document`: lists of equal length by name; `frame` has the frames."""
+    """Collects the measures of a run. `document`: a list for each name, all of equal length; `frame` lists the frame numbers."""
 
     def __init__(self, names: Sequence[str], frames: FrameRange) -> None:
         count = (frames.last - frames.first + 1) * (len(names) + 1)
@@ -20,7 +20,7 @@ class MeasureSeries:
         self.document: dict[str, list[Any]] = {"frame": [], **{name: [] for name in names}}
 
     def add_frame(self, frame: int, values: Mapping[str, float | int | None]) -> None:
-        """Add the measures of a frame, unless the run is so long that the frame is left out."""
+        """Add the measures of a frame. Long runs leave out some frames."""
         if values and (frame - self.first) % self.stride == 0:
             self.document["frame"].append(frame)
             for name, value in values.items():
@@ -28,12 +28,12 @@ class MeasureSeries:
 
 
 def without_series(measures: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the measures of a run that are one value."""
+    """Return the measures of a run that are single values, without the series."""
     return {name: value for name, value in measures.items() if name != SERIES_KEY}
 
 
 def collect_series(runs: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> dict[str, list[Any]]:
-    """Return the series of runs as columns of one table, empty without series.
+    """Return the series of all runs as columns of one table; empty if no run has a series.
 
     `runs`: for each run, the cells that identify it, by column, and its measures."""
     with_series = [(cells, measures[SERIES_KEY]) for cells, measures in runs if SERIES_KEY in measures]

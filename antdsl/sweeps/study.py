@@ -25,8 +25,8 @@ REQUEST_FILE_NAME = "asked.json"
 
 @dataclass(frozen=True, slots=True)
 class SweepStudy:
-    """A sweep to run: its points, its scenes, and its variations. A variation is a scene with the values of a point, each
-    once."""
+    """A sweep to run: its points, its scenes and its variations. A variation is a scene with the values of a point; none
+    occurs twice."""
 
     chosen_points: ChosenPoints
     scenes: tuple[Path, ...]
@@ -43,8 +43,8 @@ class SweepStudy:
         return {factor.name: factor.unit for factor in self.range_factors}
 
     def find_effects(self, table: Sequence[MeasureStatistics], measures: Sequence[str]) -> tuple[list[FactorEffect], list[str]]:
-        """Return the effect of each factor on each measure, and notes on measures without a known effect. Both are empty if the
-        design has no analysis."""
+        """Return the effect of each factor on each measure, and a note for each measure without a known effect. Both are
+        empty if the design has no analysis."""
         design, shares = self.chosen_points.design, self.chosen_points.shares
         if design.analysis is None or shares is None:
             return [], []
@@ -55,11 +55,11 @@ class SweepStudy:
 
 
 class NoStoredSweepError(Exception):
-    """Error for a folder without a sweep that can continue. The message is the reason."""
+    """Error for a folder that has no sweep to continue. The message gives the reason."""
 
 
 class SweepRequest(BaseModel):
-    """The command line arguments that decide which runs exist, which of them the table counts, and what it shows."""
+    """The command line arguments that decide which runs exist, which of them count in the table, and what the table shows."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
@@ -90,7 +90,7 @@ class SweepRequest(BaseModel):
         return words
 
     def write_request(self, folder: Path) -> None:
-        """Write the request into a folder, with paths relative to the folder, so that everything can be moved together."""
+        """Write the request into a folder. Paths are relative to the folder, so that everything can be moved together."""
         portable_request = self.model_copy(
             update={
                 "scenes": [_make_relative_path(path, folder) for path in self.scenes],

@@ -25,10 +25,10 @@ MACHINE_DEPENDENT_MEASURES = ("seconds", "fps")  # they depend on the machine
 
 @dataclass(frozen=True, slots=True)
 class MeasureStatistics:
-    """The distribution of one measure over the runs of one variation. Its fields are the columns of files.
+    """The statistics of one measure over the runs of one variation. The field names are the columns of written files.
 
-    `runs`: the number of runs. `happened`: the runs in which the measured event happened; otherwise the value is infinite, so
-    quantiles may be infinite. `least`, `most`: the smallest and the largest value."""
+    `runs`: the number of runs. `happened`: the number of runs in which the measured event happened. In other runs the value
+    is infinite, so quantiles may be infinite. `least`, `most`: the smallest and the largest value."""
 
     label: str
     measure: str
@@ -42,8 +42,8 @@ class MeasureStatistics:
 
 
 def compute_quantile(values: Sequence[float], share: float) -> float:
-    """Return the quantile of sorted values, interpolated linearly. If one of the two neighbouring values is infinite, so is the
-    quantile."""
+    """Return a quantile of sorted values, interpolated linearly. The result is infinite if one of the two neighbouring values
+    is. `share`: the position of the quantile, 0 to 1."""
     place = share * (len(values) - 1)
     low, high = math.floor(place), math.ceil(place)
     if low == high or values[low] == values[high]:
@@ -52,7 +52,7 @@ def compute_quantile(values: Sequence[float], share: float) -> float:
 
 
 def build_rows(results: Iterable[RunResult]) -> list[MeasureStatistics]:
-    """Return rows of all measures that are numbers, in the order in which the runs report them."""
+    """Return a row for each measure that is a number, in the order in which runs report them."""
     values_by_key: dict[tuple[str, str], list[float]] = {}
     counts: dict[str, int] = {}
     for job, measures in results:
@@ -64,7 +64,7 @@ def build_rows(results: Iterable[RunResult]) -> list[MeasureStatistics]:
 
 
 def _make_row(label: str, name: str, values: list[float], runs: int) -> MeasureStatistics:
-    """Return the row of a measure. A run without this measure counts as 0, such as a run without a certain transition."""
+    """Return the table row of a measure. A run without this measure counts as 0, for example without a certain transition."""
     # a missing count, such as that of a transition that never occurred, is 0
     values = sorted(values + [0.0] * (runs - len(values)))
     median, lower, upper = (compute_quantile(values, share) for share in (0.5, 0.25, 0.75))
@@ -72,8 +72,8 @@ def _make_row(label: str, name: str, values: list[float], runs: int) -> MeasureS
 
 
 def choose_measures(table: Sequence[MeasureStatistics], prefixes: Sequence[str]) -> list[str]:
-    """Return the measures to display: those with names that begin with a word in `prefixes`. By default, return the measures of
-    the program, or the frames at which amounts ran out, or else the motion measures."""
+    """Return the measures to display: those that begin with one of `prefixes`. Without prefixes, return the program's
+    measures. If it has none, return the frames at which amounts ran out, or else the motion measures."""
     names = list(dict.fromkeys(row.measure for row in table))
     if not prefixes:
         declared = [name for name in names if name.startswith(_DECLARED_PREFIX)]
@@ -83,7 +83,7 @@ def choose_measures(table: Sequence[MeasureStatistics], prefixes: Sequence[str])
 
 
 def format_table(table: Sequence[MeasureStatistics], measures: Sequence[str]) -> str:
-    """Return a text with variations as lines and measures as columns: median (lower quartile – upper quartile)."""
+    """Return a text with one line per variation and one column per measure: median (lower quartile – upper quartile)."""
     rows_by_key = {(row.label, row.measure): row for row in table}
     labels = list(dict.fromkeys(row.label for row in table))
     lines = [["", "runs", *map(_make_heading, measures)]]
@@ -125,7 +125,7 @@ def format_csv_table(table: Sequence[MeasureStatistics]) -> str:
 def collect_runs(results: Sequence[RunResult], units: Mapping[str, str] | None = None) -> dict[str, list[Any]]:
     """Return the columns of the table of runs: label, scene, seed, varied values and all measures. Absent values are None.
 
-    `units`: by name, the units of values that are written as plain numbers."""
+    `units`: for each name with values that are plain numbers, their unit."""
     identities = [identify_run(job, units or {}) for job, _ in results]
     heads = list(dict.fromkeys(name for cells in identities for name in cells))
     names = dict.fromkeys(name for _, measures in results for name in without_series(measures))
@@ -142,7 +142,7 @@ def collect_run_series(results: Sequence[RunResult], units: Mapping[str, str] | 
 
 
 def identify_run(job: SweepJob, units: Mapping[str, str]) -> dict[str, Any]:
-    """Return the cells that identify a run, by column. The name of a column includes the unit if its values are numbers."""
+    """Return the cells that identify a run, by column. If a column's values are plain numbers, its name includes their unit."""
     cells: dict[str, Any] = {"label": job.label, "scene": Path(job.scene).stem, "seed": job.seed}
     for name, text in job.params:
         unit = units.get(name)
@@ -151,7 +151,7 @@ def identify_run(job: SweepJob, units: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _unify_types(values: Sequence[Any]) -> list[Any]:
-    """Return the values of a column as integers if all are, else as numbers if all are, else as texts."""
+    """Return a column's values as integers if all are integers, else as floats if all are numbers, else as texts."""
     if all(v is None or isinstance(v, int) for v in values):
         return list(values)
     is_numeric = all(v is None or isinstance(v, int | float) for v in values)
@@ -165,7 +165,8 @@ def format_columns(columns: Mapping[str, Sequence[Any]]) -> str:
 
 
 def format_known_medians(medians: Sequence[MedianEstimate]) -> str:
-    """Return one line per median: the interval in which it lies, and whether the interval is as narrow as requested."""
+    """Return one line per median. It gives the interval that contains the median, and says whether it is as narrow as
+    requested."""
     lines = ["Medians, with 95 % between"]
     label_width, width = (max(map(len, words)) for words in zip(*((k.label, k.measure) for k in medians), strict=True))
     for each in medians:
@@ -198,5 +199,5 @@ def format_json_table(
 
 
 def _make_finite_entry(record: MeasureStatistics | MedianEstimate) -> dict[str, Any]:
-    """Return the fields of a record by name, for JSON. Numbers that are infinite or unknown become None."""
+    """Return the fields of a record by name, for JSON. Infinite or unknown numbers become None."""
     return {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in asdict(record).items()}

@@ -1,10 +1,10 @@
-"""Text → tree: `read_program_file` opens a file safely, `parse` makes a `File` of its text. `format` writes a text in the one
-layout, `write_program_file` replaces the file.
+"""Reads and formats program text. `read_program_file` opens a file safely, and `parse` makes a `File` of its text. `format`
+writes a text in the standard layout, and `write_program_file` replaces a file.
 
-`scan_tokens` makes tokens, `brackets` pairs them, `blocks` cuts the text into lines and blocks. Then lark's tables
-(`parse_tables`, made by `grammar`) parse each line separately and `builder` makes the `nodes`, so that an error affects only its
-line. Messages about mistakes are in `mistakes`; the layout is in `formatting`. `incremental_parser` parses only what changed for
-an editor."""
+`scan_tokens` makes tokens, `brackets` pairs them, `blocks` divides the text into lines and blocks. Then each line is parsed
+separately with lark's tables, so that an error affects only its line. `grammar` makes these tables, and `parse_tables` loads
+them. `builder` makes the `nodes`. Messages about mistakes are in `mistakes`; the layout is in `formatting`. For an editor,
+`incremental_parser` parses only what changed."""
 
 from pathlib import Path
 

@@ -1,4 +1,5 @@
-"""Paired tokens → lines, and recursively lines inside their braces: the parts of each line, and its text for the parser."""
+"""Divides tokens with paired brackets into lines, and recursively the content of braces. A line has its parts and its text for
+the parser."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from antdsl.syntax.scan import ScannedToken, TokenScan
 
 @dataclass(slots=True)
 class BraceGroup:
-    """A pair of braces and the lines between them. `is_choice` is true after the word `choose`."""
+    """A pair of braces and the lines between them. `is_choice`: whether the braces follow the word `choose`."""
 
     opening: ScannedToken
     closing_brace: ScannedToken
@@ -23,7 +24,7 @@ class BraceGroup:
 
 @dataclass(slots=True)
 class SourceLine:
-    """One statement: its own tokens (braces included, their content not), and its groups in text order."""
+    """One statement: its own tokens, and its groups in text order. The tokens include braces, but not their content."""
 
     tokens: list[ScannedToken] = field(default_factory=list)
     groups: list[BraceGroup] = field(default_factory=list)
@@ -66,7 +67,7 @@ class MappedText:
         return Span(self.source, first, max(first, offset + min(end - self.part_starts[part], length)))
 
     def find_position(self, offset: int) -> int:
-        """Return the first position in the text that maps to a source offset or to a later one."""
+        """Return the first position in the text that maps to this source offset or a later one."""
         for (text, start, length), begin in zip(self.parts, self.part_starts, strict=True):
             if offset < start:
                 return begin
@@ -75,7 +76,7 @@ class MappedText:
         return len(self.text)
 
     def replace_range(self, start: int, end: int, text: str) -> MappedText:
-        """Return a copy with `text` in place of the positions from `start` to `end`."""
+        """Return a copy in which `text` replaces the part between the positions `start` and `end`."""
         span = self.make_source_span(start, end)
         previous_parts, next_parts = self._cut_pieces(0, start), self._cut_pieces(end, len(self.text))
         return MappedText(self.source, [*previous_parts, (text, span.start, span.end - span.start), *next_parts])
@@ -114,13 +115,14 @@ def map_text(scan: TokenScan, line: SourceLine) -> MappedText:
 
 
 def _make_brace_fix(scan: TokenScan, line_end: int, brace: ScannedToken) -> Fix | None:
-    """Return the fix that moves `brace` to the end of the line above, which ends at `line_end`; None if a comment is between."""
+    """Return the fix that moves `brace` to the end of the line above, which ends at `line_end`. Return None if a comment is
+    between them."""
     text = scan.source.text[line_end : brace.start]
     return None if text.strip() else Fix(Span(scan.source, line_end, brace.end), " {")
 
 
 def cut_lines(scan: TokenScan, tokens: list[ScannedToken]) -> list[SourceLine]:
-    """Return the lines of a complete text. Braces must be paired."""
+    """Return the lines of a complete text. Its braces must be paired."""
     top: list[SourceLine] = [SourceLine()]
     stack: list[
         tuple[list[SourceLine], ScannedToken, bool]

@@ -1,5 +1,5 @@
-"""Pairs the brackets of tokens. A missing closing bracket is inserted, and reported where the bracket was opened; a surplus one
-is left out. Line ends inside parentheses are removed."""
+"""Pairs the brackets of tokens. A missing closing bracket is inserted, and reported at its opening bracket. A surplus bracket is
+left out. Line ends inside parentheses are removed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _JOINING_WORDS = frozenset(("and", "or", "is", "in", "to", "then", "else"))  # w
 
 
 def pair_brackets(scan: TokenScan) -> list[ScannedToken] | None:
-    """Return the tokens with paired brackets; None if they are nested too deeply."""
+    """Return the tokens with paired brackets. Return None if they are nested too deeply."""
     depth = 0
     for token in scan.tokens:
         depth += (token.kind == "open") - (token.kind == "close" and depth > 0)
@@ -31,12 +31,12 @@ def pair_brackets(scan: TokenScan) -> list[ScannedToken] | None:
 
 
 def get_token_text(scan: TokenScan, token: ScannedToken) -> str:
-    """Return the text of a token; for an inserted bracket, the bracket."""
+    """Return the text of a token. For an inserted bracket, this is the bracket."""
     return token.inserted_text or "".join(scan.clean_characters[token.start : token.end])
 
 
 class _ParenthesisPairer:
-    """Pairs `( )` and `[ ]`. A brace or a `;` closes all open ones, because neither is allowed inside parentheses."""
+    """Pairs `( )` and `[ ]`. A brace or a `;` closes all open parentheses, because neither is allowed inside them."""
 
     def __init__(self, scan: TokenScan) -> None:
         self.scan = scan
@@ -64,7 +64,7 @@ class _ParenthesisPairer:
         return [token for token in self.out if token.kind != "soft"]
 
     def is_line_start(self, index: int, text: str) -> bool:
-        """Return whether a line starts here that cannot be part of a value: `let x`, `when x`, `state x`."""
+        """Return whether a line starts here that cannot be part of a value, such as `let x`, `when x` or `state x`."""
         tokens = self.scan.tokens
         if tokens[index].indent < 0 or text not in _LINE_WORDS or index + 1 == len(tokens):
             return False
@@ -107,7 +107,7 @@ class _ParenthesisPairer:
         return index
 
     def is_block_opening(self, index: int) -> bool:
-        """Return whether a parenthesis ends the first line of a block that has no brace, and the next line is indented more."""
+        """Return whether a parenthesis ends the first line of a block without a brace. The next line is then indented more."""
         tokens = self.scan.tokens
         if index + 2 >= len(tokens) or tokens[index + 1].kind != "end":
             return False
@@ -124,7 +124,7 @@ class _ParenthesisPairer:
         return get_token_text(self.scan, next_line) in _LINE_WORDS
 
     def close_bracket(self, index: int, token: ScannedToken, text: str) -> bool:
-        """Pair a closing bracket with an open one of its kind. Brackets opened after that one are never closed."""
+        """Pair a closing bracket with an open bracket of its kind. Brackets opened between them stay unclosed."""
         expected_signs = [_CLOSING_BY_OPENING[get_token_text(self.scan, self.out[place])] for place in self.open]
         if text not in expected_signs:
             if self.is_closed_later(index, expected_signs[-1]):
@@ -155,7 +155,7 @@ class _ParenthesisPairer:
         return True
 
     def is_closed_later(self, index: int, expected_sign: str) -> bool:
-        """Return whether the closing bracket of the open one follows in the same line."""
+        """Return whether the bracket that closes the open one follows on the same line."""
         depth = 0
         for token in self.scan.tokens[index + 1 : index + 1 + _MAX_LOOK_AHEAD_TOKENS]:
             text = get_token_text(self.scan, token) if token.kind in ("open", "close") else ""
@@ -204,8 +204,8 @@ class _ParenthesisPairer:
 class _OpenBrace:
     """An open brace.
 
-    `indent`: the indent of the line with the brace. `line`: the number of this line. `inner_indent`: the indent of the
-    contents."""
+    `indent`: the indent of the line with the brace. `line`: the number of this line. `inner_indent`: the indent of the lines
+    inside."""
 
     token: ScannedToken
     indent: int
@@ -247,7 +247,7 @@ class _BracePairer:
         return self.out
 
     def pair_token(self, token: ScannedToken, indent: int) -> None:
-        """Add the next token to the output, with the braces that are missing before it. `indent`: the indent of its line."""
+        """Add the next token to the output, preceded by any missing braces. `indent`: the indent of its line."""
         sign = get_token_text(self.scan, token) if token.kind in ("open", "close") else ""
         self.line += token.kind == "end" and self.scan.source.text[token.start] == "\n"
         if token.kind != "end" and sign != "}":
@@ -270,7 +270,7 @@ class _BracePairer:
             self.close_before_line()
 
     def close_brace(self, token: ScannedToken, indent: int) -> bool:
-        """Return whether a `}` pairs with an open brace; if not, report it and leave it out."""
+        """Return whether a `}` pairs with an open brace. If not, report it and leave it out."""
         if token.indent >= 0:
             if any(entry.indent == token.indent for entry in self.open_braces) and not (
                 self.open_braces[-1].indent < token.indent
@@ -301,8 +301,8 @@ class _BracePairer:
         return False
 
     def repair_opening(self, token: ScannedToken) -> bool:
-        """Insert a missing `{`: find the line that begins a block with the same indent as the `}`. Returns whether there is
-        one."""
+        """Insert a missing `{` at the end of the line that begins a block with the same indent as the `}`. Return whether there
+        is such a line."""
         nothing_left = -1 if len(self.scan.report.diagnostics) < _MAX_BRACE_REPAIRS else len(self.out)
         for place in range(len(self.out) - 1, nothing_left, -1):
             candidate = self.out[place]
@@ -333,14 +333,14 @@ class _BracePairer:
 
 
 def _report_unclosed(scan: TokenScan, token: ScannedToken, sign: str, end: int) -> None:
-    """Report a bracket that stays open and is assumed to end at `end`."""
+    """Report an open bracket that is never closed. Its end is assumed to be at `end`."""
     code, closing = ("unclosed-brace" if sign == "{" else "unclosed-bracket"), _CLOSING_BY_OPENING[sign]
     fix = closing if sign != "{" else f" {closing}"
     scan.report_error(code, f"`{sign}` is never closed", token.start, token.end, f"write the missing `{closing}`", fix, end)
 
 
 def _compute_line_indents(tokens: list[ScannedToken]) -> list[int]:
-    """Return for each token the indent of its line."""
+    """Return, for each token, the indent of its line."""
     indents, indent = [], 0
     for token in tokens:
         indent = token.indent if token.indent >= 0 else indent

@@ -1,5 +1,5 @@
 """Counts the elements of a file before it is parsed and checked. Also measures the depth of a tree without recursion, so that
-later code may walk the tree recursively."""
+later code can safely walk the tree recursively."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ZERO_FILE_SIZES: FileElementCounts = (0, 0, 0)
 
 
 def count_sizes(scan: TokenScan, lines: list[SourceLine]) -> FileElementCounts:
-    """Return the numbers of words, statements and species of a text, in this order."""
+    """Return the numbers of words, statements and species in a text, in this order."""
     return len(scan.tokens), sum(1 for _ in _iterate_lines(lines)), len(_find_species_words(scan, lines))
 
 
@@ -55,7 +55,7 @@ def _find_species_words(scan: TokenScan, lines: list[SourceLine]) -> list[Scanne
 
 
 def _iterate_lines(lines: list[SourceLine]) -> Iterator[SourceLine]:
-    """Yield lines and all lines within their braces, in the order of the text."""
+    """Yield lines in the order of the text, including all lines inside their braces."""
     for line in lines:
         yield line
         for group in line.groups:

@@ -1,5 +1,5 @@
-"""Grammar → tables: `python -m antdsl.syntax.grammar` writes the verbs into the grammar, and writes the shipped JSON. Needs
-`interegular` to find collisions."""
+"""Converts the grammar to parse tables. `python -m antdsl.syntax.grammar` adds the verbs to the grammar and writes the JSON file
+that is distributed. It needs `interegular` to find collisions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _VERB_RULES_PATTERN = re.compile(r"(?<=\n)ask: .*?(?=// --- end of the verbs)", 
 
 
 def make_grammar_text() -> str:
-    """Return the text of the grammar, with a form and a terminal for each verb in the table of verbs."""
+    """Return the text of the grammar. It has a form and a terminal for each verb in the table of verbs."""
     rows = [row for row in VERB_BY_WORD.values() if row.shape != "own"]
     forms = "\n    | ".join(f"{row.word.upper()} {SHAPE_PATTERNS[row.shape]}".rstrip() for row in rows)
     terminals = "\n".join(f"{row.word.upper()}.1: /{row.word}(?![a-z_0-9])/" for row in rows)
@@ -27,14 +27,14 @@ def make_grammar_text() -> str:
 
 
 def build_parser(starts: tuple[str, ...] = START_RULES, transformer: object | None = None) -> Lark:
-    """Build a parser directly from the grammar; every conflict is an error. Takes half a second and needs `interegular`."""
+    """Build a parser directly from the grammar. Any conflict is an error. This takes half a second and needs `interegular`."""
     from lark import Lark
 
     return Lark(make_grammar_text(), parser="lalr", lexer="contextual", strict=True, start=list(starts), transformer=transformer)
 
 
 def make_tables_text() -> str:
-    """Return the tables as JSON text, the same for every build."""
+    """Return the tables as JSON text, which is the same for every build."""
     from lark.grammar import Rule
     from lark.lexer import TerminalDef
 

@@ -1,4 +1,4 @@
-"""Incremental parsing of a text: it is cut into blocks, and each is parsed again only when its text changes."""
+"""Parses a text incrementally. The text is divided into blocks, and a block is parsed again only when its text changes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MAX_DIAGNOSTICS = 50  # parse errors after which messages get shorter
 
 @dataclass(frozen=True, slots=True)
 class TextBlock:
-    """Complete lines from one offset to another, and the rule that reads them."""
+    """A range of complete lines, with the grammar rule that reads them."""
 
     rule: str
     start: int
@@ -38,7 +38,8 @@ class TextBlock:
 
 
 def cut_blocks(text: str) -> list[TextBlock] | None:
-    """Return the blocks of a text, in order. None if the text must be parsed as one block, for example without paired brackets.
+    """Return the blocks of a text, in order. None if the text must be parsed as one block, for example because brackets are not
+    paired.
 
     Each item at the top of the file is a block. A species is several blocks: its first line, and its members."""
     tops, members = _find_bounds(text)
@@ -55,8 +56,8 @@ def cut_blocks(text: str) -> list[TextBlock] | None:
 def _find_bounds(text: str) -> tuple[list[int] | None, dict[int, tuple[list[int], int]]]:
     """Return the offsets at which the items at the top of a file begin, and the contents of their braces.
 
-    The contents are, by the offset of the opening brace: the offsets of its lines, and the offset of the closing brace. The first
-    result is None if the brackets are not paired."""
+    For the offset of each opening brace, the contents give the offsets of its lines and of the closing brace. The first result
+    is None if the brackets are not paired."""
     tops: list[int] = [0] if _find_first_word(text, 0) in _TOP_LEVEL_WORDS else []
     members: dict[int, tuple[list[int], int]] = {}
     stack: list[str] = []
@@ -112,7 +113,7 @@ def _cut_species(text: str, start: int, end: int, members: dict[int, tuple[list[
 
 @dataclass(slots=True)
 class IncrementalParser:
-    """The parsed blocks of one file, stored from one version of it to the next."""
+    """The parsed blocks of one file. They are stored from one version of the file to the next."""
 
     _cached_blocks: list[tuple[TextBlock, str, ParsedPart]] = field(default_factory=list)
     _parse_count: int = 0
@@ -150,9 +151,9 @@ class IncrementalParser:
         return _join_parts(source, parts)
 
     def _count_unchanged(self, blocks: list[TextBlock], texts: list[str]) -> tuple[int, int]:
-        """Return the number of unchanged blocks at the beginning of the file, and the number at its end.
+        """Return how many blocks are unchanged at the beginning of the file, and how many at its end.
 
-        Blocks with equal text have different locations, so their order identifies them."""
+        Blocks with equal texts differ in their locations, so blocks are matched by their order."""
         cached_blocks, limit = self._cached_blocks, min(len(self._cached_blocks), len(blocks))
         head_count = tail_count = 0
         while head_count < limit and self._is_unchanged(cached_blocks[head_count], blocks[head_count], texts[head_count]):

@@ -1,6 +1,6 @@
-"""The tree of a `.ant` file, as in the source: names are not resolved and units are not interpreted.
+"""The classes of the tree of a `.ant` file. It matches the source: names are not resolved and units are not interpreted.
 
-Every node has a `span`. A name is a `Name(text, span)`, never a bare string. Nodes are frozen and compare by identity."""
+Every node has a `span`. A name is a `Name(text, span)`, never a bare string. Nodes are immutable and compare by identity."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NodeType = TypeVar("NodeType")
 
 @dataclass_transform(frozen_default=True, eq_default=False)
 def make_node_class(cls: type[NodeType]) -> type[NodeType]:
-    """Make a class of nodes a frozen dataclass with slots. Its objects compare by identity."""
+    """Make a class of nodes an immutable dataclass with slots. Its objects compare by identity."""
     return dataclass(frozen=True, slots=True, eq=False, repr=False)(cls)
 
 
@@ -29,7 +29,7 @@ class Name:
 
 @make_node_class
 class Text:
-    """A string in quotes; `text` is without them."""
+    """A string in quotes. `text`: the string without quotes."""
 
     text: str
     span: Span
@@ -54,7 +54,8 @@ class Number:
 
 @make_node_class
 class Quantity:
-    """A number with a unit: `30 mm/s` is value 30 and unit `mm/s`; `unit_span` covers the unit alone."""
+    """A number with a unit. For example, `30 mm/s` has the value 30 and the unit `mm/s`. `unit_span`: the location of the unit
+    alone."""
 
     value: float
     unit: str
@@ -64,7 +65,7 @@ class Quantity:
 
 @make_node_class
 class NameRef:
-    """A bare name used as a value, also `state`, `self`, `up`, `previous`."""
+    """A bare name that is used as a value, such as a variable, `state`, `self`, `up` or `previous`."""
 
     name: Name
     span: Span
@@ -72,7 +73,7 @@ class NameRef:
 
 @make_node_class
 class Member:
-    """`food.load`, `mine.wander`."""
+    """A name after a dot, such as `food.load` or `mine.wander`."""
 
     owner: Expr
     name: Name
@@ -81,7 +82,7 @@ class Member:
 
 @make_node_class
 class Index:
-    """`likes[other]`."""
+    """A value in square brackets, such as `likes[other]`."""
 
     owner: Expr
     index: Expr
@@ -100,7 +101,7 @@ class IndexAll:
 
 @make_node_class
 class Argument:
-    """One argument. `name` is set in the form `reach: 3`; the value may be a `RangeExpr`."""
+    """One argument of a call. `name`: the name, if it has the form `reach: 3`. The value may be a `RangeExpr`."""
 
     name: Name | None
     value: Expr
@@ -128,7 +129,7 @@ class Call:
 
 @make_node_class
 class Unary:
-    """`-x`, `not x`, `no x` (x is none, or a set is empty), `chance x`: `op` is that word or sign."""
+    """An operation on one operand: `-x`, `not x`, `no x` (x is none, or a set is empty) or `chance x`. `op`: the word or sign."""
 
     op: str
     operand: Expr
@@ -138,7 +139,7 @@ class Unary:
 
 @make_node_class
 class Binary:
-    """`+ - * / ^ < <= > >= == != and or`; `op` is the word or sign."""
+    """An operation on two operands: `+ - * / ^ < <= > >= == != and or`. `op`: the word or sign."""
 
     op: str
     left: Expr
@@ -149,7 +150,7 @@ class Binary:
 
 @make_node_class
 class IsNone:
-    """`x is none`, `x is not none`."""
+    """A test for none: `x is none` or `x is not none`."""
 
     operand: Expr
     is_negated: bool
@@ -175,7 +176,7 @@ class IfElse:
 
 @make_node_class
 class RangeExpr:
-    """`0 mm .. 200 mm`; only as an argument, after `in`, or in `seeds`."""
+    """A range such as `0 mm .. 200 mm`. It is only allowed as an argument, after `in`, or in `seeds`."""
 
     low: Expr
     high: Expr
@@ -184,7 +185,7 @@ class RangeExpr:
 
 @make_node_class
 class PairOf:
-    """`friend to foe`, reserved."""
+    """The expression `friend to foe`, which is reserved."""
 
     left: Expr
     right: Expr
@@ -193,7 +194,7 @@ class PairOf:
 
 @make_node_class
 class NoneOf:
-    """`none` or `none of food`."""
+    """The value `none`, or `none of food`."""
 
     of: Name | None
     span: Span
@@ -201,7 +202,7 @@ class NoneOf:
 
 @make_node_class
 class BadExpr:
-    """Replaces an expression that could not be read; the error is already reported."""
+    """A placeholder for an expression that could not be read. The error is already reported."""
 
     span: Span
 
@@ -248,7 +249,7 @@ class Steer:
 
 @make_node_class
 class Face:
-    """`face e`: turn the body towards `e`."""
+    """A line `face e`, which turns the body towards `e`."""
 
     push: Expr
     span: Span
@@ -256,7 +257,7 @@ class Face:
 
 @make_node_class
 class Assign:
-    """`x = e`, `x += e`, `x -= e`. `target` is NameRef, Member, Index or IndexAll."""
+    """An assignment: `x = e`, `x += e` or `x -= e`. `target`: a NameRef, Member, Index or IndexAll."""
 
     target: Expr | IndexAll
     op: str
@@ -281,7 +282,7 @@ class VerbLine:
 
 @make_node_class
 class Give:
-    """`give 1 load to nest`, `give all load to nest` (`amount` None means all)."""
+    """A gift, such as `give 1 load to nest` or `give all load to nest`. `amount`: None means all."""
 
     amount: Expr | None
     attribute: Name
@@ -294,7 +295,7 @@ Action = Assign | VerbLine | Give
 
 @make_node_class
 class Take:
-    """A line that takes from an item or a field. An `amount` of None means all. Without an `attribute`, the item is removed."""
+    """A line that takes from an item or a field. `amount`: None means all. If there is no `attribute`, the item is removed."""
 
     amount: Expr | None
     attribute: Name | None
@@ -304,7 +305,7 @@ class Take:
 
 @make_node_class
 class Weight:
-    """A line of `choose { … }`: a state and the weight with which it is chosen."""
+    """A line of `choose { … }`: a state and its weight in the random choice."""
 
     target: Name
     weight: Expr
@@ -358,7 +359,7 @@ class Measure(Let):
 
 @make_node_class
 class State:
-    """`state NAME "label" colour { … }`. `at_least`: the time for which an agent stays at least."""
+    """`state NAME "label" colour { … }`. `at_least`: the shortest time for which an agent stays in the state."""
 
     name: Name
     label: Text | None
@@ -413,7 +414,7 @@ class ParamDecl:
 
 @make_node_class
 class AnimalProperty:
-    """`size 4 mm`: a given property of the animal, set without `=`."""
+    """A property of the animal that is declared without `=`, such as `size 4 mm`."""
 
     name: Name
     value: Expr
@@ -499,7 +500,7 @@ SpeciesMember = ParamDecl | Declaration | AnimalProperty | Let | Latch | Fuzzy |
 
 @make_node_class
 class Use:
-    """`use steering` (`library`), `use "./mine.ant" as mine` (`path`, `alias`)."""
+    """A `use` line: `use steering` (`library`) or `use "./mine.ant" as mine` (`path`, `alias`)."""
 
     library: Name | None
     path: Text | None
@@ -546,7 +547,7 @@ class FieldDecl:
 
     @property
     def has_vectors(self) -> bool:
-        """Return whether the cells hold vectors. Unknown types are reported elsewhere and count as vectors."""
+        """Return whether the cells hold vectors. Unknown types count as vectors, because they are reported elsewhere."""
         return self.value_type is not None and self.value_type.name.text != FIELD_VALUE_WORDS[0]
 
 
@@ -568,7 +569,7 @@ class BehaviourArgument:
 
 @make_node_class
 class Keep:
-    """`keep x: T = FIRST then NEXT`."""
+    """A memory: `keep x: T = FIRST then NEXT`."""
 
     name: Name
     type: TypeName | None
@@ -641,11 +642,11 @@ class File:
 
     @property
     def edition_number(self) -> int:
-        """Return the edition that the file names; the newest edition if it names none, or one that does not exist."""
+        """Return the edition that the file names. Return the newest edition if it names none or an unknown one."""
         exists = self.edition is not None and self.edition.value in EDITIONS
         return int(self.edition.value) if self.edition is not None and exists else NEWEST_EDITION
 
     def file_span(self, span: Span) -> Span:
-        """Return the span in the complete file for a span in one of its `parts`."""
+        """Convert a span in one of the file's `parts` to a span in the complete file."""
         base = self.parts.get(span.source)
         return span if base is None else Span(self.source, base + span.start, base + span.end)

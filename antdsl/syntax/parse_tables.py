@@ -1,4 +1,4 @@
-"""Loads the shipped parser from JSON tables that were made from the grammar; nothing is built."""
+"""Loads the parser from JSON tables that were made from the grammar. It does not build any tables."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ TABLES_FILE = "tables.json"
 
 
 def compute_grammar_hash() -> str:
-    """Return the SHA-256 of the grammar's text, stored in the tables to detect outdated ones."""
+    """Return the SHA-256 of the grammar's text. It is stored in the tables, so that outdated tables are detected."""
     return hashlib.sha256(resources.grammar_file(GRAMMAR_FILE).read_bytes()).hexdigest()
 
 
 def load_parser(transformer: object) -> Lark:
-    """Return the shipped parser, which calls the methods of `transformer` when it recognises rules."""
+    """Return the parser that is distributed with antdsl. It calls the methods of `transformer` when it recognises rules."""
     from lark import Lark
 
     tables = json.loads(resources.grammar_file(TABLES_FILE).read_text(encoding="utf-8"))
@@ -51,5 +51,5 @@ def load_parser(transformer: object) -> Lark:
 
 
 def _convert_keys_to_int(table: dict[str, Any]) -> dict[int, Any]:
-    """Convert keys to integers: JSON keys are text, but lark numbers its states, tokens and rules."""
+    """Convert keys to integers. JSON keys are texts, but lark numbers its states, tokens and rules."""
     return {int(key): value for key, value in table.items()}

@@ -1,5 +1,5 @@
-"""Source → File: the text is cut into lines, and each line is parsed separately, so that an error affects only its line.
-In a line with errors, the unreadable part becomes an unreadable expression, and the rest is preserved."""
+"""Parses source text to a File. The text is divided into lines, and each line is parsed separately, so that an error affects
+only its line. The unreadable part of a line becomes an unreadable expression, and the rest is preserved."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _load_parser_and_builder() -> tuple[Lark, Builder]:
 
 
 def parse(source: Source) -> tuple[n.File, Report]:
-    """Parse a text. Return a file with everything that could be read, and a report with an error for each other part.
+    """Parse a text. Return a file with all parts that could be read, and a report with an error for each part that could not.
 
     Never raises."""
     report = Report()
@@ -98,8 +98,8 @@ def parse(source: Source) -> tuple[n.File, Report]:
 class ParsedPart:
     """The result of parsing complete lines of a file separately from the rest.
 
-    `edition`, `help`: of a part that begins the file; None for other parts. `sizes`: its numbers of words, statements and
-    species."""
+    `edition`, `help`: those of the file, if the part begins the file; otherwise None. `sizes`: its numbers of words, statements
+    and species."""
 
     source: Source
     nodes: tuple[Any, ...]
@@ -114,8 +114,8 @@ class ParsedPart:
 def parse_part(source: Source, rule: str, *, is_file_start: bool = False) -> ParsedPart:
     """Parse some complete lines of a file by the rule of their context: `top`, or `member` inside a species.
 
-    Its braces must be paired. A part that exceeds the limits of a file is not read. `is_file_start`: it is the beginning of the
-    file. Never raises."""
+    Its braces must be paired. A part that exceeds the limits of a file is not read. `is_file_start`: whether it is the beginning
+    of the file. Never raises."""
     report = Report()
     scanned = scan_tokens(source, report)
     tokens = pair_brackets(scanned)
@@ -134,7 +134,7 @@ def parse_part(source: Source, rule: str, *, is_file_start: bool = False) -> Par
 
 
 def _detect_other_language(text: str) -> str | None:
-    """Return the language of a JSON or YAML file with the wrong extension, detected from its first line; else None."""
+    """Return the language of a JSON or YAML file that has the wrong extension, or None. It is detected from the first line."""
     first = text.lstrip("\ufeff \t\r\n")[:200]
     if re.match(r"""[\[{]\s*["{\[\]}]""", first):
         return "JSON"
@@ -175,7 +175,7 @@ class _FileParser:
         return tuple(d.span for d in self.report.diagnostics if d.code in _UNCERTAIN_CODES and d.span is not None)
 
     def parse_header(self, lines: list[SourceLine]) -> tuple[n.Number | None, list[SourceLine]]:
-        """Return the edition and the lines that follow. Without one, use the current edition and add a warning."""
+        """Return the edition, and the lines after it. If there is no edition, use the current one and add a warning."""
         if lines and [token.kind for token in lines[0].tokens] == ["number"]:
             span = Span(self.source, lines[0].start, lines[0].end)
             self.report.error("unexpected-text", f"file begins with `{span.text}`", span, FIRST_LINE_ADVICE)
@@ -231,7 +231,7 @@ class _FileParser:
                 insort(self.scan.fault_offsets, line.start)
 
     def has_reached_error_limit(self) -> bool:
-        """Return whether the number of errors has reached the limit, beyond which more errors do not help."""
+        """Return whether there are so many errors that reporting more would not help."""
         return len(self.report.diagnostics) > _MAX_REPAIRED_LINES
 
     def try_parse(self, text: MappedText, rule: str) -> Any:
@@ -309,7 +309,7 @@ class _FileParser:
         )
 
     def recover_line(self, line: SourceLine, text: MappedText, rule: str, unexpected: UnexpectedToken) -> list[Any]:
-        """Return what can still be understood of a line with a reported error."""
+        """Return the nodes of a line that can still be understood, although the line has a reported error."""
         position = text.find_position(unexpected.span.start)
         if unexpected.token_text and is_line_start(unexpected):
             halves = [text.replace_range(position, len(text.text), ""), text.replace_range(0, position, "")]
@@ -352,10 +352,10 @@ class _FileParser:
         yield from self.iterate_bare_blocks(line, text, rule)
 
     def find_gap(self, line: SourceLine, text: MappedText, position: int) -> tuple[list[int], list[int], int]:
-        """Return the positions at which the unreadable part of a line may begin, those at which it may end, and a third position.
+        """Return possible start positions of the unreadable part of a line, possible end positions, and a third position.
 
-        The unreadable part may begin and end next to the separators around it, and at the line's ends. The third position is the
-        beginning of the previous separator, for a repair without the clause that follows this separator."""
+        The unreadable part may begin and end next to the separators around it, and at the ends of the line. The third position
+        is the beginning of the previous separator. It serves a repair without the clause after this separator."""
         marks: list[tuple[int, int]] = []
         depth = 0
         for token in line.tokens:
@@ -373,7 +373,7 @@ class _FileParser:
         return [*lefts, *reversed(word_ends), 0], [*rights, len(text.text)], clause
 
     def iterate_bare_blocks(self, line: SourceLine, text: MappedText, rule: str) -> Iterator[MappedText]:
-        """Yield shortened texts of the first line of a block that cannot be read: only the word, the name and the braces."""
+        """Yield shortened texts for the unreadable first line of a block. They have only the word, the name and the braces."""
         words = [token for token in line.tokens if token.kind in ("word", "text")][:2]
         first = get_token_text(self.scan, line.tokens[0])
         if not line.groups or BODY_RULE_BY_LINE.get((rule, first)) is None or len(words) < 2:

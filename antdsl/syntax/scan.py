@@ -1,6 +1,6 @@
-"""Source → tokens for cutting and a clean text for parsing. Characters and words that no `.ant` text may contain are reported
-here. They are corrected if the meaning is clear, so that one mistake gives one message. The clean text is as long as the
-source, so an offset is valid for both."""
+"""Scans source text. It makes tokens, which are used to divide the text, and a clean text for the parser. Characters and words
+that no `.ant` text may contain are reported here. They are corrected if the meaning is clear, so that one mistake gives one
+message. The clean text is as long as the source, so offsets are valid in both."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ UNREADABLE_CHARACTER = "\ufffd"
 
 @dataclass(frozen=True, slots=True)
 class ScannedToken:
-    """`kind`: word number text sign open close end. `indent`: that of its line if it is the first there, else -1.
+    """`kind`: word number text sign open close end. `indent`: the indent of its line if it is the first token there, else -1.
     `inserted_text`: the text of a bracket that the author forgot; it has no length in the source."""
 
     kind: str
@@ -67,7 +67,7 @@ class TokenScan:
         fix: str | None = None,
         insert_offset: int | None = None,
     ) -> None:
-        """Report an error. `fix`: the text to write in place of the span, or at the offset `insert_offset`."""
+        """Report an error. `fix`: the text that replaces the span, or that is inserted at the offset `insert_offset`."""
         span = Span(self.source, start, end)
         place = span if insert_offset is None else Span(self.source, insert_offset, insert_offset)
         self.report.error(code, message, span, help, fix=None if fix is None else Fix(place, fix))
@@ -124,7 +124,7 @@ def scan_tokens(source: Source, report: Report) -> TokenScan:
 
 
 class _Scanner:
-    """One pass over the text. Each kind of token has a method; `odd` ones are corrected or blanked."""
+    """One pass over the text. Each kind of token has a method. Faulty tokens are corrected or replaced by blanks."""
 
     def __init__(self, text_scan: TokenScan) -> None:
         self.token_scan = text_scan
@@ -211,7 +211,7 @@ class _Scanner:
         return self.add_token("word", start, end)
 
     def repair_hyphens(self, start: int, end: int, piece: str) -> int:
-        """Correct hyphens, such as `turn-home`, in a name that is declared or names a state."""
+        """Correct hyphens in a name, such as `turn-home`, where the name is declared or names a state."""
         suggestion = piece.replace("-", "_").lower()
         if piece not in self.reported_texts:
             self.reported_texts.add(piece)
@@ -221,7 +221,7 @@ class _Scanner:
         return self.add_token("word", start, end)
 
     def repair_foreign_word(self, start: int) -> int:
-        """Correct a word with letters or digits that are not ASCII, letter by letter."""
+        """Correct a word with non-ASCII letters or digits, one letter at a time."""
         match = _ANY_WORD_PATTERN.match(self.characters, start)
         piece = match.group() if match else self.characters[start]
         end = start + len(piece)
@@ -277,7 +277,7 @@ class _Scanner:
         return self.add_token("number", start, end)
 
     def repair_commas(self, start: int, end: int) -> int:
-        """Report a number with a comma where no comma can separate two numbers; read a decimal comma as a dot."""
+        """Report a number with a comma where a comma cannot separate two numbers. Read a decimal comma as a dot."""
         diagnostic = make_comma_diagnostic(Span(self.token_scan.source, start, end))
         self.token_scan.report.add(diagnostic)
         self.token_scan.fault_offsets.append(start)
@@ -287,7 +287,7 @@ class _Scanner:
         return self.add_token("number", start, self.find_quantity_end(end))
 
     def mark_unreadable(self, start: int, end: int) -> int:
-        """Add a token for a number with an unknown unit; unit checks skip it."""
+        """Add a token for a number with an unknown unit. Checks of units skip it."""
         self.token_scan.replace_by_blanks(start, end)
         self.token_scan.replace_characters(start, UNREADABLE_CHARACTER)
         return self.add_token("number", start, end)
@@ -341,7 +341,7 @@ class _Scanner:
         return self.add_token("sign", start, end) if repair else end
 
     def repair_wide_sign(self, start: int, end: int, repair: str) -> int:
-        """Replace a sign such as `≤` by two characters, using an adjacent blank for the second."""
+        """Replace a sign such as `≤` by two characters. The second one takes the place of an adjacent blank."""
         if self.characters[end : end + 1] == " ":
             end += 1
         elif start > 0 and self.token_scan.clean_characters[start - 1] == " ":

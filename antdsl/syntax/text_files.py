@@ -1,5 +1,5 @@
-"""Opens files that are not trusted, without waiting, running out of memory or guessing the encoding. Writes files atomically,
-through links, with the permissions of the existing file."""
+"""Opens untrusted files without waiting, exhausting memory or guessing the encoding. Writes files atomically. Writing follows
+links and preserves the permissions of an existing file."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def read_program_file(path: str | os.PathLike[str], handle: int | None = None) -
 
 
 def decode_program(name: str, data: bytes) -> tuple[Source | None, Report]:
-    """Read bytes from another source as `read_program_file` reads a file. `name`: the name in messages."""
+    """Decode bytes from another source in the same way as `read_program_file` does for a file. `name`: the name in messages."""
     report = Report()
     if len(data) > limits.MAX_PROGRAM_BYTES:
         _report_too_large(name, report)
@@ -106,8 +106,8 @@ def _decode_text(name: str, data: bytes, report: Report) -> str | None:
 
 
 def write_program_file(path: Path, text: str) -> None:
-    """Replace an existing file with a text by an atomic write: readers, also after a crash, see the old text or the new one.
-    Raises OSError if that fails; the old file is then unchanged."""
+    """Replace an existing file with a text by an atomic write. Readers see either the old or the new text, even after a crash.
+    Raises OSError if writing fails; the old file is then unchanged."""
     place = path.resolve(strict=True)
     if not os.access(place, os.W_OK):
         # the folder allows a replacement, but the file itself is read-only

@@ -1,8 +1,8 @@
-"""Verbs: words that begin a line in which an agent requests something of the world. From each row, the grammar's form and
-terminal, the words that begin a line, and the samples in messages are made.
+"""The verbs, which are words that begin a line in which an agent requests something of the world. The grammar, the list of words
+that begin a line, and the samples in messages are made from this table.
 
-The meaning of such a line is in the row of the same word in `antdsl.program.tables.effects`. After a change here, `python -m
-antdsl.syntax.grammar` regenerates the grammar's part and its tables."""
+The meaning of such a line is in the row of the same word in `antdsl.program.tables.effects`. After a change here, run `python -m
+antdsl.syntax.grammar`, which regenerates the verbs in the grammar and the parse tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The words of the language: what may begin a line in each context, and the units, with common mistakes for both."""
+"""The words of the language: those that may begin a line in each context, and the units. Both have a list of common mistakes."""
 
 from __future__ import annotations
 

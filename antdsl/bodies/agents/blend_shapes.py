@@ -1,4 +1,4 @@
-"""Blend shapes: a shape is moved towards other shapes of the library by channel values of each agent, with in-betweens.
+"""Blend shapes: a shape moves towards other shapes of the library, weighted by each agent's channel values, with in-betweens.
 
 Each input adds its difference from the base shape, times its weight. Weights are not normalised and may be below 0 or above 1. An
 input with in-betweens is piecewise linear: base at weight 0, each corrective shape at its own weight, primary shape at weight 1.
@@ -97,9 +97,9 @@ def list_blend_knots(definition: Definition, name: str) -> tuple[list[SkinShape]
 
 
 def compute_knot_shares(weights: Floats, knots: NDArray[np.float64]) -> Floats:
-    """Return the share of each of K shapes in an input with weights [n], float32[K, n].
+    """Return the factor of each of K shapes in an input with weights [n], float32[K, n].
 
-    A share multiplies the shape's difference from the base. Weights are interpolated between the two nearest knots; the base is
+    A factor multiplies the shape's difference from the base. Weights are interpolated between the two nearest knots; the base is
     the knot at 0."""
     all_knots = np.sort(np.append(knots, 0.0))
     weight = weights.astype(np.float64)

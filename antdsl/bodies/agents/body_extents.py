@@ -1,4 +1,4 @@
-"""Extents of standing bodies: in their idle clip, because a rest pose may have spread arms."""
+"""Extents of standing bodies, measured in the idle clip, because a rest pose may have spread arms."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def _compute_binding_box(definition: Definition, binding: Binding, worlds: Float
 
 
 def _scale_box(extent: tuple[Floats, Floats], scale: Floats) -> tuple[Floats, Floats]:
-    """Return the centre of a box and its half widths times `scale`, in the dtype of the scale."""
+    """Return the centre of a box, and its half widths multiplied by `scale`, in the dtype of `scale`."""
     low, high = extent
     return ((low + high) / 2).astype(scale.dtype), ((high - low) / 2).astype(scale.dtype) * scale
 
@@ -101,7 +101,7 @@ def _transform_box(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats,
 
 
 def _compute_joint_box(worlds: Floats, joints: list[int]) -> tuple[Floats, Floats]:
-    """Return the lowest and highest corners of the box around the positions of `joints`. It loops over joints, to copy no
+    """Return the lowest and highest corners of the box around the positions of `joints`. The loop over joints avoids copying
     matrices."""
     low = worlds[:, joints[0], :3, 3].copy()
     high = low.copy()

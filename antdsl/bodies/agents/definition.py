@@ -156,7 +156,7 @@ class Binding:
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """Shapes that are drawn together."""
+    """A named set of shapes that are drawn together."""
 
     name: str
     static: tuple[Binding, ...] = ()

@@ -61,8 +61,8 @@ def run_bench_command(
 
 
 def _choose_backends(names: list[str]) -> list[str]:
-    """Return the requested backends, each once. By default, return all except the slowest. Raises BadParameter for an unknown
-    name."""
+    """Return the requested backends, without duplicates. By default, return all except the slowest. Raises BadParameter for an
+    unknown name."""
     from antdsl.runtime.backends import BACKENDS
 
     for name in names:
@@ -72,8 +72,8 @@ def _choose_backends(names: list[str]) -> list[str]:
 
 
 def _choose_jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | None]]:
-    """Return the cases to measure, each with a number of agents: a requested number, or the numbers of the case. Without cases,
-    return a quick selection."""
+    """Return the cases to measure, each with a number of agents. This is a requested number, or one of the case's own numbers.
+    If no cases are requested, return a quick selection."""
     from antdsl.bench import BENCH_CASES
 
     if not cases:
@@ -91,7 +91,7 @@ def _choose_jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | N
 
 
 def _require_openable(name: str) -> None:
-    """Report the errors of a scene before anything is measured."""
+    """Report the errors of a scene before any measurement starts."""
     from antdsl.bench import BENCH_CASES
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.pipeline import open_scene

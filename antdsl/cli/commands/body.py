@@ -1,5 +1,5 @@
 """`antdsl body FILE`: prints an agent definition (joints, shapes, layers, clips, transform groups, metadata), and converts it to
-other kinds of files."""
+other file formats."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def run_body_command(
 
 
 def _print_or_write_proposal(body: Definition, source: Path, target: Path | None, quiet: bool) -> None:
-    """Print a proposed definition file, or write it to `target`."""
+    """Print the proposed definition file, or write it to `target`."""
     from antdsl.atomic_write import write_atomically
     from antdsl.bodies.proposing.proposal import propose_definition
     from antdsl.cli.destinations import protect_inputs, require_writable_file
@@ -110,7 +110,7 @@ def _print_or_write_proposal(body: Definition, source: Path, target: Path | None
 
 
 def _write_body(body: Definition, source: Path, target: Path, layer: str, program: str, quiet: bool) -> None:
-    """Write a definition as another kind of file, and report the parts that are left out."""
+    """Write a definition in another file format, and report the parts that are left out."""
     from antdsl.atomic_write import create_folder_durably, write_atomically
     from antdsl.bodies.files.writing import build_definition_files, write_gltf
     from antdsl.bodies.posed_body import find_base_layer

@@ -1,4 +1,4 @@
-"""`antdsl check PATH…`: all checks of programs and scenes that do not need a run."""
+"""`antdsl check PATH…`: runs all checks of programs and scenes that need no simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""`antdsl edit CACHE --edits edits.yaml`: changes a finished cache. Its frames stay as they are, and readers apply the edits."""
+"""`antdsl edit CACHE --edits edits.yaml`: changes a finished cache. The stored frames remain, and the edits are applied when
+they are read."""
 
 from __future__ import annotations
 
@@ -76,7 +77,7 @@ def run_edit_command(
 
 
 def _open_view(folder: Path, edits: Path | None, width: int | None, resimulation: _SceneAndRoots | None) -> Cache:
-    """Return a view of the cache: with the edits of a file, with smooth orientations, or with the stored edits.
+    """Return a view of the cache with the edits of a file, with smoothed orientations, or with the stored edits.
 
     `edits`: the file, or None. `width`: the number of frames over which orientations are smoothed, or None. `resimulation`:
     simulate affected agents again with this scene and these roots, or None."""
@@ -90,8 +91,8 @@ def _open_view(folder: Path, edits: Path | None, width: int | None, resimulation
 
 
 def _load_edits(folder: Path, edits: Path, resimulation: _SceneAndRoots | None) -> LoadedEdits:
-    """Return the edits of a file for a cache. Affected agents are simulated again unless `resimulation` is None. The command ends
-    if the edits have errors."""
+    """Return the edits of a file for a cache. Unless `resimulation` is None, affected agents are simulated again. Errors in the
+    edits end the command."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.cache.cache_reader import open_cache
     from antdsl.outputs.edits.edited_cache import load_edits
@@ -108,7 +109,7 @@ def _load_edits(folder: Path, edits: Path, resimulation: _SceneAndRoots | None) 
 
 
 def _resimulate_edits(loaded: LoadedEdits, scene: Path | None, roots: tuple[str, ...]) -> LoadedEdits:
-    """Simulate the agents again that edits affect, and return the edits with the result. Print the number of these agents."""
+    """Simulate the agents again that edits affect, and return the edits with the result. Print how many agents were simulated."""
     from antdsl.cli.arguments import parse_grants
     from antdsl.cli.printing.reports import exit_on_errors, print_report
     from antdsl.explain import ExplainError
@@ -131,7 +132,7 @@ def _resimulate_edits(loaded: LoadedEdits, scene: Path | None, roots: tuple[str,
 
 
 def _store_edits(folder: Path, edits: Path, resimulation: _SceneAndRoots | None) -> tuple[int, str]:
-    """Store the edits of a file with a cache. Return their number, and a sentence on how they are applied and removed."""
+    """Store the edits of a file with a cache. Return how many there are, and a sentence on how they are applied and removed."""
     from antdsl.outputs.edits.stored_edits import store_edits
 
     loaded = _load_edits(folder, edits, resimulation)
@@ -142,7 +143,7 @@ def _store_edits(folder: Path, edits: Path, resimulation: _SceneAndRoots | None)
 
 
 def _write_view(view: Cache, cache: Path, folder: Path, force: bool) -> int:
-    """Write the frames of a view of a cache into a folder. Return their number."""
+    """Write the frames of a view to a new folder. Return the number of frames."""
     from antdsl.outputs.cache.cache_reader import CACHE_ENTRY_NAMES
     from antdsl.outputs.edits.stored_edits import write_cache
 

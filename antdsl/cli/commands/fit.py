@@ -1,4 +1,4 @@
-"""`antdsl fit SCENE…`: searches for values of params at which the goals of a spec are met."""
+"""`antdsl fit SCENE…`: searches for values of params with which the goals of a spec are met."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def run_fit_command(
 
 
 def _choose_points(vary: list[str], points: int, seed: int) -> ChosenPoints:
-    """Return the Sobol points in the ranges. Wrong ranges end the command with a usage error."""
+    """Return the Sobol points in the ranges. Invalid ranges end the command with a usage error."""
     from antdsl.cli.arguments import parse_pairs
     from antdsl.cli.sweep_arguments import require_no_errors
     from antdsl.sweeps.designs import choose_design

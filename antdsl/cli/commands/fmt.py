@@ -1,4 +1,4 @@
-"""`antdsl fmt PATH…`: formats .ant files in one style. Files with errors are reported and not changed."""
+"""`antdsl fmt PATH…`: formats .ant files in the standard layout. Files with errors are reported and not changed."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class _FormatCommand:
     report: Report = field(default_factory=_empty_report)
 
     def format_files(self, paths: list[Path]) -> None:
-        """Format all programs that paths select, then print how many changed."""
+        """Format all programs that the paths select, then print how many files changed."""
         from antdsl.atomic_write import is_link
         from antdsl.files import find_files
 
@@ -115,7 +115,7 @@ class _FormatCommand:
             )
 
     def format_standard_input(self) -> None:
-        """Format standard input to standard output, or only report the change with `--check` or `--diff`."""
+        """Format standard input and write it to standard output. With `--check` or `--diff`, only report the change."""
         from antdsl import syntax
 
         data = read_standard_input()
@@ -129,8 +129,8 @@ class _FormatCommand:
             self.report_change("<stdin>", data.decode("utf-8"), text)
 
     def format_source(self, source: object, report: Report) -> str | None:
-        """Return the text of a source in the standard layout; None if it cannot be formatted. Add the findings to the command's
-        report.
+        """Return the text of a source in the standard layout, or None if it cannot be formatted. Add the findings to the
+        command's report.
 
         `source`, `report`: the results of reading the file; `source` is None if that failed."""
         from antdsl import syntax
@@ -152,7 +152,7 @@ class _FormatCommand:
         return text
 
     def report_change(self, name: str, old_text: str, new_text: str) -> None:
-        """Record a file that differs from the standard layout. Print its name, or its difference with `--diff`."""
+        """Record that a file differs from the standard layout. Print its name, or with `--diff` the difference."""
         self.changed_names.append(name)
         if self.prints_diff:
             lines = difflib.unified_diff(old_text.splitlines(), new_text.splitlines(), name, name, lineterm="")

@@ -60,7 +60,7 @@ def run_graph_command(
 
 
 def _choose_format(format: GraphFormat | None, target: Path | None) -> str:
-    """Return the requested format, or else the format of the file's suffix, or else the default."""
+    """Return the requested format. By default, return the format of the file's suffix or, without a file, the default format."""
     from antdsl.graphs import CHART_FORMATS
 
     if format is not None:

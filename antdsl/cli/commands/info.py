@@ -1,4 +1,4 @@
-"""`antdsl info CACHE`: prints the contents of a cache, and the inputs that it was made from."""
+"""`antdsl info CACHE`: prints the contents of a cache and the inputs from which it was made."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def describe_cache(cache: Cache) -> list[str]:
 
 
 def _describe_agents(cache: Cache, frames: list[int]) -> list[str]:
-    """Return a line with the number of agents in the first and the last frame; nothing if these cannot be read."""
+    """Return a line with the number of agents in the first and the last frame. Return nothing if these frames cannot be read."""
     from antdsl.outputs.cache.cache_reader import CacheError
 
     try:
@@ -106,9 +106,9 @@ def _describe_agents(cache: Cache, frames: list[int]) -> list[str]:
 
 
 def _describe_patches(mesh: MeshEntry, units: str) -> str:
-    """Return a note about a surface of height samples; "" for any other mesh.
+    """Return a note about a surface made of height samples; "" for any other mesh.
 
-    The note has the largest distance between its triangles and the bilinear surface through the samples."""
+    The note gives the largest distance between its triangles and the bilinear surface through the samples."""
     if mesh.deviation is None:
         return ""
     return f", samples of heights: at most {mesh.deviation:.3g} {units} off the bilinear surface through them"
@@ -120,7 +120,7 @@ def _format_fps(text: str) -> str:
 
 
 def _verify_cache(cache: Cache) -> None:
-    """Compare every frame and checkpoint with the stored hashes. A missing frame between others counts as damage."""
+    """Compare every frame and checkpoint with the stored hashes. A gap between frames counts as damage."""
     from antdsl.outputs.cache.cache_reader import STATIC_FILE_NAME
     from antdsl.outputs.cache.hashes import HASHES_FILE_NAME
     from antdsl.outputs.provenance import make_resume_command

@@ -99,7 +99,7 @@ def run_jobs_command(
 
 
 def _parse_render_words(text: str) -> tuple[str, ...]:
-    """Return the words of `--render` as extra arguments of `antdsl render`. That command has checked them."""
+    """Return the words of `--render` as extra arguments of `antdsl render`, after checking them as that command does."""
     from antdsl.cli.commands.render import run_render_command
 
     # depending on its version, typer has click as a dependency or a part of it

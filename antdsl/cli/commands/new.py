@@ -97,8 +97,7 @@ def run_examples_command(
 
 
 def _make_unknown_name_error(kind: str, name: str, names: tuple[str, ...], usual: str) -> CommandError:
-    """Return the error for a name that is none of `names`. `kind`: the kind of name. `usual`: the advice if no name is
-    similar."""
+    """Return the error for a name that is not in `names`. `kind`: the kind of name. `usual`: the advice if no name is similar."""
     near = find_nearest_name(name, names)
     return CommandError(ExitCode.USAGE, f"error: there is no {kind} `{name}`", f"did you mean `{near}`?" if near else usual)
 
@@ -119,20 +118,20 @@ def describe_example(name: str) -> str:
 
 
 def read_example_files(name: str) -> dict[str, bytes]:
-    """Return the content of each file of an example, by its name. Results of runs in its folder are left out."""
+    """Return the content of each file of an example, by name. Results of runs in the folder are left out."""
     files = sorted(path for path in example_file(name).iterdir() if path.suffix in _EXAMPLE_SUFFIXES and path.is_file())
     return {path.name: path.read_bytes() for path in files}
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder, by their paths relative to it. Missing folders are created."""
+    """Write files into a folder. `files`: their contents by path, relative to the folder. Missing folders are created."""
     for name, content in files.items():
         create_folder_durably((folder / name).parent)
         write_atomically(folder / name, content)
 
 
 def build_ground_ply(side: int = 49, width: float = 200.0) -> bytes:
-    """Return a gently rolling square as a binary .ply file: `side` × `side` vertices, `width` mm wide, y up."""
+    """Return gently rolling ground as a binary .ply file. It has `side` × `side` vertices, is `width` mm wide, and y is up."""
     import numpy as np
 
     line = np.linspace(-width / 2, width / 2, side)

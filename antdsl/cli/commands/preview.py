@@ -1,4 +1,4 @@
-"""`antdsl preview SCENE`: displays a scene in a browser while its files are edited."""
+"""`antdsl preview SCENE`: displays a scene in a browser, and updates it while its files are edited."""
 
 from __future__ import annotations
 
@@ -85,8 +85,7 @@ def _open_sockets(host: str | None, port: int | None, let_others_in: bool) -> Li
 
 
 def _create_live(scene: Path, choices: RunChoices, threads: int) -> LiveSimulation:
-    """Return the live simulation of a scene. Errors in the files are reported; the simulation begins as soon as the user has
-    corrected them."""
+    """Return the live simulation of a scene. Errors in the files are reported; it starts once the user has corrected them."""
     from antdsl.cli.commands.run import choose_threads
     from antdsl.cli.printing.reports import choose_exit_code, print_report
     from antdsl.preview.live import LiveSimulation
@@ -102,7 +101,7 @@ def _create_live(scene: Path, choices: RunChoices, threads: int) -> LiveSimulati
 
 
 def _depends_on_params(choices: RunChoices, live: LiveSimulation) -> bool:
-    """Return whether the values from the command line cause the errors: whether the files have none without these values."""
+    """Return whether the values on the command line cause the errors: without them, the files have no errors."""
     from dataclasses import replace
 
     if not choices.params:
@@ -122,8 +121,8 @@ def _serve_preview(
 ) -> None:
     """Serve the preview until it is stopped.
 
-    `allows_others`: anyone with the address may use it. `allows_reconnect`: pages that are open when it restarts on this port
-    reconnect to it."""
+    `allows_others`: whether anyone with the address may use it. `allows_reconnect`: whether open pages reconnect after a restart
+    on this port."""
     from antdsl.preview.serving.guard import RequestGuard, ReturningPages
     from antdsl.preview.serving.page_files import load_pages
     from antdsl.preview.serving.server import PreviewServer, run_server
@@ -156,7 +155,7 @@ def _serve_preview(
 
 
 def _open_browser(address: str) -> None:
-    """Open a browser if there is a screen. Without a screen, a text browser would block this terminal."""
+    """Open a browser if there is a screen. Without a screen, a text browser could start and block this terminal."""
     import os
     import sys
     import webbrowser

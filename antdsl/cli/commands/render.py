@@ -1,4 +1,4 @@
-"""`antdsl render CACHE`: creates stills, a contact sheet and a film of a cache."""
+"""`antdsl render CACHE`: creates stills, a contact sheet and a film from a cache."""
 
 from __future__ import annotations
 
@@ -330,8 +330,7 @@ def _draw_on_cluster(
 
 
 def _join_stills(paths: list[Path], path: Path, fps: float, pixels_per_picture: int) -> None:
-    """Write the film `path` from the pictures `paths`, and remove the pictures. `pixels_per_picture`: the number of pixels of
-    each."""
+    """Join the pictures `paths` to the film `path`, then remove them. `pixels_per_picture`: the number of pixels of each."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.drawing import MAX_STILL_BYTES
     from antdsl.outputs.pictures import write_film
@@ -355,7 +354,7 @@ def _join_stills(paths: list[Path], path: Path, fps: float, pixels_per_picture: 
 
 
 def _require_film_support() -> None:
-    """End the command before anything is drawn if the extra for films is missing."""
+    """End the command before drawing anything if the extra for films is missing."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.pictures import check_film_support
 
@@ -363,7 +362,7 @@ def _require_film_support() -> None:
 
 
 def _write_film(images: Iterator[Any], gallery: Gallery, folder: Path) -> None:
-    """Write pictures to the film as they are drawn. No picture is stored."""
+    """Write each picture to the film as soon as it is drawn. No picture is stored."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.pictures import write_film
 

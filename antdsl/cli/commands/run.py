@@ -159,8 +159,8 @@ def run_run_command(
 
 
 def choose_threads(requested_threads: int, quiet: bool = False) -> int:
-    """Return the number of threads to use: `requested_threads`, or all usable cores for 0. Unless `quiet`, a message reports a
-    reduction.
+    """Return the number of threads to use: `requested_threads`, or all usable cores for 0. If the number is reduced, a message
+    says so, unless `quiet`.
 
     The result is at most the number of usable cores. More threads would only wait for each other, and libraries print warnings
     about it."""
@@ -185,7 +185,7 @@ def _build_resume_command(
     summary: Path | None,
     any_memory: bool,
 ) -> str:
-    """Return the command line that continues a run, with all arguments that affect results."""
+    """Return the command line that continues a run. It has all arguments that affect results."""
     import shlex
 
     words = ["antdsl", "run", str(scene)]
@@ -202,7 +202,8 @@ def _build_resume_command(
 
 @contextmanager
 def _handle_stop_in_set_up(resume_command: str) -> Iterator[None]:
-    """Within the context, end the command on SIGTERM with the exit code of a stop. During set-up there is no frame to store."""
+    """While the context is active, SIGTERM ends the command with the exit code of a stop. During set-up, there is no frame to
+    store."""
     import signal
 
     def raise_stop(number: int, frame: object) -> None:
@@ -239,7 +240,7 @@ def _begin_recording(
 
 
 def _record_to_end(recording: Recording, quiet: bool, resume_command: str) -> None:
-    """Run to the last frame, or until Ctrl-C or SIGTERM requests a stop; then stop after the current frame."""
+    """Run to the last frame. If Ctrl-C or SIGTERM requests a stop, finish the current frame and stop."""
     import signal
 
     from antdsl.cli.printing.progress import show_progress

@@ -1,4 +1,4 @@
-"""`antdsl sweep SCENE…`: runs scenes with varied values and seeds, on processes or a cluster, and writes a table at the end."""
+"""`antdsl sweep SCENE…`: runs scenes with varied values and seeds, locally or on a cluster. It writes a table at the end."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def run_sweep_command(
 
 
 def _require_measures(chooser: SweepJobChooser) -> None:
-    """Raise CommandError if no run has reported a measure that a width goal names."""
+    """Raise CommandError if a width goal names a measure that no run has reported."""
     unheard = chooser.list_missing_measures()
     if unheard:
         raise CommandError(
@@ -229,8 +229,8 @@ def _write_tables(
 ) -> None:
     """Write the table in all formats, and print it.
 
-    `finished_measures`: the measures of each finished run, by its key. `show`: the beginnings of the names of the printed
-    measures."""
+    `finished_measures`: the measures of each finished run, by its key. `show`: print only measures with names that begin with
+    one of these texts."""
     from antdsl.outputs.parquet_table import encode_parquet
     from antdsl.sweeps import build_rows
     from antdsl.sweeps.figures import is_matplotlib_available
@@ -295,7 +295,7 @@ def _write_tables(
 
 
 def _truncate_table(lines: str) -> str:
-    """Return the first lines of a table, as many as are printed, and a note on the rest."""
+    """Return as many lines of a table as are printed, and a note about the rest."""
     each = lines.splitlines(keepends=True)
     omitted_count = len(each) - 1 - MAX_PRINTED_LINES
     return "".join(each[: MAX_PRINTED_LINES + 1]) + (
@@ -304,7 +304,7 @@ def _truncate_table(lines: str) -> str:
 
 
 class _RunProgress:
-    """A display of the progress of runs, which prints one line for each finished run, or nothing if quiet."""
+    """Displays the progress of runs, with one line for each finished run. If quiet, it prints nothing."""
 
     def __init__(self, total: int, quiet: bool, is_maximum: bool) -> None:
         self.total, self.quiet, self.count = total, quiet, 0
@@ -315,7 +315,7 @@ class _RunProgress:
         """Display that a run has reached a frame."""
 
     def show_finished(self, outcome: JobOutcome) -> None:
-        """Display that a run has ended, with or without success."""
+        """Display that a run has ended, successfully or not."""
         self.count += 1
         if outcome.measures is None:
             print_note(f"failed: {outcome.job.name}: {outcome.problem}", to_stderr=True)
@@ -323,7 +323,7 @@ class _RunProgress:
             self.print_line(f"{self.count} {self.of}: {outcome.job.name}, {outcome.measures['frames']} frames")
 
     def show_note(self, sentence: str) -> None:
-        """Print a message about a deviation from the request, once, even if several runs send it."""
+        """Print a message about a deviation from the request. A message that several runs send is printed once."""
         if sentence not in self.printed_notes:
             self.printed_notes.add(sentence)
             print_note(sentence, to_stderr=True)
@@ -334,7 +334,7 @@ class _RunProgress:
 
 
 class _BarProgress(_RunProgress):
-    """A progress line that is updated in place: finished runs, and the frames of current runs."""
+    """Displays progress on one line that is updated in place: finished runs, and the frames of current runs."""
 
     def __init__(self, total: int, is_maximum: bool, bar: Any) -> None:
         super().__init__(total, False, is_maximum)

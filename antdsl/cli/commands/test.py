@@ -1,4 +1,4 @@
-"""`antdsl test PATH…`: runs the specs of programs, headless, over their seeds."""
+"""`antdsl test PATH…`: runs the specs of programs without a display, with all their seeds."""
 
 from __future__ import annotations
 
@@ -149,9 +149,9 @@ def run_test_command(
 
 @contextmanager
 def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
-    """Yield a function that raises KeyboardInterrupt if Ctrl-C was pressed, to be called between frames.
+    """Yield a function to call between frames. It raises KeyboardInterrupt if Ctrl-C was pressed.
 
-    If Ctrl-C raised immediately, a library could swallow the exception. A second Ctrl-C does raise immediately."""
+    If Ctrl-C raised immediately, a library could swallow the exception. A second Ctrl-C raises immediately."""
     import signal
 
     interrupts: list[int] = []
@@ -173,7 +173,7 @@ def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
 
 
 class _TestProgress:
-    """A display of the current run and its frame on a terminal; it displays nothing elsewhere."""
+    """Displays the current run and its frame on a terminal. Without a terminal, it displays nothing."""
 
     def __init__(self, quiet: bool, runs: int) -> None:
         import sys

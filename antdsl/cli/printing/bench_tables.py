@@ -1,4 +1,5 @@
-"""Prints a measured case as tables on a terminal: set-up and the complete step, with one column per backend, then its phases."""
+"""Prints a measured case as tables on a terminal. The first has set-up and the complete step, with one column per backend. The
+second has the phases."""
 
 from __future__ import annotations
 

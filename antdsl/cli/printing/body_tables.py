@@ -1,4 +1,4 @@
-"""An agent definition as lines of text for users and as JSON for other programs."""
+"""Formats an agent definition as lines of text for users, and as JSON for other programs."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def format_body(body: Definition) -> Iterator[str]:
 
 
 def _format_language_names(body: Definition) -> Iterator[str]:
-    """Yield how programs and scenes write the names of a body that are no valid words of the language."""
+    """Yield the names of a body that are not valid words of the language, and how programs and scenes write them."""
     names_by_kind: list[tuple[str, Iterable[str]]] = [
         ("clip", body.clips), ("layer", body.layers), ("group", body.groups), ("channel", (c.name for c in body.rig.channels)),
         *((f"mark of {clip.name}", clip.marks) for clip in body.clips.values()),
@@ -67,7 +67,7 @@ def _format_language_names(body: Definition) -> Iterator[str]:
 
 
 def format_joint_tree(body: Definition) -> Iterator[str]:
-    """Yield a line for each joint, below its parent and indented."""
+    """Yield a line for each joint, indented below its parent."""
     depth: list[int] = []
     for name, parent in zip(body.rig.names, body.rig.parents, strict=True):
         depth.append(0 if parent < 0 else depth[parent] + 1)
@@ -109,8 +109,8 @@ def _describe_clip(body: Definition, clip: Clip) -> list[str]:
 
 
 def _is_clip_closed(body: Definition, clip: Clip) -> bool:
-    """Return whether a clip ends in its first pose, apart from the displacement of its stride. The tolerance is a thousandth of
-    the body length and of a turn."""
+    """Return whether a clip ends in its first pose, except for the displacement of its stride. The tolerance is a thousandth of
+    the body length, and of a turn."""
     ends = ((part[0], part[-1]) for part in (clip.translation, clip.rotation, clip.scale) if len(part))
     near = [1e-3 * body.length + clip.stride, 1e-3, 1e-3]
     gaps = [np.abs(a - b).max(initial=0.0) for a, b in ends]
@@ -121,7 +121,7 @@ def _is_clip_closed(body: Definition, clip: Clip) -> bool:
 
 
 def _list_leg_joints(leg: Leg) -> dict[str, str]:
-    """Return the joints of a leg from the hip to the foot, by the keys of a definition file."""
+    """Return the joints of a leg from hip to foot. The keys are those of a definition file."""
     return {key: joint for key, joint in leg.to_entry().items() if key != "name"}
 
 

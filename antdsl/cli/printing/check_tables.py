@@ -34,7 +34,7 @@ def _align_rows(rows: Sequence[Sequence[str]]) -> Iterator[str]:
 
 
 def format_params_table(programs: CheckedPrograms) -> Iterator[str]:
-    """Yield the params of all programs. A param appears below the first file that has it."""
+    """Yield the params of all programs. Each param is listed only under the first file that has it."""
     listed_spans: set[Span] = set()
     for file, program in programs:
         new = [param for param in program.params.values() if param.span not in listed_spans]
@@ -47,7 +47,7 @@ def format_params_table(programs: CheckedPrograms) -> Iterator[str]:
 
 
 def format_settings_table(programs: CheckedPrograms) -> Iterator[str]:
-    """Yield the settings of all species with defaults that depend on the edition: their value, and its source."""
+    """Yield the settings of all species that have defaults which depend on the edition: their value, and its source."""
     listed_spans: set[Span] = set()
     for file, program in programs:
         rows = [row for source in program.sources for row in _make_setting_rows(source, program, listed_spans)]
@@ -57,8 +57,7 @@ def format_settings_table(programs: CheckedPrograms) -> Iterator[str]:
 
 
 def _make_setting_rows(source: nodes.File, program: Program, listed_spans: set[Span]) -> Iterator[tuple[str, str, str]]:
-    """Yield the rows of the species of one file, without those with a location in `listed_spans`, and add their locations to
-    it."""
+    """Yield the rows of the species of one file, except species with a location in `listed_spans`. Add their locations to it."""
     edition = source.edition_number
     for species in source.items:
         if not isinstance(species, nodes.Species) or species.span in listed_spans or species.name.text not in program.species:
@@ -73,7 +72,7 @@ def _make_setting_rows(source: nodes.File, program: Program, listed_spans: set[S
 
 
 def _make_param_row(param: Param) -> tuple[str, ...]:
-    """Return the cells of a param's row: name, default, unit, range and help. Numbers are in the author's unit; other values are
+    """Return the cells of a param's row: name, default, unit, range and help. Numbers are in the author's unit. Other values are
     as in the source."""
     measure = find_unit_measure(param.unit) if param.unit else None
 
@@ -116,7 +115,7 @@ def _make_state_rows(program: Program, species: Species) -> Iterator[tuple[str, 
 
 
 def _list_counted_operations(part: StateCost) -> Iterator[str]:
-    """Yield, for each kind of query that a state has, the kind and its queries."""
+    """Yield each kind of query that a state makes, with its queries."""
     for kind in ("senses", "fields", "draws"):
         words = [use.description for use in part.cost_entries if use.kind == kind]
         if words:
@@ -147,8 +146,8 @@ def _describe_memory(program: Program) -> dict[str, str]:
 
 
 def format_import_table(files: Sequence[Path], reports: Mapping[Path, Report], choices: RunChoices) -> Iterator[str]:
-    """Yield a report for each mesh of the scenes in `files`: its contents, and changes on import. Scenes with errors are
-    included."""
+    """Yield a report for each mesh of the scenes in `files`: its contents, and how it was changed on import. Scenes with errors
+    are included."""
     from antdsl.pipeline import read_mesh_imports
     from antdsl.scene.geometry.import_notes import format_import_report
 
@@ -178,7 +177,7 @@ def explain_missing_table(table_kind: str, file: Path, report: Report) -> str:
 
 
 def format_agent_counts(files: Sequence[Path], choices: RunChoices) -> Iterator[str]:
-    """Yield the largest possible number of agents of each scene that creates agents during the run."""
+    """Yield the largest possible number of agents for each scene that creates agents during the run."""
     from antdsl.scene.crowds.crowd_checks import count_agents
     from antdsl.scene.load import load_scene
 
@@ -193,7 +192,8 @@ def format_agent_counts(files: Sequence[Path], choices: RunChoices) -> Iterator[
 
 
 def format_work_table(file: Path, shot: Shot) -> Iterator[str]:
-    """Yield the allocations of a scene's world and crowd: counts and bytes, estimated before anything is allocated."""
+    """Yield the allocations for the world and crowd of a scene, as counts and bytes. They are estimated before anything is
+    allocated."""
     from antdsl.cli.memory_demand import estimate_shot_work, format_bytes
 
     works = estimate_shot_work(shot)

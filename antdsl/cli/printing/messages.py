@@ -1,5 +1,5 @@
-"""The terminal streams. A command finishes its work in any state of standard output and standard error: closed, full, broken,
-slow, or with an encoding that lacks a character."""
+"""The terminal streams. A command finishes its work whatever happens to standard output and standard error. They may be closed,
+full, broken or slow, or have an encoding that lacks a character."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class TerminalWriter(io.RawIOBase):
         self.backlog = bytearray()
 
     def write(self, data: Any) -> int:
-        """Write all of the data, or record why this is impossible. Return the length of the data in bytes in either case."""
+        """Write all of the data, or record why this is impossible. In either case, return the length of the data in bytes."""
         view = memoryview(data).cast("B")
         if self.has_no_reader:
             return len(view)
@@ -48,7 +48,7 @@ class TerminalWriter(io.RawIOBase):
         return len(view)
 
     def flush_backlog(self) -> None:
-        """Write the backlog. Wait for the reader."""
+        """Write the complete backlog, and wait for the reader if necessary."""
         if self.backlog:
             self._send_backlog(len(self.backlog))
 
@@ -101,7 +101,8 @@ class TerminalWriter(io.RawIOBase):
 def guard_streams() -> None:
     """Make writing to the streams of this process safe. Call this once, before any file is opened.
 
-    A closed stream is opened on /dev/null, so that no other file gets its number and no child process receives it closed."""
+    A closed stream is opened on /dev/null. So no other file gets its number, and child processes do not inherit a closed stream.
+    """
     for number in range(3):
         _open_null_stream(number)
     if hasattr(os, "set_blocking"):
@@ -152,8 +153,8 @@ def _find_terminal_writer(stream: TextIO) -> TerminalWriter | None:
 
 @contextmanager
 def treat_output_as_notes(stream: TextIO | None = None) -> Iterator[None]:
-    """Treat everything printed in this context as notes. Notes do not delay the work, and a lost note does not change the exit
-    code. `stream`: standard output by default."""
+    """Treat everything that is printed while the context is active as notes. Notes do not delay the work, and a lost note does
+    not change the exit code. `stream`: standard output by default."""
     stream = sys.stdout if stream is None else stream
     terminal = _find_terminal_writer(stream)
     if terminal is None or terminal.is_note:

@@ -1,4 +1,5 @@
-"""Displays documentation pages, such as that of a diagnostic's code: formatted on a terminal, as Markdown elsewhere."""
+"""Displays documentation pages, such as the page of a diagnostic's code. They are formatted on a terminal, and Markdown
+elsewhere."""
 
 from __future__ import annotations
 

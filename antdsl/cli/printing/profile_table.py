@@ -20,7 +20,7 @@ _MIN_TEXT_CHARACTERS = 12  # minimum number of displayed characters of a text, e
 
 
 def print_profile(profile: StepProfile, *, show_lines: bool) -> None:
-    """Print a profile. `show_lines` is false if the backend measures phases only."""
+    """Print a profile. `show_lines`: false if the backend measures only phases."""
     console = Console(highlight=False, soft_wrap=True)
     with console.capture() as capture:
         _print_tables(console, profile, show_lines)
@@ -47,7 +47,7 @@ def _print_tables(console: Console, profile: StepProfile, show_lines: bool) -> N
 
 
 def _describe_backend(profile: StepProfile) -> str:
-    """Return a sentence about the backend that ran the lines, and about frames that are not counted."""
+    """Return a sentence about the backend that ran the lines, and about frames that were not counted."""
     if len(profile.frames_by_backend) < 2:
         return "".join(f", by {name}" for name in profile.frames_by_backend)
     return f", by machine code; left out: {profile.frames_by_backend['NumPy']:,} by NumPy before"
@@ -66,7 +66,7 @@ def _print_table(
     cpu_milliseconds: Mapping[str, float] | None = None,
 ) -> None:
     """Print the rows of one kind (`row_kind`): name, details and milliseconds. Columns show milliseconds, CPU milliseconds, and
-    the share of `total` milliseconds.
+    the percentage of `total` milliseconds.
 
     `cpu_milliseconds`: CPU milliseconds by the name of the row, or None."""
     rows = list(rows)

@@ -1,4 +1,5 @@
-"""Progress of a run. On a terminal it is a bar with frames per second and states, elsewhere an occasional plain line."""
+"""Displays the progress of a run. On a terminal, it is a bar with frames per second and states. Elsewhere, it is an occasional
+plain line."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ _BAR_CHARACTER = "█"
 
 
 class ProgressDisplay:
-    """A display of a run's progress that shows nothing. The other displays derive from it."""
+    """A progress display that shows nothing. The other displays are subclasses."""
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
@@ -33,16 +34,16 @@ class ProgressDisplay:
         self.written_frames += 1
 
     def compute_frame_rate(self) -> float:
-        """Return the frames per second since the beginning of the run."""
+        """Return the average number of frames per second since the start of the run."""
         return self.written_frames / max(time.perf_counter() - self.start_seconds, 1e-6)
 
     def describe_states(self) -> str:
-        """Return the states that have agents, with numbers: `search 312 · carry 45`."""
+        """Return the states that have agents, each with their number: `search 312 · carry 45`."""
         return " · ".join(f"{name.split('.', 1)[1]} {count:,}" for name, count in count_states(self.recording).items() if count)
 
 
 class LineProgress(ProgressDisplay):
-    """Progress as plain lines. The first and the last frame always have a line."""
+    """Displays progress as plain lines. There is always a line for the first and the last frame."""
 
     def __init__(self, recording: Recording) -> None:
         super().__init__(recording)
@@ -67,7 +68,7 @@ class LineProgress(ProgressDisplay):
 
 
 class BarProgress(ProgressDisplay):
-    """Progress as one line that is updated in place."""
+    """Displays progress on one line that is updated in place."""
 
     def __init__(self, recording: Recording, bar: Any, task: Any) -> None:
         super().__init__(recording)
@@ -91,7 +92,7 @@ class BarProgress(ProgressDisplay):
 
 @contextmanager
 def show_set_up(is_quiet: bool) -> Iterator[None]:
-    """Display the stages of a set-up: on a temporary line on a terminal, as occasional plain lines elsewhere."""
+    """Display the stages of a set-up. On a terminal, they are on a temporary line; elsewhere, they are occasional plain lines."""
     if is_quiet:
         yield
     elif can_draw_bar():
@@ -120,7 +121,7 @@ def _make_stage_printer() -> Callable[[str], None]:
 
 @contextmanager
 def show_progress(recording: Recording, is_quiet: bool) -> Iterator[ProgressDisplay]:
-    """Yield a display of each frame that suits the output stream. At the end of the context, print where the cache is."""
+    """Yield a progress display that suits the output stream. When the context ends, print where the cache is."""
     frames, preroll = recording.shot.frames, recording.shot.scene.model.preroll
     if recording.resumed_from is not None and not is_quiet:
         print_note(f"continues after frame {recording.resumed_from}")
@@ -152,7 +153,7 @@ def can_draw_bar() -> bool:
 
 
 def _format_milliseconds(seconds_by_part: Mapping[str, float], steps: int) -> str:
-    """Return milliseconds per step of each part, the longest first. Negligible parts are left out."""
+    """Return the milliseconds per step of each part, longest first. Negligible parts are left out."""
     shares = sorted(((value / max(steps, 1), name) for name, value in seconds_by_part.items()), reverse=True)
     return ", ".join(f"{name} {1000 * share:.1f}" for share, name in shares if share > 5e-5)
 

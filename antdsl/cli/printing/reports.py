@@ -11,8 +11,8 @@ _FILE_ERROR_CODES = frozenset(("cannot-read", "cannot-write", "no-such-file", "n
 
 
 def print_report(report: Report, format: str = "full", *, to_stderr: bool = False) -> None:
-    """Print the findings that no comment ignores. Machine-readable formats are printed even without findings, so that other
-    programs always receive a document."""
+    """Print the findings that no comment ignores. Machine-readable formats are printed even if there are no findings, because
+    other programs expect a document."""
     from antdsl.diagnostics.ignore_comments import remove_ignored
     from antdsl.diagnostics.render import render
 
@@ -32,7 +32,7 @@ def exit_on_errors(report: Report) -> None:
 
 
 def choose_exit_code(report: Report) -> ExitCode:
-    """Return the exit code for a report: INPUT_OUTPUT if a file cannot be read or written, else FINDINGS."""
+    """Return the exit code for a report. It is INPUT_OUTPUT if a file cannot be read or written, else FINDINGS."""
     errors = [d for d in report.diagnostics if d.severity == "error"]
     if errors and all(d.span is None and d.code in _FILE_ERROR_CODES for d in errors):
         return ExitCode.INPUT_OUTPUT

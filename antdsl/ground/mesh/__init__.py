@@ -5,5 +5,5 @@
 - `surface`: the interface; it places footings and moves them, by `walk_events`, which runs the loops of `walk`
 - `stretches`: the parts of a step, each across one face
 - `surroundings`: tests for obstacles (other surfaces) and for continuations beyond a border, with the tree of `boxes`
-- `crossings`: cuts by the same piece
-- `surface_clearance`, `creases`: find agents that cannot meet another surface and need no test"""
+- `crossings`: where the piece that an agent walks on cuts itself
+- `surface_clearance`, `creases`: find agents that are too far from other surfaces to need a test"""

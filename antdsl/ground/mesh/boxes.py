@@ -1,4 +1,4 @@
-"""First hits of short straight paths, exact in float64. A tree of boxes over triangles lists the candidates."""
+"""A tree of boxes over triangles, to find the first hit of a short straight path. Hits are computed in float64."""
 
 from __future__ import annotations
 
@@ -127,8 +127,8 @@ def list_faces_near_segment(
 ) -> I64:
     """Write the triangles with boxes that overlap a query box into `face_list`, and return their number.
 
-    The query box contains the points `first_point` and `second_point`, and is `margin` mm larger. Triangles are given by
-    positions in the order of all triangles. `face` and the triangles of the piece `piece` are left out."""
+    The query box contains the points `first_point` and `second_point`, and is `margin` mm larger. A triangle is written as its
+    index in `triangle_order`. `face` and the triangles of the piece `piece` are excluded."""
     order, first, bounds = box_tree
     numbers, behind = face_list
     count, waiting = 0, 0
@@ -170,9 +170,9 @@ def find_first_face_hit(
     """Return the first hit of a path from `origin` by `step`, extended by `extension` mm, among the first `count` triangles of
     `face_list`.
 
-    `table` is the packed table. Both sides of a triangle can be hit, if its box overlaps the path's box. A path in the triangle's
-    plane does not hit. Of two hits at equal distance, the lower number counts (Möller, Trumbore, Fast, Minimum Storage
-    Ray/Triangle Intersection, 1997, p. 22-24)."""
+    `table` is the packed table. A triangle is tested if its box overlaps the path's box, and can be hit from both sides. A path
+    in its plane does not hit it. If hits are equally far, the one with the lower number is returned (Möller, Trumbore, Fast,
+    Minimum Storage Ray/Triangle Intersection, 1997, p. 22-24)."""
     order, _, bounds = box_tree
     numbers, behind = face_list
     face, part, b1, b2 = -1, np.inf, 0.0, 0.0
@@ -208,14 +208,15 @@ def find_first_face_hit(
 
 @inlined
 def is_disjoint(bounds: Array2[F64], b: I64, low_x: F64, low_y: F64, low_z: F64, high_x: F64, high_y: F64, high_z: F64) -> BOOL:
-    """Return whether a box does not overlap another one. All axes are tested at once, because both results are equally likely."""
+    """Return whether a box does not overlap another one. All axes are tested without a branch, because branches would be
+    mispredicted: both results are equally likely."""
     x = (bounds[b, 0] > high_x) | (bounds[b, 3] < low_x)
     y = (bounds[b, 1] > high_y) | (bounds[b, 4] < low_y)
     return x | y | (bounds[b, 2] > high_z) | (bounds[b, 5] < low_z)
 
 
 def _compute_morton_numbers(positions: Floats) -> NDArray[np.uint64]:
-    """Return the number of each position [n,3] along a curve that keeps near positions together."""
+    """Return the index of each position [n,3] along a Morton curve, on which nearby positions have similar indices."""
     if not len(positions):
         return np.empty(0, np.uint64)
     low = positions.min(axis=0)

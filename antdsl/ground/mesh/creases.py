@@ -1,4 +1,4 @@
-"""Areas in which bodies may meet a surface that rises ahead of them.
+"""Areas where the ground ahead of a body may rise.
 
 They are near inner creases, and where two pieces of a ground are close to each other."""
 
@@ -68,8 +68,8 @@ def find_sharp_edges(table: MeshTopology, corners: Floats) -> Index:
 def find_bend_edges(table: MeshTopology, corners: Floats, size: float) -> tuple[Index, NDArray[np.bool_]]:
     """Return the half-edges at which a body may meet rising ground or must turn ahead of its feet, and a mask bool[m] of faces.
 
-    The mask has wide faces at or near an edge at which the ground turns. `size`: the size of the body (mm). A body crosses
-    several narrow faces at once, so each of their edges counts even for a smaller turn."""
+    The mask has wide faces at or near an edge at which the ground turns. `size`: the size of the body (mm). A body covers
+    several narrow faces at once, so their edges are included for smaller turns too."""
     half, cosine, face = _measure_edge_turns(table)
     length = np.sqrt(((corners[face, (half % 3 + 2) % 3] - corners[face, (half % 3 + 1) % 3]) ** 2).sum(axis=1))
     area = np.sqrt((np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) ** 2).sum(axis=1))
@@ -92,7 +92,8 @@ def find_bend_edges(table: MeshTopology, corners: Floats, size: float) -> tuple[
 
 
 def _measure_edge_turns(table: MeshTopology) -> tuple[Index, Floats, Index]:
-    """Return the half-edges with a link, the cosine of the angle between the two faces at each, and the face of each."""
+    """Return the half-edges with a link, the cosine of the angle between the two faces at each half-edge, and the face of each
+    half-edge."""
     half = np.flatnonzero(table.link[0] != NO_LINKED_EDGE)
     face, link = half // 3, table.link[0, half]
     beyond = table.normal.take(link >> 3, axis=1) * np.where(link & 1, -1.0, 1.0)
@@ -149,11 +150,11 @@ class CreaseMap:
     def find_rows_near_creases(
         self, rows: Index, distance_levels: Index, used_levels: int, place: Floats, threads: int
     ) -> NDArray[np.bool_]:
-        """Return which rows of positions (n, 3) may have a crease, another piece or a cut nearby. No row that has one is missing.
+        """Return the rows of positions (n, 3) that may be near a crease, another piece or a cut. No such row is omitted.
 
-        The rung of a reach is its binary exponent, counted from that of a cell. Rows of rung -1 count as near; others are tested
-        by the grid of their rung. `rung_bits` has a bit for each such rung. The result for a position and a reach does not depend
-        on the other queries."""
+        The rung of a reach is its binary exponent, counted from that of a cell. Rows of rung -1 count as near; others are
+        tested by the grid of their rung. `rung_bits` has a bit for each such rung. The result for a position and a reach does
+        not depend on the other queries."""
         for rung in range(used_levels.bit_length()):
             if used_levels >> rung & 1:
                 work = partial(
@@ -193,7 +194,7 @@ class CreaseMap:
 
 
 def _get_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
-    """Return the result of `compute_slope_clearance`. It is stored for later runs."""
+    """Return the result of `compute_slope_clearance`, and store it for later runs."""
     inputs = (corners, table.is_live, table.link, table.piece, table.cuts.is_cut, half)
     tables = stored_tables.get_or_compute(
         "clear of rises", len(corners), inputs, lambda: {"clear": compute_slope_clearance(corners, table, half)}
@@ -239,8 +240,8 @@ def _measure_piece_distance(corners: Floats, piece: Ints, pieces: Index, middle:
     """Return the distance (mm) from each face's `middle` to faces of other `pieces`, minus `error`, float64[m]; infinite for
     faces without a piece.
 
-    Each piece is a separate scene of rays. A face is measured to the piece with the nearest box, and then only to pieces with
-    boxes nearer than that result. This is about two pieces, however many there are."""
+    Each piece is a separate scene of rays. For each face, the piece with the nearest box is measured first, then only pieces
+    with boxes nearer than that result. That is about two pieces per face, even if there are many pieces."""
     distances = np.full(len(corners), np.inf)
     own = [np.flatnonzero(piece == each) for each in pieces]
     low, high = (np.stack([ends(corners[rows], axis=(0, 1)) for rows in own]) for ends in (np.min, np.max))
@@ -281,7 +282,7 @@ def _measure_box_distance(positions: Floats, low: Floats, high: Floats) -> Float
 
 
 class SlopeMap:
-    """Where a surface may rise ahead of agents on a ground.
+    """A map of the places on a ground where a surface may rise ahead of agents.
 
     - `corners` float64[m,3,3]: the corners of the faces
     - `table`: the topology of the faces
@@ -330,7 +331,7 @@ class SlopeMap:
 
 @inlined
 def _compute_distance_level(reach: F64, width: F64, largest: F64) -> I64:
-    """Return the binary exponent of a reach, limited to `width` .. `largest`, as np.frexp gives it."""
+    """Return the binary exponent of a reach (as `np.frexp`), limited to `width` .. `largest`."""
     return ((float_to_bits(min(max(reach, width), largest)) >> 52) & 0x7FF) - _EXPONENT_BIAS
 
 

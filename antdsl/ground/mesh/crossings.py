@@ -1,4 +1,5 @@
-"""Where a piece cuts the face that an agent walks on. The path continues on the cutting face, or ends there."""
+"""Places where a piece of surface cuts the face that an agent walks on. The path continues on the cutting face, or ends at the
+cut."""
 
 from __future__ import annotations
 
@@ -36,8 +37,8 @@ def find_surface_crossing(
     The path ends before the other side of an open sheet, and where there is no space. The search from above the ground
     (`surroundings`) cannot find such a face: near a cut, every height above the feet may lie behind another sheet.
 
-    Feet keep more than `touch` (mm) away from the cutting face, on their side. That is a thousand times the rounding error of
-    float64, so their side is always certain."""
+    Feet stay on their side of the cutting face, more than `touch` (mm) away from it. This is a thousand times the rounding
+    error of float64, so it is always certain which side they are on."""
     table, link, f, side = surface.face_table, surface.edge_links, walker.face, walker.side
     (first, others), touch = cuts, around.length_tolerances.touch_distance
     place, up, direction = compute_surface_stance(table, walker)
@@ -110,21 +111,21 @@ def _transform_to_face_frame(table: Array1[F64], row: I64, place: Vec3) -> tuple
 
 @inlined
 def _compute_weights(table: Array1[F64], row: I64, place: Vec3) -> TriangleWeights:
-    """Return the weights of the point of a face below a nearby position, clamped to the triangle."""
+    """Project a nearby position onto a face. Return the corner weights, clamped to the triangle."""
     c, s = _transform_to_face_frame(table, row, place)
     return clamp_weights(c * table[row + RATE1_OFFSET] - s * table[row + SHEAR_OFFSET] + 0.0, s * table[row + RATE2_OFFSET] + 0.0)
 
 
 @inlined
 def _compute_landing_weights(table: Array1[F64], row: I64, place: Vec3) -> TriangleWeights:
-    """Return the weights of the point of a face below a position, corrected for rounding."""
+    """Project a position onto a face. Return the corner weights, corrected for rounding."""
     b1, b2 = _compute_weights(table, row, place)
     return clamp_weights(b1 + 0.0, b2 + 0.0)  # clamped again, because rounding may have moved them
 
 
 @inlined
 def _is_within_face(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
-    """Return whether a position in the plane of a face is in it, or outside by at most about `touch` mm."""
+    """Return whether a position in the plane of a face is in the face, or outside it by at most about `touch` mm."""
     c, s = _transform_to_face_frame(table, row, place)
     rate1, rate2, shear = table[row + RATE1_OFFSET], table[row + RATE2_OFFSET], table[row + SHEAR_OFFSET]
     b1, b2 = c * rate1 - s * shear, s * rate2

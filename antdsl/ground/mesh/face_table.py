@@ -1,4 +1,5 @@
-"""A packed table of faces for compiled walks. The numbers of a face are contiguous, because agents visit faces in any order."""
+"""A packed table of faces for compiled walks. The values of a face are adjacent in memory, because agents visit faces in any
+order."""
 
 from __future__ import annotations
 
@@ -33,8 +34,8 @@ OPEN_BORDER_LINK = -2  # link of a border with nothing beyond it, see `open_bord
 
 
 def pack_face_table(table: MeshTopology, mesh_by_face: NDArray[np.int32]) -> Floats:
-    """Return the numbers of each face contiguously, float64[40 m], with the links on the normal's side and the mesh of the
-    face."""
+    """Return a packed table, float64[40 m], with all values of a face adjacent: also its links on the normal's side, and its
+    mesh."""
     m = table.rate1.size
     space = np.empty(FLOATS_PER_FACE_ROW * m + 8)
     start = -space.ctypes.data % 64 // 8

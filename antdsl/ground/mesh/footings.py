@@ -1,4 +1,4 @@
-"""Loops over many agents: positions of footings, the sides of their faces, and the greatest displacement and size.
+"""Fast loops over all agents that compute positions and sides of footings, and the greatest displacement and size.
 
 Positions are computed from vertices, which neighbouring faces share, so that less memory is read than from a table of faces."""
 
@@ -22,7 +22,7 @@ def write_footing_positions(
     heights: Array1[F64],
     place: Array2[F64],
 ) -> BOOL:
-    """Write the position of each footing, [n,3], 0 for nowhere; return whether all face numbers are valid.
+    """Write the position of each footing, [n,3], 0 for agents without a footing. Return whether all face numbers are valid.
 
     The faces of a mesh begin at `first_faces` in `faces` and `normal` (3, m). `vertices` has three numbers per vertex."""
     for begin in range(0, mesh.size, _PREFETCH_GROUP_SIZE):
@@ -65,8 +65,8 @@ def write_footing_sides(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write the side (axis direction) of the faces of footings `begin` to `end` (exclusive); 0 for nowhere. The faces of a mesh
-    begin at `first_faces`."""
+    """Write the side (axis direction) of the faces of footings `begin` to `end` (exclusive); 0 without a footing. The faces of
+    a mesh begin at `first_faces`."""
     for n in range(begin, end):
         if mesh[n] >= 0 and face[n] >= 0:
             sides[n] = side_by_face[first_faces[mesh[n]] + face[n]]

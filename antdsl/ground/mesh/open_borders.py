@@ -1,4 +1,4 @@
-"""Open borders with nothing beyond them. A walk continues along them without a search."""
+"""Open borders beyond which there is no other surface. A walk continues along them without a search."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Pairs of faces at which a mesh cuts itself. They are determined once.
 
-An agent on a face of a pair crosses the other face exactly at the cut, and nowhere else."""
+An agent on one face of a pair can cross the other face only at the cut."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class SelfIntersections:
 
     @property
     def is_cut(self) -> NDArray[np.bool_]:
-        """Return which faces are cut."""
+        """Return a mask of the faces that are cut."""
         return np.diff(self.cut_starts) > 0
 
     def list_cutting_faces(self, face: Index) -> tuple[Index, Index]:
@@ -95,7 +95,8 @@ def _find_intersecting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: fl
 
 
 def _iterate_overlapping_pairs(corners: Floats, live_faces: Index) -> Iterator[tuple[Index, Index]]:
-    """Yield pairs of `live_faces` faces with overlapping boxes, the lower number first; a pair may occur more than once."""
+    """Yield pairs of faces in `live_faces` with overlapping boxes, the lower number first. A pair may be yielded more than
+    once."""
     a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     size = (high - low).max(axis=0)
@@ -143,11 +144,11 @@ def _iterate_pairs_in_cells(corners: Floats, faces: Index, smaller_faces: Index,
 
 
 def _find_piercing_edges(start: Floats, end: Floats, triangle: Floats, grain: float) -> NDArray[np.bool_]:
-    """Return whether edges go through triangles or touch them, up to `grain` mm (Möller, Trumbore, Fast, Minimum Storage
+    """Return whether edges pass through triangles, or touch them within `grain` mm (Möller, Trumbore, Fast, Minimum Storage
     Ray/Triangle Intersection, 1997, p. 22-24).
 
-    For an edge in the plane of a triangle, only its start is tested. Its end is the start of another edge. If it crosses an edge
-    of the triangle, that edge touches it."""
+    For an edge in the plane of a triangle, only its start is tested. Its end is the start of another edge. If it crosses an
+    edge of the triangle, that edge touches it."""
     a, e1, e2 = triangle[:, 0], triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
     normal = np.cross(e1, e2)
     size = length(normal)

@@ -1,4 +1,5 @@
-"""Stretches of a walk, each across one face. A walk pauses where another surface may be in the path or beyond a border."""
+"""Stretches of a walk: each is the part of a path across one face. A walk pauses where another surface may be in its path or
+beyond a border."""
 
 from __future__ import annotations
 
@@ -41,8 +42,8 @@ def load_face_frame(table: Array1[F64], row: I64) -> tuple[Vec3, Vec3, Vec3]:
 def project_to_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s0: F64) -> tuple[F64, F64, F64]:
     """Project a vector into a face. Return the unit direction (c, s) in the face's frame, and a length (mm).
 
-    Up to 60 degrees off the face, the length is that of the vector; beyond, it falls to 0. If the projection is zero or not
-    finite, the direction is (c0, s0) and the length 0."""
+    The length of the vector is preserved up to 60 degrees off the face. At larger angles, the length decreases to 0. If the
+    projection is zero or not finite, the direction is (c0, s0) and the length 0."""
     c = axis1[0] * x + axis1[1] * y + axis1[2] * z
     s = axis2[0] * x + axis2[1] * y + axis2[2] * z
     flat = np.sqrt(c * c + s * s)
@@ -54,7 +55,7 @@ def project_to_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s
 
 @inlined
 def get_face_part_clearance(clearances: ClearanceTables, face: I64, weights: TriangleWeights) -> F64:
-    """Return a distance (mm) around the point of face `face` without any other piece; at most `reach`. See
+    """Return a distance (mm) around a point of `face` within which there is no other piece, at most `reach`. See
     `FacePartClearances`."""
     n = clearances.parts_per_edge[face]
     if n == 0:
@@ -76,8 +77,8 @@ def walk_to_next_event(
     """Walk across faces until no displacement is left, or until an event.
 
     A stretch is an event if another piece may be within its length and `search_height`. With `skip_first_search`, the first
-    stretch is excepted. With `follow_borders`, the walk follows open borders with nothing beyond them, where no stretch may meet
-    another piece."""
+    stretch is never an event. With `follow_borders`, the walk continues along open borders with nothing beyond, while no
+    stretch can meet another piece."""
     table, link, forked, _ = surface
     f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
     left, distance, turn = progress
@@ -162,7 +163,7 @@ def cross_edge(
     direction: FaceDirection,
     heading: FaceDirection,
 ) -> FaceWalker:
-    """Return the agent in the face beyond an edge; `edge_direction` is the direction of the edge."""
+    """Move an agent across an edge into the next face. `edge_direction` is the direction of the edge."""
     (c1, s1), (b1, b2), (c, s), (heading_c, heading_s) = edge_direction, weights, direction, heading
     f, k2, flip = np.int64(half_edge >> 3), (half_edge >> 1) & 3, (half_edge & 1) == 1
     b0 = 1.0 - b1 - b2

@@ -29,7 +29,7 @@ SHARP_EDGE_REACH_BODY_LENGTHS, BEND_REACH_BODY_LENGTHS = (
 
 
 class MeshGround:
-    """One or more surfaces, by name, in the given order: (vertices float64[n,3], faces int32[m,3]) in mm.
+    """A ground of one or more named surfaces, in the given order. Each has vertices float64[n,3] (mm) and faces int32[m,3].
 
     An obstacle that agents may climb is a normal surface. Meshes may overlap and need not be closed. With `by_rays`, agents do
     not walk over triangles, but are placed at ray hits: see `sticking`."""
@@ -76,7 +76,7 @@ class MeshGround:
     # ---- asking
 
     def create_unplaced(self, n: int) -> Footing:
-        """Return footings for n agents that stand on nothing yet."""
+        """Return footings for n agents that have no position on the ground yet."""
         return Footing.create_unplaced(n)
 
     def place_points(
@@ -104,7 +104,7 @@ class MeshGround:
         return self._build_footing(face, *self._topology.compute_weights(np.maximum(face, 0), place.T)), is_hit
 
     def find_nearest(self, points: Floats, surface_names: Iterable[str] | None = None) -> tuple[Footing, Floats]:
-        """Return footings at the surface points nearest to points [n,3], and the distance float64[n].
+        """Return the surface point nearest to each of points [n,3] as a footing, and its distance float64[n].
 
         `surface_names`: the surfaces to search; None means all."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
@@ -181,7 +181,7 @@ class MeshGround:
 
     @property
     def meshes(self) -> MeshGround:
-        """Return the part of the ground that consists of meshes: the ground itself."""
+        """Return the part of the ground that consists of meshes. For this class, this is the ground itself."""
         return self
 
     def get_face_numbers(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
@@ -193,7 +193,7 @@ class MeshGround:
         """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm.
 
         A surface rises at an inner crease, at another piece, or at a moving mesh. Agents with a `reach` of 0 or less are left
-        out. No other agent near a rise is missing. The result for an agent does not depend on the others."""
+        out. All other agents near a rise are included. The result for an agent does not depend on other agents."""
         if self._slope_map is None:
             corners = self._vertices[self._faces]
             self._slope_map = SlopeMap(
@@ -259,11 +259,11 @@ class MeshGround:
         - `body`: the size (mm) that determines how high and far agents search
         - `stop_at_borders`: a path ends at an open border
 
-        The displacement is projected into the face. It keeps its length, unless it is more than 60 degrees off the surface. The
-        path unfolds across edges, so a slope does not change the speed. A surface in the path is climbed: the nearest along the
-        path, seen from slightly above the ground, within the displacement. At an open border, the agent steps over to a surface
-        that continues beyond, in as many steps as the height requires. If there is none, it follows the border or stops. A
-        displacement that is not finite counts as zero.
+        The displacement is projected into the face. Its length is preserved up to 60 degrees off the surface. The path unfolds
+        across edges, so a slope does not change the speed. If another surface is in the path, the agent climbs it. This is the
+        nearest surface within the displacement, seen from slightly above the ground. At an open border, the agent steps over to
+        a surface beyond the border, in as many steps as the height requires. Without such a surface, it follows the border or
+        stops. A displacement that is not finite counts as zero.
 
         The thesis has two versions of the surface pass: longer ray, and nearest hit. This method uses the nearest surface along
         the path."""
@@ -287,10 +287,10 @@ class MeshGround:
         return GroundMove(moved, place.T, above.T, ahead.T, along.T, distances, blocked, moved.face < 0)
 
     def build_crowd_walk(self, max_displacement: float, max_body_size: float) -> CrowdWalk | None:
-        """Return the walk over triangles for kernels, for displacements up to `max_displacement` and bodies up to `max_body_size`
-        (mm).
+        """Return the walk over triangles for kernels, for displacements up to `max_displacement` and bodies up to
+        `max_body_size` (mm).
 
-        None if agents are placed by rays, or if there is nothing to walk on."""
+        Return None if agents are placed by rays, or if there is no surface."""
         if self._by_rays or not self._faces.size:
             return None
         return self._get_walk_tables().build_crowd_walk(
@@ -346,7 +346,8 @@ class MeshGround:
         return result
 
     def _compute_face_numbers(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
-        """Return the face number over all meshes, 0 for agents without a footing, and whether the footing is on a face."""
+        """Return the number of each footing's face, counted over all meshes (0 without a footing), and whether the footing is
+        on a face."""
         known = (footing.face >= 0) & (footing.mesh >= 0)
         if known.all():
             face: Index = self._first_face.take(footing.mesh) + footing.face
@@ -374,7 +375,7 @@ class MeshGround:
 
 
 def _make_zero_move(footing: Footing, up: Floats, heading: Floats) -> GroundMove:
-    """Return the result of a step on a ground without surfaces: all agents are lost."""
+    """Return the result of a step on a ground that has no surfaces: all agents are lost."""
     n = len(footing)
     same = np.array(heading, np.float64).reshape(-1, 3)
     return GroundMove(

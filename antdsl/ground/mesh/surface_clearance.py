@@ -1,4 +1,4 @@
-"""Lower bounds of the distance from agents on a surface to any other piece of surface. They make most searches unnecessary."""
+"""Lower bounds of the distance from agents on a surface to other pieces of surface. With these, most searches are unnecessary."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _MAX_PIECES = 500  # with more pieces, faces are not divided and count as touchi
 class FacePartClearances:
     """Faces cut into parts, and the distance of each part from other pieces.
 
-    - `reach`: the largest distance (mm) that is distinguished
+    - `reach`: distances above this (mm) are treated as equal
     - `first_parts`: the number of the first part of each face
-    - `parts_per_edge`: face f has `parts_per_edge[f]` by `parts_per_edge[f]` parts along its first and second edge; 0 if no other
-      piece is within `reach`
+    - `parts_per_edge`: face f has `parts_per_edge[f]` by `parts_per_edge[f]` parts along its first and second edge; 0 if no
+      other piece is within `reach`
     - `clearances`: a distance (mm) around each part without any other piece"""
 
     reach: float
@@ -40,11 +40,12 @@ class FacePartClearances:
 
 
 class PieceClearances:
-    """Lower bounds of the distance to the nearest other piece. A coarse grid of pieces selects the faces to measure.
+    """Lower bounds of the distance from each face to the nearest other piece. A coarse grid of pieces selects the faces to
+    measure.
 
     - `corners` float64[m,3,3]: the corners of faces
     - `piece` int32[m]: the piece of each face, -1 for none
-    - `cut`: faces that others of their piece cut; they count as a separate piece that touches all others
+    - `cut`: faces that others of their piece cut; they are treated as a separate piece that touches all others
     - `low`: the lowest corner
     - `distance_noise`: the measuring error (mm)"""
 

@@ -85,7 +85,7 @@ class GroundTolerances:
 
 
 class SurfaceStance(NamedTuple):
-    """An agent's position, its local up direction and its direction of travel."""
+    """The position, local up direction and direction of travel of an agent on a surface."""
 
     position: Vec3
     up: Vec3
@@ -117,8 +117,8 @@ def find_landing_ahead(
 ) -> SurfaceLanding:
     """Return another piece of surface within the path, as seen from slightly above the ground.
 
-    If the agent's own piece hides it, the search is repeated from a minimal height. Otherwise feet would pass under the agent's
-    own piece."""
+    If the agent's own piece hides the other piece, the search is repeated from a minimal eye height. Otherwise feet could pass
+    under the own piece."""
     pieces, boxes, face_list, f = (
         nearby_surfaces.sides.piece_numbers,
         nearby_surfaces.boxes,
@@ -217,9 +217,8 @@ def find_landing_beyond_border(
 ) -> SurfaceLanding:
     """Return the landing beyond an open border at which an agent stands: the first hit of a search path.
 
-    The path goes up from the face, out over the border and down beyond it. It then returns from below, first at a small and then
-    at a larger depth. The landing has the face to step onto, the distance at the level of that face, and the height of that
-    level.
+    The path goes up from the face, out over the border and down beyond it. It then returns from below, first at a small and
+    then at a larger depth. The landing contains the face to step onto, the distance to it, and its height.
 
     Each part of the path begins at the end of the previous part, and stops at the first surface. So the agent never steps onto
     anything behind a sheet. On both sides of the border, the path is one gap away from it."""
@@ -356,7 +355,7 @@ def _to_world_direction(table: Array1[F64], row: I64, direction: FaceDirection) 
 
 @inlined
 def _find_approached_side(table: Array1[F64], face: I64, direction: Vec3) -> F64:
-    """Return the side of a face from which a path in direction `direction` comes. The agent walks on that side."""
+    """Return the side of a face that a path in direction `direction` arrives at. The agent walks on that side."""
     return -1.0 if dot(load_vector(table, FLOATS_PER_FACE_ROW * face + NORMAL_OFFSET), direction) > 0 else 1.0
 
 

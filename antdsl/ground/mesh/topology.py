@@ -1,4 +1,4 @@
-"""Topology of triangles: frames of faces, links across edges, connected pieces, and smooth normals.
+"""The topology of triangle meshes: frames of faces, links across edges, connected pieces, and smooth normals.
 
 Input is vertices float64[n,3] and faces int32[m,3] of one or more meshes, already joined."""
 
@@ -73,7 +73,7 @@ class MeshTopology:
         return self.axis1.take(face, axis=1) * c + self.axis2.take(face, axis=1) * s
 
     def compute_weights(self, face: Index, place: Floats) -> tuple[Floats, Floats]:
-        """Return the weights of the point of each face below nearby positions (3, k), clamped to the triangle."""
+        """Project nearby positions (3, k) onto faces. Return the corner weights, clamped to the triangle."""
         if not self.corner.shape[1]:
             return np.zeros(len(face)), np.zeros(len(face))
         off = place - self.corner.take(face, axis=1)
@@ -125,7 +125,7 @@ def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> s
 def update_face_shapes(table: MeshTopology, vertices: Floats, faces: Ints, rows: slice) -> None:
     """Update the shape of the faces in `rows`, all faces of one mesh, after vertices moved. This changes the table's arrays.
 
-    Connectivity stays. A face that lost its area keeps its normal and has zero width."""
+    The connections between faces do not change. A face with an area of zero now retains its normal and has zero width."""
     live, weld = table.is_live[rows], table.weld[rows]
     old_frames = {name: getattr(table, name)[:, rows].copy() for name in ("normal", "axis1", "axis2")}
     edges = {name: getattr(table, name).reshape(-1, 3)[rows].copy() for name in ("edge_c", "edge_s")}
@@ -232,11 +232,11 @@ def _number_pieces(link: Ints, is_live: NDArray[np.bool_]) -> Ints:
 
 
 def _group_face_sides(link: Ints, is_live: NDArray[np.bool_], piece: Ints) -> Ints:
-    """Return a group number per side and face (2, m). Sides that are connected across edges, and so can be reached from each
-    other, share one number.
+    """Return a group number per side and face (2, m).
 
-    The two sides of a sheet are separate, those of a Möbius strip are not. A piece without an open border has an unambiguous
-    inside and outside, even where it cuts itself: its sides share one number."""
+    Sides that are connected across edges have the same number: an agent can walk from one to the other. The two sides of a
+    sheet have different numbers, those of a Möbius strip do not. A piece without an open border has an unambiguous inside and
+    outside, even where it cuts itself: its sides share one number."""
     m = len(is_live)
     if not (link[0].reshape(-1, 3)[is_live] == NO_LINKED_EDGE).any():
         return np.zeros((2, m), np.int32)
@@ -254,10 +254,9 @@ def _group_face_sides(link: Ints, is_live: NDArray[np.bool_], piece: Ints) -> In
 
 
 def _compute_smooth_normals(vertices: Floats, faces: Ints, weld: Ints, is_live: NDArray[np.bool_], normal: Floats) -> Floats:
-    """Return normals at the corners of faces, (9, m): the mean of the surrounding faces, weighted by their angle at the corner.
-
-    Faces that meet this face in a crease are excluded (Thürmer, Wüthrich, Computing Vertex Normals from Polygonal Facets, 1998,
-    p. 43-46)."""
+    """Return normals at the corners of faces, (9, m): the mean of the surrounding faces, weighted by their angle at the
+    corner. Faces across a crease are excluded (Thürmer, Wüthrich, Computing Vertex Normals from Polygonal Facets, 1998, p.
+    43-46)."""
     m = len(faces)
     corners = vertices[faces]
     weight = np.zeros((m, 3))
@@ -296,8 +295,8 @@ def _compute_crease_normals(corner: NDArray[np.int64], point: Ints, weight: Floa
 
 
 def classify_normal_directions(normals: Floats) -> NDArray[np.int8]:
-    """Return the axis direction nearest to each of the normals [n,3]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z. Ties select the
-    first."""
+    """Return the axis direction nearest to each of the normals [n,3]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z. If several are
+    equally near, the first is returned."""
     n = np.asarray(normals)
     axis = np.abs(n).argmax(axis=1)
     side: NDArray[np.int64] = 2 * axis + (n[np.arange(len(n)), axis] < 0)

@@ -103,7 +103,7 @@ def walk_agent(
 ) -> AgentWalkResult:
     """Walk an agent over face `face` and the faces beyond its edges, starting at `weights`, `height` mm above the face.
 
-    The result is that of `walk_to_next_event`. With `follow_borders`, the agent follows open borders."""
+    Returns the result of `walk_to_next_event`. With `follow_borders`, the agent follows open borders."""
     axis1, axis2, normal = load_face_frame(surface.face_table, FLOATS_PER_FACE_ROW * face)
     along_up = up[0] * normal[0] + up[1] * normal[1] + up[2] * normal[2]
     side = -1.0 if along_up < 0 else 1.0
@@ -128,9 +128,9 @@ def walk_agent(
 def move_waiting_agents_to_front(
     statuses: Array1[U8], float_rows: Array2[F64], integer_rows: Array2[I64], begin: I64, end: I64
 ) -> tuple[I64, I64]:
-    """Return how many of the agents `begin` to `end` (exclusive) wait, and how many are left out.
+    """Move the columns of waiting agents in `float_rows` and `integer_rows` together, from column `begin` on.
 
-    The columns of waiting agents in `float_rows` and `integer_rows` are moved next to each other, from column `begin` on."""
+    Return how many of the agents `begin` to `end` (exclusive) wait, and how many are left out."""
     waiting, left = 0, 0
     for k in range(begin, end):
         if statuses[k] == WAITING_STATUS:
@@ -329,7 +329,7 @@ def _store_pose(poses: PoseArrays, i: I64, pose: AgentPose) -> None:
 
 @inlined
 def _compute_search_margin(noise: F64, body: F64) -> F64:
-    """Return the distance (mm) from the path within which a piece of surface matters."""
+    """Return how near (mm) to the path a piece of surface must be for the walk to consider it."""
     high = EYE_HEIGHT_BODY_LENGTHS * body
     if not high > noise:
         high = noise
@@ -361,7 +361,7 @@ def store_waiting_agent(float_rows: Array2[F64], integer_rows: Array2[I64], i: I
 
 @inlined
 def _climb_over_border(height: F64, level: F64, remaining_length: F64, distance: F64) -> tuple[F64, F64, F64]:
-    """Move up or down over a border to a level (mm above the current face), limited by the distance left.
+    """Move an agent up or down at a border towards `level` (mm above the current face), as far as the distance left allows.
 
     Returns the new height, and the distance left and travelled."""
     most = level - height
@@ -372,7 +372,7 @@ def _climb_over_border(height: F64, level: F64, remaining_length: F64, distance:
 
 @inlined
 def _find_open_border(table: Array1[F64], link: Array2[I32], walker: FaceWalker) -> tuple[I64, BOOL]:
-    """Return the open border that an agent is stepping over, and whether it heads out over it."""
+    """Return the open border that an agent is stepping over, and whether the agent is moving outwards over it."""
     f, (b1, b2), side, (c, s), _ = walker
     weights, edge, least = (1.0 - b1 - b2, b1, b2), 0, np.inf
     for k in range(3):

@@ -1,4 +1,4 @@
-"""A step of a crowd over triangles: a loop over all agents, then one over agents that may meet another surface or a border."""
+"""Moves a crowd over triangles in two loops: first all agents, then agents that may meet another surface or a border."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class WalkTables:
         )  # marked half-edges, and the body size (mm) they are valid for
 
     def update_faces(self, faces: slice) -> None:
-        """Update faces with a new shape. Open borders depend on the shape, so the stored walk is discarded."""
+        """Update faces that have changed shape. Discard the stored walk, because open borders depend on the shape."""
         if self._is_unchanged:
             self._is_unchanged = False
             mark_border_links(self.packed_table, self._open_half_edges, NO_LINKED_EDGE)
@@ -92,8 +92,8 @@ class WalkTables:
 
 @dataclass(frozen=True, slots=True)
 class CrowdWalk:
-    """A walk of a crowd. `walk_tables`: the tables of faces. `part_clearances`: distances to other surfaces. `boxes`: their
-    locations. `tolerances`: tolerances."""
+    """A walk of a crowd. `walk_tables`: the tables of faces. `part_clearances`: distances to other surfaces. `boxes`: a box
+    tree of these surfaces. `tolerances`: lengths that depend on the size of the ground."""
 
     walk_tables: WalkTables
     part_clearances: FacePartClearances

@@ -1,4 +1,4 @@
-"""Records of walks over triangles."""
+"""Records that walks over triangles use: tables of faces, and the state of an agent."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class LengthTolerances(NamedTuple):
 
 
 class NearbySurfaces(NamedTuple):
-    """The tables for a search of other pieces, with a buffer for all faces."""
+    """The tables for a search of other pieces, with a buffer for the faces that are found."""
 
     sides: SideGroups
     boxes: FaceBoxTree
@@ -88,8 +88,8 @@ class WalkProgress(NamedTuple):
 
 
 class WalkStopReason(NamedTuple):
-    """The reason for a pause of a walk (0: none), the edge and length of the stretch, and how many borders the agent has
-    followed."""
+    """The reason why a walk paused (0: it did not), the edge and length of the last stretch, and the number of followed
+    borders."""
 
     event: I64
     edge: I64

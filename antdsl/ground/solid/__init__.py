@@ -1,7 +1,8 @@
-"""Solids: volumes that agents can dig. A solid is a sparse signed distance field that can be sampled, carved, meshed and walked
-on.
+"""Solids: volumes that agents can dig. A solid is a sparse signed distance field that can be sampled, carved, meshed and
+walked on.
 
-- `voxelising`: turns a closed mesh into `bricks` of nodes (inside by winding numbers, near distances by `triangles`)
+- `voxelising`: turns a closed mesh into `bricks` of nodes. Winding numbers decide what is inside; `triangles` measures
+  distances near the surface
 - `volume`: the interface for other packages; it also returns the zero level as triangles
 - `trilinear`: samples between nodes
 - `carving`: digs balls out of the solid

@@ -1,4 +1,4 @@
-"""Storage of a solid: a table of bricks and a pool of slots with their nodes.
+"""Storage of a solid: a table of bricks, and a pool of slots that hold the nodes of bricks.
 
 Slot 0 is air, slot 1 is undug solid; each other slot belongs to one brick."""
 
@@ -24,7 +24,7 @@ UINT64_MASK = (1 << 64) - 1
 
 @dataclass(frozen=True, slots=True)
 class UnusableMeshReason:
-    """Error for a mesh that cannot be a solid: the reason in one line for artists, and what to do instead."""
+    """Error for a mesh that cannot be a solid: one line for artists with the reason and a remedy."""
 
     message: str
     help: str
@@ -39,7 +39,7 @@ class BrickGrid:
       `max_distance`
     - `volume_steps`, `start_volume_steps`: the solid volume now and before digging, in steps of `step_volume`
 
-    All nodes of the outermost layer are air. So a point outside the grid has the distance of the nearest point in the grid."""
+    The outermost nodes are all air. So a point outside the grid can use the distance of the nearest grid point."""
 
     origin: NDArray[np.float64]
     voxel: float
@@ -126,12 +126,13 @@ class BrickGrid:
     # ---- keeping
 
     def compute_digest(self) -> bytes:
-        """Return a digest that is equal for equal distances, also if the bricks are in other slots. It costs almost nothing."""
+        """Return a digest of all distances. It does not depend on the slots in which bricks are stored, and is fast to
+        compute."""
         counts = np.array([self.node_hash_sum, self.volume_steps], np.uint64)
         return sha256(self.start_digest + counts.tobytes()).digest()
 
     def get_changes(self) -> dict[str, NDArray[Any]]:
-        """Return the changes since the start, as `Volume.state`."""
+        """Return the changes since the start, in the form of `Volume.get_changes`."""
         bricks = np.array(sorted(self.original_values), np.int64)
         return {
             "bricks": bricks,
@@ -141,7 +142,7 @@ class BrickGrid:
         }
 
     def restore_changes(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Restore a stored state, as `Volume.restore_changes`."""
+        """Restore a stored state. Same as `Volume.restore_changes`."""
         bricks, values, start = (np.asarray(arrays[name]) for name in ("bricks", "values", "start"))
         if start.tobytes() != self.start_digest:
             raise ValueError("the solid is not made from the same mesh")
@@ -163,8 +164,8 @@ class BrickGrid:
         self.volume_steps = int(arrays["steps"])
 
     def mark_for_meshing(self, bricks: Index) -> None:
-        """Mark changed bricks for meshing. The bricks before them are marked too, because their last cells reach into the changed
-        bricks."""
+        """Mark changed bricks for meshing. The preceding bricks along each axis (also diagonally) are marked too: their last
+        cells extend into the changed bricks."""
         grid = self.needs_meshing.reshape(self.shape)
         i, j, k = np.unravel_index(bricks, self.shape)
         for a in (0, 1):
@@ -189,9 +190,9 @@ def hash_nodes(node: Index, distance: Distances) -> NDArray[np.uint64]:
 
 
 def compute_fill_steps(distance: NDArray[np.float32], voxel: float) -> NDArray[np.int32]:
-    """Return the solid share of the voxel around each node, in steps of 1/256: 0 .. 256.
+    """Return the solid fraction of the voxel around each node, in steps of 1/256: 0 .. 256.
 
-    It is half at the surface, and 0 or 256 from half a voxel away."""
+    It is 128 at the surface, and 0 or 256 at half a voxel or more from it."""
     part = np.float32(0.5) - distance * np.float32(1.0 / voxel)
     steps: NDArray[np.int32] = np.round(np.clip(part, np.float32(0), np.float32(1)) * np.float32(FILL_STEPS_PER_VOXEL)).astype(
         np.int32

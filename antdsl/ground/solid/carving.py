@@ -56,7 +56,7 @@ class ChangedNodes:
 
 
 def carve_balls(bricks: BrickGrid, centres: Floats, radii: Floats, owners: Index) -> Floats:
-    """Dig balls out of a solid, as `Volume.carve_balls`."""
+    """Dig balls out of a solid. Same as `Volume.carve_balls`."""
     centres, radii = np.asarray(centres, np.float64).reshape(-1, 3), np.asarray(radii, np.float64).reshape(-1)
     # Independent of the order of the balls: at a tie, the lowest owner, then the lowest position, gets the voxel.
     order = np.lexsort((radii, centres[:, 2], centres[:, 1], centres[:, 0], np.asarray(owners, np.int64).reshape(-1)))
@@ -76,7 +76,7 @@ def carve_balls(bricks: BrickGrid, centres: Floats, radii: Floats, owners: Index
 
 
 def _select_balls_near_grid(bricks: BrickGrid, centres: Floats, radii: Floats) -> tuple[Index, Index]:
-    """Return the balls, ascending, that may reach into the grid, and the reach of each in voxels, rounded up."""
+    """Return the balls, ascending, that may reach into the grid, and the radius of influence of each in voxels, rounded up."""
     local = (centres - bricks.origin) / bricks.voxel
     reach = (radii - bricks.min_distance) / bricks.voxel
     with np.errstate(invalid="ignore"):
@@ -235,7 +235,7 @@ def write_node_changes(
 
 @inlined
 def _compute_fill_step(distance: F32, scale: F32) -> I64:
-    """Return the result of `bricks.compute_fill_steps` for one node."""
+    """Return the fill step of one node. Same as `bricks.compute_fill_steps`."""
     part = np.float32(0.5) - distance * scale
     part = min(max(part, np.float32(0)), np.float32(1))
     return np.int64(np.rint(part * _FILL_STEPS_OF_FULL_VOXEL))
@@ -243,7 +243,7 @@ def _compute_fill_step(distance: F32, scale: F32) -> I64:
 
 @inlined
 def _hash_node(node: I64, bits: I64) -> U64:
-    """Return the result of `bricks.hash_nodes` for one node."""
+    """Return the pseudorandom number of one node. Same as `bricks.hash_nodes`."""
     x = (np.uint64(node) << np.uint64(32)) ^ np.uint64(bits)
     x *= _HASH_MULTIPLIER1
     x = (x ^ (x >> np.uint64(30))) * _HASH_MULTIPLIER2

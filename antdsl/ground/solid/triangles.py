@@ -1,6 +1,6 @@
-"""Distances of nodes from the nearest triangle, in a narrow band.
+"""Distances of nodes from the nearest triangle, in a narrow band around the surface.
 
-They are exact next to triangles, and propagated from node to node beyond."""
+They are exact next to triangles. Farther away, they are propagated from node to node."""
 
 from __future__ import annotations
 
@@ -51,10 +51,9 @@ def _shift_columns(columns: list[Index], step: tuple[int, ...]) -> list[Index]:
 
 
 def iterate_nodes_near_triangles(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
-    """Yield the nodes near each triangle, as the columns of their coordinates, and the triangle of each node.
-
-    The nodes are near the plane of the triangle, and within about the same distance of its outline. Along the axis nearest to its
-    normal, a triangle covers few lines of nodes, and few nodes of each line are near."""
+    """Yield the nodes near each triangle, as the columns of their coordinates, and the triangle of each node. The nodes are
+    near the plane of the triangle, and within about the same distance of its outline. The search follows lines of nodes along
+    the axis nearest to the triangle's normal: a triangle crosses few such lines, and few nodes of each line are near."""
     edges = corners[:, [1, 2]] - corners[:, :1]
     normal = np.cross(edges[:, 0], edges[:, 1])
     # a triangle without area is skipped: its sides belong to other triangles
@@ -87,7 +86,7 @@ def iterate_nodes_near_triangles(corners: Floats) -> Iterator[tuple[list[Index],
 
 
 def _select_projected_inside(projected_points: Floats, t: Index, u: Index, v: Index) -> Index:
-    """Return the indices of points that are over their triangle, or near its outline.
+    """Return the indices of points that project into their triangle, or near its outline.
 
     `projected_points` (k, 3, 2): the corners of triangles in a plane. `t`, `u`, `v`: the triangle and the coordinates of each
     point."""
@@ -155,10 +154,10 @@ class _NodeDistanceField:
     def _compute_nearer_distances(
         self, nodes: list[Index], triangle: NDArray[np.integer], only_unmeasured: bool
     ) -> tuple[Index, Distances, NDArray[np.integer]]:
-        """Return the array positions, distances and triangles of those nodes that are in the bricks.
+        """Return the array positions, distances and triangles of the nodes that lie in the bricks.
 
-        With `only_unmeasured`, nodes that have a distance to a close triangle are left out. Otherwise distances above
-        EXACT_DISTANCE_VOXELS are left out."""
+        With `only_unmeasured`, nodes that already have a distance to a close triangle are omitted. Otherwise, distances above
+        EXACT_DISTANCE_VOXELS are omitted."""
         x, y, z = nodes
         nx, ny, nz = self._shape
         inside = (x >= 0) & (x < nx * 16) & (y >= 0) & (y < ny * 16) & (z >= 0) & (z < nz * 16)
@@ -241,5 +240,5 @@ def iterate_lattice_points(low: Index, count: Index, batch_size: int) -> Iterato
 
 
 def enumerate_within_groups(counts: Index) -> Index:
-    """Return the numbers 0, 1 .. below each count, one sequence after another."""
+    """Return the numbers 0, 1 .. below each count, concatenated."""
     return np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)

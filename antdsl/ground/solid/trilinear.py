@@ -1,7 +1,6 @@
-"""The distance field between the nodes, in float64: trilinear in each cell, continuous everywhere, with its exact gradient.
-
-Newton steps of limited length along the gradient move points onto the zero level. Where the field is flat, they follow a given
-hint."""
+"""Interpolation of the distance field between nodes, in float64. It is trilinear in each cell and continuous everywhere, and
+its gradient is exact. Newton steps of limited length along the gradient move points onto the zero level. Where the field is
+flat, they follow a given hint."""
 
 from __future__ import annotations
 
@@ -49,8 +48,8 @@ def sample_with_gradients(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) ->
 def sample_smooth_gradients(
     bricks: BrickGrid, x: Floats, y: Floats, z: Floats, reach_voxels: float = SMOOTH_NORMAL_REACH_VOXELS
 ) -> list[Floats]:
-    """Return a gradient that varies smoothly, unlike the exact one. It is the difference along each axis over `reach_voxels`
-    voxels in both directions."""
+    """Return a gradient that varies smoothly, unlike the exact gradient. Along each axis, it is the difference between the
+    points `reach_voxels` voxels ahead and behind."""
     a = reach_voxels * bricks.voxel
     scale = 0.5 / a
     return [
@@ -86,7 +85,7 @@ def write_distance_and_gradient(bricks: BrickTables, positions: PointColumns64, 
 def compute_smooth_gradient(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], reach_voxels: F64, p: Vec3
 ) -> Vec3:
-    """Return the gradient of `sample_smooth_gradients` at one position."""
+    """Return the gradient at one position, as defined by `sample_smooth_gradients`."""
     a = reach_voxels * grid[3]
     scale = 0.5 / a
     x, y, z = p
@@ -116,7 +115,7 @@ def load_cell_corners(
 ) -> tuple[tuple[F64, F64, F64, F64], tuple[F64, F64, F64, F64], Vec3]:
     """Return the values at the corners of the cell that contains a point, and the point's position in the cell, 0 .. 1.
 
-    The first four values are at the lower x, the next four at the upper x. A point outside the grid, or with NaN, counts as on
+    The first four values are at the lower x, the next four at the upper x. A point outside the grid, or with NaN, is moved to
     the border of the grid."""
     over = 1.0 / grid[3]
     i, fx = _clamp_to_node(p[0], grid[0], over, grid[4] * 16)
@@ -185,7 +184,8 @@ class SurfacePoints:
 
 
 def project_to_surface(bricks: BrickGrid, points: Floats, hints: Floats, reach: float | None = None) -> SurfacePoints:
-    """Project points onto the surface, as `Volume.project_to_surface`. Without a result, the point and its hint are returned."""
+    """Project points onto the surface, like `Volume.project_to_surface`. A point without a projection is returned unchanged,
+    with its hint as the normal."""
     start = np.array(points, np.float64, order="C").reshape(-1, 3)
     hint = np.array(np.broadcast_to(np.asarray(hints, np.float64), start.shape), order="C")
     landed, turned, is_in_reach = np.empty_like(start), np.empty_like(start), np.empty(len(start), np.bool_)
@@ -221,9 +221,9 @@ def project_point_to_surface(
 ) -> tuple[BOOL, Vec3, Vec3]:
     """Return whether the surface was found, a point within `tolerance` (mm) of it, and the normal at that point.
 
-    Without a result, the point and normal are `p` and `hint`. Each step is as long as the distance, but at most one voxel, along
-    the gradient. Where the field is flat (in the middle of a cave, deep in the solid), steps follow the hint: down in air, up in
-    the solid."""
+    If no surface was found, the point and normal are `p` and `hint`. Each step is as long as the distance, but at most one
+    voxel, along the gradient. Where the field is flat (in the middle of a cave, deep in the solid), steps follow the hint:
+    down in air, up in the solid."""
     voxel = grid[3]
     q = p
     if not np.isfinite(p[0] + p[1] + p[2]):

@@ -51,7 +51,7 @@ class Volume:
 
     @property
     def distance_band(self) -> tuple[float, float]:
-        """Return the least and the greatest distance of the field, mm. Farther inside and outside, the field is flat."""
+        """Return the least and the greatest distance that the field stores, mm. Beyond this band, the field is flat."""
         return self.bricks.min_distance, self.bricks.max_distance
 
     def make_dense_distances(self) -> NDArray[np.float32]:
@@ -71,8 +71,8 @@ class Volume:
     # ---- asking
 
     def sample_distances(self, points: Floats) -> Distances:
-        """Return the trilinear signed distance float32[n] (mm) at points [n,3]. Far from the surface, it is the end of the
-        band."""
+        """Return the trilinear signed distance float32[n] (mm) at points [n,3]. Far from the surface, it is the least or
+        greatest distance of the band."""
         return trilinear.sample_distances(self.bricks, *_split_columns(points)).astype(np.float32)
 
     def sample_gradients(self, points: Floats) -> Distances:
@@ -81,7 +81,7 @@ class Volume:
         return self.sample_with_gradients(points)[1]
 
     def sample_with_gradients(self, points: Floats) -> tuple[Distances, Distances]:
-        """Return the results of `sample` and `sample_gradients`, for little more than the cost of one."""
+        """Return both the distances and the gradients at points, for little more than the cost of one of them."""
         distance, *gradient = trilinear.sample_with_gradients(self.bricks, *_split_columns(points))
         return distance.astype(np.float32), np.stack(gradient).astype(np.float32).T
 
@@ -107,11 +107,11 @@ class Volume:
     # ---- digging
 
     def carve_balls(self, centres: Floats, radii: Floats, owners: NDArray[np.int64]) -> Floats:
-        """Dig balls, with centres [k,3] and radii [k] in mm, by owners int64[k]. Return the volume that each ball removed,
-        float64[k] mm³.
+        """Dig balls out of the solid, and return the volume that each removed, float64[k] mm³. Centres [k,3] and radii [k] are
+        in mm. `owners` int64[k] are the ids of the diggers.
 
-        Each node becomes max(distance, radius - distance to the centre), so the order does not matter. The loss of a voxel counts
-        for the ball that reaches deepest at that voxel; at a tie, for the lowest owner. The sum of the result is `volume()`
+        Each node becomes max(distance, radius - distance to the centre), so the order does not matter. A voxel's loss is
+        attributed to the ball that reaches deepest there; at a tie, to the lowest owner. The sum of the result is `volume()`
         before minus `volume()` after, to the last bit."""
         return carving.carve_balls(self.bricks, centres, radii, owners)
 
@@ -142,11 +142,11 @@ class Volume:
         return self.bricks.get_changes()
 
     def restore_changes(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Restore a state of a volume made from the same mesh. Raises ValueError for arrays of another volume."""
+        """Restore a state of a volume made from the same mesh. Raises ValueError if the arrays belong to another volume."""
         self.bricks.restore_changes(arrays)
 
     def compute_digest(self) -> bytes:
-        """Return 32 bytes that are equal for equal solids. Only bricks changed since the last call are read."""
+        """Return a digest of 32 bytes; equal solids have equal digests. Only bricks changed since the last call are read."""
         return self.bricks.compute_digest()
 
     @property
@@ -161,7 +161,7 @@ def _split_columns(points: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def iterate_brick_meshes(bricks: BrickGrid, changed_only: bool) -> Iterator[BrickMesh]:
-    """Yield the triangles of the zero level, as `Volume.iterate_brick_meshes`."""
+    """Yield the triangles of the zero level. Same as `Volume.iterate_brick_meshes`."""
     chosen_bricks = np.flatnonzero(bricks.needs_meshing) if changed_only else np.arange(bricks.table.size)
     if not changed_only:
         chosen_bricks = np.flatnonzero(_find_bricks_to_mesh(bricks))
@@ -171,7 +171,7 @@ def iterate_brick_meshes(bricks: BrickGrid, changed_only: bool) -> Iterator[Bric
 
 
 def _find_bricks_to_mesh(bricks: BrickGrid) -> NDArray[np.bool_]:
-    """Return the bricks with cells that touch a stored node."""
+    """Return the bricks that have a cell with at least one stored node."""
     stored = (bricks.table >= 2).reshape(bricks.shape)
     reach = stored.copy()
     for axis in range(3):

@@ -35,7 +35,7 @@ _BYTES_PER_NEAR_NODE = 24  # memory in bytes for each node near the surface duri
 
 
 def voxelise_mesh(vertices: Floats, faces: Index, voxel: float, cap: int) -> BrickGrid | UnusableMeshReason:
-    """Return the solid inside a closed mesh, as `Volume.from_mesh`."""
+    """Return the solid inside a closed mesh. Same as `Volume.from_mesh`."""
     if not (math.isfinite(voxel) and voxel > 0):
         return UnusableMeshReason("the voxel size must be greater than 0", "write a length, such as `voxel: 1 mm`")
     if not len(faces):
@@ -76,7 +76,7 @@ def voxelise_mesh(vertices: Floats, faces: Index, voxel: float, cap: int) -> Bri
 
 
 def _describe_too_many_voxels(voxel_count: float, cap: float, voxel: float) -> UnusableMeshReason:
-    """Return the reason for a mesh with too many voxels, with a suggested voxel size."""
+    """Return an explanation that a mesh has too many voxels, with a suggested voxel size."""
     least = voxel * max((voxel_count / cap) ** (1 / 3), 1.1)
     digits = 1 - math.floor(math.log10(least))
     size = math.ceil(least * 10**digits) / 10**digits
@@ -119,8 +119,8 @@ def _write_brick_distances(bricks: BrickGrid, shell: TriangleShell, near_bricks:
 
 
 class TriangleShell:
-    """A mesh with integer coordinates, so that the side of a line on which a point lies is exact. It is built from corners
-    float64[n,3,3] in voxels."""
+    """A mesh with integer coordinates. With these, the side of a line on which a point lies is computed exactly. It is built
+    from corners float64[n,3,3] in voxels."""
 
     def __init__(self, corners: Floats) -> None:
         self.corners, self.units_per_voxel = round_to_voxels(corners)
@@ -180,7 +180,7 @@ def _find_line_crossings(shell: TriangleShell) -> tuple[Index, Index, Index, NDA
 def _find_crossings_in_batch(
     tri: Index, units_per_voxel: int, t: Index, x: Index, y: Index
 ) -> tuple[Index, Index, Index, NDArray[np.int16]]:
-    """Return the crossings of some pairs of triangle `t` and line `x`, `y`, as `_find_line_crossings`."""
+    """Return the crossings of some pairs of triangle `t` and line `x`, `y`, in the form that `_find_line_crossings` returns."""
     px, py = x * units_per_voxel, y * units_per_voxel
     areas, above, below = [], np.ones(t.size, bool), np.ones(t.size, bool)
     for i, j in ((1, 2), (2, 0), (0, 1)):

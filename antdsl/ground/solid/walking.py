@@ -46,18 +46,19 @@ _PREFETCH_GROUP_SIZE = 16  # agents with cells prefetched together
 def move_over_solid(
     volume: Volume, points: Floats, steps: Floats, heading: Floats, up: Floats, size: Floats | float, number: int = 0
 ) -> GroundMove:
-    """Walk agents on the zero level from `points` [n,3] by `steps` [n,3], which are rotated into the surface at the same length.
+    """Walk agents on the zero level from `points` [n,3] by `steps` [n,3], which are rotated into the surface at the same
+    length.
 
     - `up` [n,3]: the unit normal of the body before the step
     - `heading` [n,3]: the direction that the body faces; it rotates as the body tilts, not with each crumb under the feet
     - `size`: the size of the body (mm, one or [n]); positions stay within a ten-thousandth of it off the zero level
     - `number`: the number of the solid in the footings
 
-    An agent in air, because the ground was dug away, first goes to the surface. A step that is not finite counts as zero. So does
-    the part of a step that points off the surface by over 60 degrees.
+    An agent in air, because the ground was dug away, first goes to the surface. A step that is not finite is treated as zero.
+    So is the part of a step that is more than 60 degrees off the surface.
 
-    `up` of the result is the outward normal of the body, smoothed over its length. So the body tilts before an edge and does not
-    jerk. A lost agent stays at its position."""
+    `up` of the result is the outward normal of the body, smoothed over the body's length. So the body begins to tilt before an
+    edge and does not jerk. A lost agent stays at its position."""
     bricks = volume.bricks
     columns = [np.ascontiguousarray(np.asarray(v, np.float64).reshape(-1, 3).T) for v in (points, steps, heading, up)]
     count = columns[0].shape[1]
@@ -132,9 +133,8 @@ def _prefetch_cells(
     first: I64,
     last: I64,
 ) -> F64:
-    """Read the cells around the positions of some agents, so that they are in the cache. The reads are independent of each other.
-
-    The returned sum has no meaning."""
+    """Read the cells around the positions of some agents, so that they are in the cache. The reads are independent of each
+    other. The returned sum only prevents the compiler from removing the reads."""
     total = 0.0
     for i in range(first, last):
         a, b, _ = load_cell_corners(table, values, grid, (points[0, i], points[1, i], points[2, i]))
@@ -234,12 +234,12 @@ def _project_to_surface(
     length: F64,
     tolerance: F64,
 ) -> tuple[Vec3, Vec3, F64]:
-    """Project the end of a path of `length` from `p`, a point on the zero level. Return the projected point, the gradient and the
-    signed distance there.
+    """Project the end of a path of `length` from `p`, a point on the zero level. Return the projected point, the gradient and
+    the signed distance there.
 
     The method is Newton's. Where the gradient jumps between cells, as at a sharp edge, Newton steps may oscillate and never
-    converge. But just below the start is solid, and just above it is air. So the surface is between the point and one of these
-    two points."""
+    converge. In this case, the point just below the start is in solid and the one just above is in air. So the surface lies
+    between the current point and one of these two."""
     voxel = grid[3]
     far = (p[0] + direction[0] * length, p[1] + direction[1] * length, p[2] + direction[2] * length)
     q = far
@@ -321,7 +321,7 @@ def _project_on_tangent_plane(v: Vec3, normal: Vec3) -> tuple[Vec3, F64]:
 
 @inlined
 def _normalise_or_fallback(v: Vec3, fallback: Vec3) -> Vec3:
-    """Return the direction of a gradient, or `fallback` where the field is flat."""
+    """Return the unit direction of a gradient, or `fallback` if the gradient is zero."""
     size = np.sqrt(dot(v, v))
     if not size > 1e-6:
         return fallback

@@ -1,4 +1,4 @@
-"""Code actions: a finding that suggests a replacement, as an edit."""
+"""Code actions. If a finding suggests a replacement, the editor offers it as an edit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The colours of states: where they are in a program, and which names are near a colour."""
+"""The colours of states: their locations in a program, and the names of similar colours."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ from antdsl.syntax.words import EXAMPLE_LINES, FIXED_FIELD_SETTINGS, LINE_WORDS_
 
 
 def complete_program(workspace: Workspace, document: OpenDocument, offset: int) -> list[CompletionItem]:
-    """Return the proposals at an offset of a program, each label once."""
+    """Return the proposals at an offset of a program, without duplicate labels."""
     context = find_context(document.text.text, offset)
     if context.is_in_text_or_comment:
         return []
@@ -72,7 +72,7 @@ def _propose_items(request: CompletionRequest) -> Iterator[CompletionItem]:
 
 
 def _propose_line_start(request: CompletionRequest, rule: str) -> Iterator[CompletionItem]:
-    """Propose the words and names that may begin a line. `rule`: the grammar rule of the block."""
+    """Propose the words and names that may begin a line. `rule`: the grammar rule for lines of this block."""
     if rule == "top" and not request.document.text.text[: _find_first_text(request)].strip():
         yield _make_keyword_item("ant")
     for word in LINE_WORDS_BY_RULE.get(rule, ()):
@@ -150,7 +150,7 @@ def _propose_targets(request: CompletionRequest) -> Iterator[CompletionItem]:
 
 
 def _propose_states(request: CompletionRequest, all_machines: bool = False) -> Iterator[CompletionItem]:
-    """Propose states of the machine around the position. `all_machines`: those of all machines."""
+    """Propose states of the machine around the position. `all_machines`: whether to propose the states of all machines."""
     table = request.names.species.get(request.species or "")
     tables = [table] if table is not None else list(request.names.species.values())
     for each in tables:
@@ -164,7 +164,7 @@ def _propose_states(request: CompletionRequest, all_machines: bool = False) -> I
 
 
 def _propose_all_states(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose the states that a state may be compared with."""
+    """Propose the states with which a state may be compared."""
     return _propose_states(request, all_machines=True)
 
 
@@ -201,7 +201,7 @@ def _propose_library_names(request: CompletionRequest) -> Iterator[CompletionIte
 
 
 def _propose_amounts(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose amounts to take or give: the animal's own attributes."""
+    """Propose the animal's own attributes, as amounts to take or give."""
     return propose_own_names(request, only_assignable=True)
 
 
@@ -236,7 +236,7 @@ def _make_setting_item(name: str, value: nodes.Expr, help: nodes.Text | None) ->
 
 
 def _propose_items_and_animals(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose things that may be missing: an item or an animal."""
+    """Propose items and animals, which are the things that may be missing."""
     yield from make_thing_proposer("items")(request)
     yield from propose_species(request)
 

@@ -1,4 +1,4 @@
-"""The context of a position in a program, from the text before it only: block, call, and word of the line."""
+"""Finds the context of a position in a program: block, call, and word of the line. It uses only the text before the position."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class ContextBlock:
 
 @dataclass(frozen=True, slots=True)
 class CursorContext:
-    """The context of a position, from the text before it.
+    """The context of a position, found from the text before it.
 
     - `blocks`: the open blocks, outermost first.
-    - `line`: the statement up to the position, without bracketed parts that are closed.
-    - `word_prefix`: the unfinished word at its end; "" without one.
+    - `line`: the statement up to the position, without closed brackets and their content.
+    - `word_prefix`: the unfinished word at the end of the line; "" if there is none.
     - `called_function`: the function with an open bracket, if there is one. `arguments`: the text after this bracket."""
 
     blocks: tuple[ContextBlock, ...]
@@ -58,7 +58,7 @@ def is_line_start(text: str, start: int) -> bool:
 
 
 def find_context(text: str, offset: int) -> CursorContext:
-    """Return the context of an offset. It never fails, whatever the text."""
+    """Return the context of an offset. This works for any text, even if it is invalid."""
     blocks: list[ContextBlock] = []
     brackets: list[int] = []  # offsets of open round and square brackets in this statement
     begin, quiet = 0, False

@@ -24,8 +24,8 @@ from antdsl.syntax.verbs import VERB_BY_WORD
 
 @dataclass(frozen=True, slots=True)
 class CompletionItem:
-    """One proposal. `kind`: keyword, state, unit, function, argument, variable, property, thing, type, colour, file;
-    `insert_text` may hold snippet places such as `${1:name}` when `is_snippet`."""
+    """One proposal. `kind`: keyword, state, unit, function, argument, variable, property, thing, type, colour, file; if
+    `is_snippet` is true, `insert_text` may contain placeholders such as `${1:name}`."""
 
     label: str
     kind: str
@@ -61,12 +61,12 @@ class CompletionRequest:
 
     @property
     def machine(self) -> str:
-        """Return the name of the machine around the position; `main` outside of a named one."""
+        """Return the name of the machine around the position; `main` outside a named machine."""
         return self.context.find_enclosing_name("member", "machine") or "main"
 
 
 def make_thing_proposer(*kinds: str) -> Callable[[CompletionRequest], Iterator[CompletionItem]]:
-    """Return a function that proposes the things of the kinds `kinds`; without kinds, all things."""
+    """Return a function that proposes the things of the kinds `kinds`. If there are none, it proposes all things."""
 
     def propose_things(request: CompletionRequest) -> Iterator[CompletionItem]:
         for name, item in request.names.things.items():
@@ -89,7 +89,7 @@ def propose_species(request: CompletionRequest) -> Iterator[CompletionItem]:
 
 
 def _find_local_names(request: CompletionRequest) -> dict[str, tuple[str, ValueType | None]]:
-    """Return the local names at this position: for each its description in words, and its type if known."""
+    """Return the local names at this position. Each has a description, and its type if known."""
     behaviour = request.names.behaviours.get(request.context.find_enclosing_name("top", "behaviour") or "")
     known_names: dict[str, tuple[str, ValueType | None]] = {}
     for each in (*behaviour.arguments, *behaviour.body) if behaviour is not None else ():
@@ -114,7 +114,7 @@ def _find_local_names(request: CompletionRequest) -> dict[str, tuple[str, ValueT
 def _find_type(
     request: CompletionRequest, name: str, local_names: Mapping[str, tuple[str, ValueType | None]]
 ) -> ValueType | None:
-    """Return the type of a name from the last check, or from the last check without errors if that one has none."""
+    """Return the type of a name from the last check. If that has none, return the type from the last check without errors."""
     if name in local_names:
         return local_names[name][1]
     if name == "self" and request.species:
@@ -173,7 +173,7 @@ def propose_members(request: CompletionRequest) -> Iterator[CompletionItem]:
 
 
 def propose_argument_names(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose the arguments that a call does not pass yet."""
+    """Propose the arguments that a call does not have yet."""
     context = request.context
     if not re.search(r"(^|[,(])\s*[a-z_0-9]*$", "(" + context.arguments):
         return
@@ -210,7 +210,7 @@ def _make_argument_item(name: str, detail: str) -> CompletionItem:
 
 
 def find_behaviour(request: CompletionRequest, function_name: str) -> nodes.Behaviour | None:
-    """Return the behaviour with this name, or with this name after the alias of a file; None if there is none."""
+    """Return the behaviour called `function_name`, plain or qualified by a file alias (`alias.name`), or None."""
     alias, dot, name = function_name.partition(".")
     if dot:
         module = request.workspace.find_document(request.names.modules[alias]) if alias in request.names.modules else None
@@ -219,7 +219,7 @@ def find_behaviour(request: CompletionRequest, function_name: str) -> nodes.Beha
 
 
 def _list_known_behaviours(request: CompletionRequest) -> Iterator[tuple[str, nodes.Behaviour]]:
-    """Yield the behaviours of the used libraries, then those of the file."""
+    """Yield the behaviours of the libraries that are used, then those of the file."""
     for path in request.names.libraries.values():
         library = request.workspace.find_document(path.resolve())
         if library is not None:
@@ -228,7 +228,7 @@ def _list_known_behaviours(request: CompletionRequest) -> Iterator[tuple[str, no
 
 
 def propose_behaviours(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose behaviours, and the files from which more can be used."""
+    """Propose behaviours, and files that have further behaviours."""
     for behaviour in dict(_list_known_behaviours(request)).values():
         yield _make_call_item(behaviour)
     for alias in request.names.modules:
@@ -245,7 +245,8 @@ def _make_call_item(node: nodes.Behaviour) -> CompletionItem:
 
 
 def propose_own_names(request: CompletionRequest, only_assignable: bool = False) -> Iterator[CompletionItem]:
-    """Propose the params and attributes of the species. `only_assignable`: only those that a statement may set."""
+    """Propose the params and attributes of the species. `only_assignable`: whether to propose only those that a statement may
+    set."""
     table = request.names.species.get(request.species or "")
     for name, member in (table.own_members if table is not None else {}).items():
         if only_assignable and not isinstance(member, nodes.Declaration):

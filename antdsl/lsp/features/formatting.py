@@ -1,4 +1,4 @@
-"""Formatting of a document as by `antdsl fmt`, as edits of the lines that differ."""
+"""Formats a document as `antdsl fmt` does, by edits of the lines that differ."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from antdsl.source import Source
 
 
 def find_formatting_edits(document: OpenDocument) -> list[TextEdit] | None:
-    """Return the edits that format a document. Return an empty list if it is formatted, and None if it has errors."""
+    """Return the edits that format a document. The list is empty if it is already formatted. Return None if it has errors."""
     new_text, _ = syntax.format(Source(str(document.path), document.text.text))
     if new_text is None:
         return None

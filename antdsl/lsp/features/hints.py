@@ -1,4 +1,4 @@
-"""Inlay hints: the rank of each layer, and how many frames a duration takes."""
+"""Inlay hints, which display the rank of each layer, and the number of frames of each duration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _DEFAULT_FPS = Fraction(24)
 
 @dataclass(frozen=True, slots=True)
 class InlayHint:
-    """A text that the editor displays beside a span. `is_before`: in front of the span instead of after it."""
+    """A text that the editor displays next to a span. `is_before`: whether it is in front of the span instead of after it."""
 
     span: Span  # the hint is displayed before the start of this span, or after its end
     is_before: bool
@@ -35,7 +35,7 @@ def find_hints(workspace: Workspace, document: OpenDocument) -> list[InlayHint]:
 
 
 def find_frame_rate(workspace: Workspace, document: OpenDocument) -> Fraction | None:
-    """Return the frame rate of the scenes that use a program. Return None if they differ or have none."""
+    """Return the frame rate of the scenes that use a program. Return None if they differ or there is none."""
     rates = set()
     for path in workspace.list_files():
         if path.suffix == ".ant" or document.path not in workspace.find_linked_files(path):
@@ -69,7 +69,7 @@ def _find_rank_hints(node: nodes.Layers) -> Iterator[InlayHint]:
 
 
 def _make_frame_hint(node: nodes.Quantity, fps: Fraction | None) -> InlayHint | None:
-    """Return how many frames a duration takes, rounded up to whole steps."""
+    """Return a hint with the number of frames that a duration takes, rounded up to whole steps."""
     measure = find_unit_measure(node.unit)
     if measure is None or measure.dim != TIME_DIMENSION or measure.step:
         return None

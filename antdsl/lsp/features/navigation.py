@@ -1,4 +1,4 @@
-"""Navigation from a name to its declaration, to all its occurrences, and to a new name in all of them."""
+"""Navigation from a name to its declaration and its occurrences, and renaming."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _CANDIDATE_KINDS = {
 
 
 class RenameRejected(Exception):
-    """Error for a rename that would change the meaning of a program. The message is the reason."""
+    """Error for a rename that would change the meaning of a program. The message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ def find_declaration(workspace: Workspace, document: OpenDocument, key: NameKey)
 
 
 def _list_candidate_keys(document: OpenDocument, key: NameKey) -> Iterator[NameKey]:
-    """Yield the keys that an unknown name may stand for in another file."""
+    """Yield the keys that a name without a known meaning may have in another file."""
     kinds = _CANDIDATE_KINDS.get(key[0])
     if kinds is None:
         yield key
@@ -97,7 +97,7 @@ def find_occurrence_at(document: OpenDocument, offset: int) -> NameOccurrence | 
 
 
 def find_definition(workspace: Workspace, document: OpenDocument, offset: int) -> list[NameLocation]:
-    """Return the location at which the name at an offset is declared: in this file, in another file or in the library.
+    """Return the location where the name at an offset is declared. This may be in this file, another file or a library.
 
     If the offset is in the path of a file, return that file."""
     locations: dict[tuple[Path, int], NameLocation] = {}
@@ -162,10 +162,9 @@ def find_references(
 
 
 def resolve_key(workspace: Workspace, document: OpenDocument, key: NameKey) -> NameKey:
-    """Return the key of the declaration that a name has in another file: an item of the base scene, or a declaration of a
-    program.
+    """Return the key under which another file declares a name: an item of the base scene, or a declaration of a program.
 
-    A key that this file resolves is returned unchanged."""
+    A key that this file declares is returned unchanged."""
     if key[0] not in _CANDIDATE_KINDS:
         return key
     if key[0] == "?scene" and any(_find_item_locations(workspace, document, key[1])):
@@ -205,7 +204,7 @@ def _find_all_occurrences(
 
 
 def find_renamable_name(workspace: Workspace, document: OpenDocument, offset: int) -> NameOccurrence:
-    """Return the renamable name at an offset. Raises RenameRejected when there is none."""
+    """Return the name at an offset if it can be renamed. Raises RenameRejected if there is none."""
     occurrence = find_occurrence_at(document, offset)
     if occurrence is None:
         raise RenameRejected("no name at this position")
@@ -219,8 +218,7 @@ def find_renamable_name(workspace: Workspace, document: OpenDocument, offset: in
 
 
 def rename_symbol(workspace: Workspace, document: OpenDocument, offset: int, new_name: str) -> list[NameLocation]:
-    """Return all positions that a new name must be written to. Names that `take` and `give` bind together are renamed
-    together."""
+    """Return all locations where a new name must be written. Names that `take` and `give` link are renamed together."""
     first = find_renamable_name(workspace, document, offset)
     if not _NAME_PATTERN.fullmatch(new_name) or len(new_name) > limits.MAX_NAME_CHARACTERS:
         raise RenameRejected(f"`{new_name[:80]}` is not a name: write small letters, digits and `_`, beginning with a letter")
@@ -277,7 +275,7 @@ def _find_jointly_bound_keys(workspace: Workspace, document: OpenDocument, keys:
 
 
 def _reject_collision(workspace: Workspace, document: OpenDocument, key: NameKey, new_name: str) -> None:
-    """Raise an error if the new name is in use in the same scope, or would be hidden."""
+    """Raise RenameRejected if the new name is already in use in the same scope, or would be hidden."""
     rivals: set[NameKey] = {(*key[:-1], new_name)}
     if key[0] in ("own", "let", "machine"):
         rivals |= {("own", key[1], new_name), ("machine", key[1], new_name)}

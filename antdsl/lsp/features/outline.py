@@ -39,7 +39,8 @@ def list_symbols(document: OpenDocument) -> list[OutlineSymbol]:
 
 
 def find_workspace_symbols(workspace: Workspace, query: str) -> list[tuple[OpenDocument, OutlineSymbol]]:
-    """Return the symbols of all programs with names that contain the letters of a query in order, and their documents.
+    """Return the symbols of all programs that match a query, and their documents. A name matches if it contains the query's
+    letters in order.
 
     Names that begin with the query come first. An empty query returns all symbols, up to the limit."""
     letters = re.compile(".*?".join(map(re.escape, query.lower())))
@@ -129,7 +130,7 @@ def _list_key_symbols(node: DocumentNode) -> Iterator[OutlineSymbol]:
 
 @dataclass(frozen=True, slots=True)
 class FoldedRange:
-    """A range of lines that the editor can fold. Lines count from 0; both are included."""
+    """A range of lines that the editor can fold. Line numbers start at 0; both ends are included."""
 
     first: int
     last: int

@@ -1,4 +1,4 @@
-"""The signatures of the call around a position, and the parameter that the position belongs to."""
+"""Signatures for the call around a position, and the parameter at that position."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _OPENING_BRACKETS, _CLOSING_BRACKETS = "([{", ")]}"
 
 
 class Signature(NamedTuple):
-    """A signature. `label`: its text. `parameters`: the parts of it, one per parameter.
+    """A signature. `label`: its text. `parameters`: the part of the text for each parameter.
 
-    `active_parameter`: the index of the parameter at the cursor; None for a parameter that the function does not have."""
+    `active_parameter`: the index of the parameter at the cursor; None if the function has no such parameter."""
 
     label: str
     help: str
@@ -56,7 +56,7 @@ def _make_signature(label: str, help: str, arguments: str) -> Signature:
 
 
 def _split_arguments(text: str) -> list[str]:
-    """Return the parts of a text between commas that no bracket encloses."""
+    """Return the parts of a text between commas outside brackets."""
     parts, depth, begin = [], 0, 0
     for offset, character in enumerate(text):
         if character in _OPENING_BRACKETS:

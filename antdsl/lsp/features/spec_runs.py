@@ -1,4 +1,4 @@
-"""Runs one spec of a saved program, for the code lens above it."""
+"""Runs one spec of a saved program. The code lens above a spec calls this."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _MAX_MESSAGE_LINES = 12
 
 
 async def run_spec(path: Path, name: str) -> tuple[bool, str]:
-    """Run a spec with `antdsl test`. Return whether it failed, and the end of the report."""
+    """Run a spec with `antdsl test`. Return whether it failed, and the last lines of the report."""
     words = build_module_command("antdsl", "test", "--no-keep", "-k", name, "--", os.fspath(path))
     environment = {**build_module_environment(), "NO_COLOR": "1"}
     process = await asyncio.create_subprocess_exec(*words, stdin=DEVNULL, stdout=PIPE, stderr=STDOUT, env=environment)

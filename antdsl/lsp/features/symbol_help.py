@@ -32,7 +32,7 @@ def describe_symbol(workspace: Workspace, document: OpenDocument, key: NameKey) 
 
 
 class SymbolDeclaration(NamedTuple):
-    """A symbol that `document` mentions and `file` declares."""
+    """A symbol that occurs in `document` and is declared in `file`."""
 
     workspace: Workspace
     document: OpenDocument
@@ -41,7 +41,7 @@ class SymbolDeclaration(NamedTuple):
 
 
 def _find_checked_type(program: Program | None, key: NameKey) -> ValueType | None:
-    """Return the type that the checker found for a name of a species; None if it found none."""
+    """Return the type that the checker determined for a name of a species, or None."""
     species = program.species.get(key[1]) if program is not None else None
     if species is None:
         return None
@@ -134,7 +134,7 @@ def _describe_state(symbol: SymbolDeclaration, node: nodes.State) -> str:
 
 
 def _is_resting_state(symbol: SymbolDeclaration, state: nodes.State) -> bool:
-    """Return whether a state has no steering while another state of its machine steers."""
+    """Return whether a state does not steer although another state of its machine does."""
     key = symbol.key
     target = find_declaration(symbol.workspace, symbol.document, ("species", key[1]))
     members = target[1].node.members if target is not None else ()

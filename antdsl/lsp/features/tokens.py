@@ -40,7 +40,8 @@ def list_keywords() -> frozenset[str]:
 
 
 def encode_tokens(document: OpenDocument, first_line: int = 0, last_line: int | None = None) -> list[int]:
-    """Return the tokens of some lines in the protocol's form: five numbers each, positions relative to the previous token."""
+    """Return the tokens of some lines in the protocol's form. Each has five numbers; positions are relative to the previous
+    token."""
     text, words = document.text, list_keywords()
     begin = text.line_starts[min(first_line, len(text.line_starts) - 1)]
     end = len(text.text) if last_line is None or last_line + 1 >= len(text.line_starts) else text.line_starts[last_line + 1]

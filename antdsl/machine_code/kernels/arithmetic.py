@@ -35,7 +35,7 @@ class ArithmeticEmitter(VectorBuilder[Number]):
     reached_mask: Number | None = None
 
     def emit_any_lane(self, mask: Number) -> Number:
-        """Write the test whether a mask holds in at least one lane, and return its condition."""
+        """Write a test whether a mask holds in at least one lane. Return the resulting condition."""
         bits = self.op("lanes", f"i{LANE_COUNT}", mask, lanes=1)
         return self.op("ne", TRUTH, bits, Number(bits.kind, "0"))
 
@@ -223,8 +223,8 @@ class ArithmeticEmitter(VectorBuilder[Number]):
         return self.op("and", TRUTH, *self.match_lanes(a, b))
 
     def _add_to_first_lane(self, word: type[ast.operator], a: Number, b: Number) -> Number | None:
-        """Return the sum or difference in the first lane, if one operand grows by one per lane and the other is loop-invariant;
-        else None.
+        """Return the sum or difference in the first lane, or None. It exists if one operand increases by one per lane and the
+        other is loop-invariant.
 
         `word`: the class of the Python operator."""
         if word not in (ast.Add, ast.Sub) or a.lane_type != "i64" or b.lane_type != "i64" or (b.first_lane and word is ast.Sub):

@@ -128,7 +128,7 @@ class ElementAccess(ArithmeticEmitter):
         return value if value.lane_type == scalar.stored_type else self.op("trunc", scalar.stored_type, value)
 
     def get_row(self, node: ast.AST, array: Array, index: Number) -> Array:
-        """Return the subarray at an index of the first axis. It has one axis less."""
+        """Return the subarray at an index of the first axis. It has one axis fewer."""
         if index.has_several_lanes:
             self.fail(node, "all lanes use the same part of an array: its index cannot depend on the iteration")
         self.check_index(node, index, array.lengths[0])

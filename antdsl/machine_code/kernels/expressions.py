@@ -40,7 +40,7 @@ class ExpressionEmitter(ElementAccess, ABC):
 
     @abstractmethod
     def lookup_name(self, name: str) -> Any:
-        """Return the value of a name. Variables in it are not loaded."""
+        """Return the value of a name. If the value has variables, they stay unloaded."""
 
     @abstractmethod
     def load_variables(self, item: Any) -> KernelItem:

@@ -1,1 +1,1 @@
-"""Kernels of pictures: noise of surfaces, and light spread over pixels. They need no other package of antdsl."""
+"""Kernels for pictures: noise of surfaces, and light spread over pixels. They do not import any other package of antdsl."""

@@ -13,10 +13,10 @@ CHANNEL_COUNT = 4  # of sums of discs: red, green, blue, and the weight
 
 
 class DiscTable(NamedTuple):
-    """The rows of discs by radius, in steps of a fraction of a pixel.
+    """A table of discs by radius, in steps of a fraction of a pixel.
 
     `half_widths` (r, k): half of the width of the row at k pixels above or below the centre, 0 outside. `share` (r,): the
-    weight of a pixel of the disc."""
+    weight of each pixel of the disc."""
 
     half_widths: Array2[F32]
     share: Array1[F32]
@@ -24,9 +24,9 @@ class DiscTable(NamedTuple):
 
 @kernel
 def add_line_averages(lines: Array2[F32], values: Array2[F32], max_steps: I64, sums: Array3[F32], begin: I64, end: I64) -> None:
-    """Add the values (n, c) of samples to the pixels of their lines, in equal parts.
+    """Add the values (n, c) of samples to the pixels of their lines, distributed equally.
 
-    `lines` (n, 4): column and row of both ends, in pixels. `sums` (h, w, c)."""
+    `lines` (n, 4): column and row of both ends, in pixels. `sums` (h, w, c): receives the results."""
     high, wide, channels = sums.shape[0], sums.shape[1], sums.shape[2]
     for i in range(begin, end):
         x, y = lines[i, 0], lines[i, 1]
@@ -54,9 +54,9 @@ def add_disc_averages(
 ) -> None:
     """Add the light of pixels to the rows `begin` to `end` of `sums` (h, w + 2, 4), evenly over a disc around each pixel.
 
-    `pixels` (n,): in ascending order. `values` (n, 4): light and weight. `radius_steps` (n,): rows of `table`. A value is the
-    difference from the pixel to the left, so that a row of a disc needs only its ends (Kosloff et al., Graphics Interface
-    2009)."""
+    `pixels` (n,): in ascending order. `values` (n, 4): light and weight. `radius_steps` (n,): rows of `table`. `sums` stores
+    differences from the pixel to the left, so that only the two ends of each disc row are written (Kosloff et al., Graphics
+    Interface 2009)."""
     reach, edge = table.half_widths.shape[1] - 1, np.float32(width)
     for i in range(0, pixels.size):
         row = pixels[i] // width
@@ -86,9 +86,9 @@ def add_disc_averages(
 
 @kernel
 def add_layer_behind(sums: Array3[F32], total: Array3[F32], begin: I64, end: I64) -> None:
-    """Add a layer behind the layers in `total` (h, w, 4), where these do not cover the pixel. Clear its `sums`.
+    """Add a layer behind the layers in `total` (h, w, 4), as far as these leave a pixel uncovered.
 
-    Covers of layers add up, because most are parts of one surface."""
+    Clear its `sums`. The coverage of layers is added up, because most layers are parts of one surface."""
     for row in range(begin, end):
         red, green, blue, weight = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
         for column in range(0, total.shape[1]):

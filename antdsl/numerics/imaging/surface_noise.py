@@ -1,4 +1,4 @@
-"""Solid noise of surfaces from small tables: smooth values with their gradient, and packed grains."""
+"""Solid noise for surfaces, computed from small tables: smooth values with their gradient, and densely packed grains."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def compute_value_noise(points: Floats, wavelength: float, seed: int) -> tuple[F
 
 @lru_cache(maxsize=32)
 def make_noise_table(seed: int) -> Floats:
-    """Return random values within −1..1 for the points of a periodic lattice."""
+    """Return a table of random values within −1..1 for the points of a periodic lattice."""
     values = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, _LATTICE_PERIOD**3).astype(np.float32)
     values.setflags(write=False)
     return values
@@ -40,15 +40,15 @@ def make_noise_table(seed: int) -> Floats:
 
 @lru_cache(maxsize=8)
 def make_grain_table(seed: int) -> Floats:
-    """Return, for each lattice cell, three coordinates of its grain and the grain's tone, within −1..1."""
+    """Return a table of grains: for each lattice cell, three coordinates of its grain and the grain's tone, within −1..1."""
     draw = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, (_LATTICE_PERIOD**3, 4)).astype(np.float32)
     draw.setflags(write=False)
     return draw.reshape(-1)
 
 
 class GrainedSamples(NamedTuple):
-    """Samples of surfaces with grain: points, normals and linear colours (n, 3), the widths of their pixels in world units (n,),
-    and the share (n,) by which each has the grain."""
+    """Samples of surfaces with grain: points, normals and linear colours (n, 3), the widths of their pixels in world units
+    (n,), and the strength (n,) of the grain, 0 to 1."""
 
     points: Array2[F32]
     normal: Array2[F32]
@@ -105,8 +105,8 @@ def sample_value_noise(rotation: Array2[F32], table: Array1[F32], point: Vec3F32
 
 @inlined
 def sample_grain_noise(rotation: Array2[F32], table: Array1[F32], point: Vec3F32, scale: F32) -> Any:
-    """Return the grain nearest to a point, of packed grains (Worley, SIGGRAPH 1996): the distance from its centre, 0..1, the
-    vector from its centre, of length about 1 at the rim, and its tone within −1..1.
+    """Return the grain nearest to a point, among packed grains (Worley, SIGGRAPH 1996). The results are the distance from its
+    centre (0..1), the vector from its centre (length about 1 at the rim), and its tone within −1..1.
 
     `scale`: grains per world unit. `table`: four numbers for each cell of the lattice."""
     x, y, z = rotate_to_lattice(rotation, point, scale)
@@ -151,9 +151,8 @@ def fill_value_noise(
 def add_bumps(
     samples: GrainedSamples, rotation: Array2[F32], table: Array1[F32], length: F32, height: F32, speck: F32, begin: I64, end: I64
 ) -> None:
-    """Add bumps of one size to the normals of samples, and specks to their colours.
-
-    `length`: the size in world units. `height`: of the bumps, in sizes. `speck`: the share by which colours vary."""
+    """Add bumps of one size to the normals of samples, and specks to their colours. `length`: the size in world units.
+    `height`: the height of the bumps, as a fraction of their size. `speck`: the fraction by which colours vary."""
     points, normal, albedo, pixel, rough = samples
     for i in simd_range(begin, end):
         visibility = min(max(length / pixel[i] * np.float32(0.4) - np.float32(0.5), np.float32(0)), np.float32(1)) * rough[i]
@@ -179,8 +178,8 @@ def add_grains(
 ) -> None:
     """Add grains of sand to the normals and colours of samples.
 
-    `grains`, `patches`: tables of the grains and of where they lie. `length`: their size in world units. `share`: the share of
-    the surface that has them. `quartz`, `basalt`: the colours of some grains."""
+    `grains`: the table of grains. `patches`: the table that decides where grains lie. `length`: their size in world units.
+    `share`: the fraction of the surface that they cover. `quartz`, `basalt`: the colours of some grains."""
     points, normal, albedo, pixel, loose = samples
     zero, one = np.float32(0), np.float32(1)
     for i in simd_range(begin, end):

@@ -1,7 +1,7 @@
 """The floating-point environment of a thread. A host may change the rounding from nearest, or flush denormal numbers to zero.
 
-A thread inherits the environment from the thread that starts it. Results that are computed within `use_standard_floats` do not
-depend on it."""
+A thread inherits the environment from the thread that starts it. Results computed within `use_standard_floats` do not depend
+on these settings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ _ENVIRONMENT_BYTES = 256  # more bytes than any C library needs
 
 
 def has_standard_floats() -> bool:
-    """Return whether this thread rounds to nearest and keeps denormal numbers, as far as float64 operations show it."""
+    """Return whether this thread rounds to nearest and keeps denormal numbers, as far as this can be detected by float64
+    operations."""
     return (
         _LEAST_NORMAL * _HALF_AT_RUN_TIME != 0.0
         and _ONE_AT_RUN_TIME + _HALF_ULP == 1.0
@@ -51,7 +52,7 @@ def use_standard_floats() -> Iterator[None]:
 
 @cache
 def _load_c_library() -> Any:
-    """Return the C library with its environment functions (C99, 7.6); None if it has none."""
+    """Return the C library, or None if it has no floating-point environment functions (C99, 7.6)."""
     try:
         library = ctypes.CDLL(None)
         library.fegetenv.argtypes = library.fesetenv.argtypes = [ctypes.c_void_p]

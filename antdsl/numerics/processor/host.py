@@ -1,4 +1,4 @@
-"""The resources that this machine grants this process: cores, memory, and the processor's name.
+"""The resources that are available to this process: cores and memory. Also the name of the processor.
 
 On Linux, control groups (cgroups) limit a process: its own group, and the groups that contain it."""
 
@@ -22,8 +22,8 @@ PARTS_PER_THREAD = 4  # a thread that starts late or has slow parts takes fewer
 
 @cache
 def count_available_cores() -> int:
-    """Return how many threads may run at once. The cores available to this process and its control group (such as a container)
-    limit the number; fractions are rounded up."""
+    """Return how many threads can run at once: the number of cores available to this process and its control group (such as a
+    container). Fractions are rounded up."""
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
         process_groups = PROCESS_CGROUP_FILE.read_text(encoding="utf-8", errors="surrogateescape")
@@ -75,7 +75,8 @@ def iterate_group_folders(process_groups: str, groups_folder: Path, controller: 
 
 
 def get_address_space_limit() -> float:
-    """Return the address space limit in bytes of this process, and of each process that it starts; infinite without a limit."""
+    """Return the address space limit in bytes of this process, infinite if there is none. Processes that it starts inherit the
+    limit."""
     try:
         import resource
     except ImportError:  # Windows
@@ -138,7 +139,7 @@ def measure_memory() -> tuple[int, int]:
 
 
 def _read_kilobyte_lines(path: Path) -> dict[str, int]:
-    """Return the amounts, by name, in a file with lines such as `VmRSS:  123 kB`."""
+    """Read a file with lines such as `VmRSS: 123 kB`. Return the amounts by name."""
     amounts = {}
     for line in path.read_text(encoding="ascii", errors="replace").splitlines():
         name, _, value = line.partition(":")

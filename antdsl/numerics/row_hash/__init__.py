@@ -50,13 +50,13 @@ def hash_rows(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) ->
 
 
 def _to_digest(sums: Sequence[int]) -> bytes:
-    """Return both sums as 16 bytes."""
+    """Convert both sums to 16 bytes."""
     return b"".join((int(each) & _MASK_64).to_bytes(8, "little") for each in sums)
 
 
 class RowHasher:
-    """A hasher of tables that mostly have the same arrays as in the previous call. It stores their addresses, so that they are
-    looked up once."""
+    """A hasher for tables that usually have the same arrays as in the previous call. It stores the addresses of the arrays for
+    the next call."""
 
     def __init__(self) -> None:
         self._arrays: list[NDArray[Any]] = []  # the ids first, if there are ids
@@ -67,8 +67,8 @@ class RowHasher:
     def split_columns(self, arrays: Sequence[NDArray[Any]], has_several: Sequence[bool]) -> list[NDArray[Any]]:
         """Return the columns of all arrays in one list.
 
-        `has_several`: for each array, whether its first axis enumerates columns; otherwise the array is one column. A call with
-        the same array objects returns the same list."""
+        `has_several`: for each array, whether its first axis enumerates columns. Otherwise the array is one column. If the
+        array objects are those of the previous call, the same list is returned."""
         if len(arrays) != len(self._split_arrays) or any(map(is_not, arrays, self._split_arrays)):
             self._split_arrays = list(arrays)
             self._split_columns = [
@@ -187,8 +187,8 @@ class HashTable:
         return True
 
     def compute_sums(self, count: int, threads: int = 1) -> tuple[int, int]:
-        """Return the sums of the first and of the second lane over `count` rows, modulo 2^64. Each row is mixed before it is
-        added."""
+        """Return two sums modulo 2^64 over `count` rows: of the first lane and of the second lane. Each row is mixed before it
+        is added."""
         chunks = 1 if threads < 2 else max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
         if len(self._chunk_headers) != chunks or self._chunks[-1, 2] != count:
             self._chunk_headers = np.zeros((chunks, TABLE_HEADER_WORDS), np.int64)

@@ -1,7 +1,6 @@
-"""The loops of `hash_rows`, in LLVM's language.
-
-Rows are processed in blocks that fit into a core's own cache. The lanes of a block's rows are summed in that cache, word by word.
-So each column is read as one stream, which processors can prefetch. All columns at once would be too many streams."""
+"""The loops of `hash_rows`, in LLVM's language. Rows are processed in blocks that fit into a core's own cache. The lanes of a
+block's rows are summed in that cache, word by word. So only one column is read at a time, as a stream that the processor can
+prefetch. Reading all columns at once would be too many streams."""
 
 from __future__ import annotations
 
@@ -64,7 +63,7 @@ def _format_vector_constant(value: int) -> str:
 
 @make_library_text
 def build_llvm_text(target: llvm_compiler.Target) -> str:
-    """Return the text to compile: a function of the table that adds the sums of rows from the first to before the last."""
+    """Return the text of the function to compile. It takes the table, and adds the sums of a range of rows."""
     module = LlvmModule(target)
     module.declare("llvm.memset.p0.i64", "void", ["ptr", "i8", "i64", "i1"])
     w = _TextBuilder()
@@ -148,8 +147,8 @@ def _write_word_sums(w: _TextBuilder) -> None:
 def _add_products(w: _TextBuilder, label: str, predecessor: str, columns: Sequence[str], keys: Sequence[str]) -> None:
     """Write the loop that adds the products of one word to both lanes of a block.
 
-    `columns`: the column of complete words, or the two columns of its halves. `keys`: the four keys of the word. `predecessor`:
-    the label of the preceding block of code."""
+    `columns`: one column if it has complete words, or two columns with the halves of words. `keys`: the four keys of the word.
+    `predecessor`: the label of the preceding block of code."""
     _begin_loop(w, label, predecessor, ROWS_PER_STEP, "%room")
     if len(columns) == 1:
         place = w.add_pointer(columns[0], "i64", f"%{label}.i")

@@ -56,7 +56,7 @@ class CyclesScene:
                 thing.location = (0, 0, 0)
 
     def _set_emission(self) -> None:
-        """Let the materials of lamps emit light. Objects that have one cast no shadow, because the light of a lamp is inside."""
+        """Make the materials of lamps emit light. Lamp objects cast no shadow, because the light source is inside them."""
         radiance_by_material = self._request["emission"]
         for name, radiance in radiance_by_material.items():
             material = self._bpy.data.materials.get(name)
@@ -119,7 +119,7 @@ class CyclesScene:
             self._bpy.context.scene.collection.objects.link(thing)
 
     def _set_camera(self, frame: int, cameras: list[dict[str, Any]]) -> None:
-        """Place the camera at a frame. With the camera of the next frame, it moves evenly between the two."""
+        """Place the camera at a frame. If the next frame's camera is known, the camera moves evenly between the two."""
         thing = self._bpy.context.scene.camera
         thing.animation_data_clear()
         thing.data.animation_data_clear()

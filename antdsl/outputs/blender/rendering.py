@@ -38,12 +38,12 @@ Image = NDArray[np.uint8]
 
 
 class BlenderError(Exception):
-    """Error if Blender ends before all pictures are there. The message is the reason, complete without context."""
+    """Error if Blender ends before all pictures are rendered. The message is the reason; it needs no further context."""
 
 
 def check_blender() -> Report:
-    """Return an empty report if Blender and USD are there, else a report with an error that names the extra. Call it before
-    rendering."""
+    """Return an empty report if Blender and USD are installed, otherwise a report with an error that names the extra. Call this
+    before rendering."""
     report = check_extra("`--blender`", "usd", "pxr")
     if PYTHON_VARIABLE not in os.environ:
         advice = f"or set the environment variable `{PYTHON_VARIABLE}` to a Python that has `bpy`"
@@ -52,7 +52,7 @@ def check_blender() -> Report:
 
 
 def build_command() -> list[str]:
-    """Return the command that renders a request, which it reads from standard input."""
+    """Return the command of the rendering process, which reads a request from standard input."""
     return [os.environ.get(PYTHON_VARIABLE, sys.executable), "-P", str(_SCRIPT)]
 
 
@@ -143,7 +143,7 @@ def _run_blender(request: str) -> Iterator[int]:
 
 
 def _send_request(pipe: IO[str], request: str) -> None:
-    """Write the request into the child's input. A child that has ended reads nothing."""
+    """Write the request to the child's standard input. Ignore a child that has already ended."""
     try:
         with pipe:
             pipe.write(request)
@@ -152,7 +152,7 @@ def _send_request(pipe: IO[str], request: str) -> None:
 
 
 def _read_pixels(path: Path, height: int, width: int) -> Image:
-    """Return the picture in a file of linear light, with the tone curve of antdsl's own pictures."""
+    """Return the picture in a file of linear light, converted with the tone curve of antdsl's own pictures."""
     size = height * width * 3 * np.dtype(np.float32).itemsize
     data = read_size_limited(path, size)
     if len(data) != size:

@@ -47,7 +47,8 @@ def describe_light(gallery: Gallery) -> dict[str, Any]:
 
 
 def describe_frame(gallery: Gallery, picture: Picture, cameras: Sequence[Camera]) -> dict[str, Any]:
-    """Return the lamps of a frame and its cameras: one, or with motion blur also that of the next frame."""
+    """Return the lamps and the cameras of a frame. There is one camera, or two with motion blur: those of this frame and the
+    next."""
     lamps = find_lamps(picture.items, picture.up, picture.light.lamps)
     return {
         "lamps": [_describe_lamp(gallery, lamp) for lamp in lamps],
@@ -56,7 +57,7 @@ def describe_frame(gallery: Gallery, picture: Picture, cameras: Sequence[Camera]
 
 
 def _describe_lamp(gallery: Gallery, lamp: Lamp) -> dict[str, Any]:
-    """Return a lamp: its centre and radius (metres), and its power (watts) for red, green and blue.
+    """Return a lamp's centre and radius in metres, and its power in watts for red, green and blue.
 
     A sphere with the power P has the irradiance P / (4 pi d^2) at the distance d."""
     metres = UNIT_MM[gallery.manifest.units] / 1000

@@ -55,7 +55,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 class CacheError(Exception):
-    """Error for a part of a cache that cannot be used. The message is the reason, complete without context."""
+    """Error for a part of a cache that cannot be used. The message is the reason; it needs no further context."""
 
 
 def make_frame_path(folder: Path, frame: int) -> Path:
@@ -168,7 +168,7 @@ class Cache:
 
 @dataclass(frozen=True, eq=False)
 class CacheView(Cache):
-    """A cache that reads another cache, `source`. Subclasses change what they override; everything else is that of `source`."""
+    """A view of another cache, `source`. Subclasses override some parts; all other parts are those of `source`."""
 
     source: Cache
 
@@ -204,7 +204,7 @@ def select_arrays(arrays: Arrays, names: frozenset[str] | None) -> Arrays:
 
 
 def list_caches_below(folder: Path) -> list[str]:
-    """Return the paths from a folder to the caches in it and in its own folders, sorted. Links are not followed.
+    """Return the paths, relative to a folder, of all caches in it and below it, sorted. Links are not followed.
 
     At most 300 folders are examined."""
     caches, examined = [], 0
@@ -224,7 +224,8 @@ def open_cache(folder: Path) -> Cache:
 
 
 def read_camera(cache: Cache, name: str) -> CameraData:
-    """Return a camera that follows no agent, in mm from the scene's zero point. Raises CacheError if `static.npz` is damaged."""
+    """Return a camera that follows no agent, in mm from the scene's coordinate origin. Raises CacheError if `static.npz` is
+    damaged."""
     manifest, entry = cache.manifest, cache.manifest.named_cameras[name]
     assert isinstance(entry, CameraEntry)
     if entry.moves:
@@ -260,7 +261,7 @@ def _list_required_arrays(manifest: Manifest, arrays: Arrays) -> Iterator[str]:
 
 
 def _read_arrays(path: Path, number: int | None, names: frozenset[str] | None = None) -> Arrays:
-    """Return the arrays of a file. Raises CacheError if it is missing, damaged, or of another frame than `number`."""
+    """Return the arrays of a file. Raises CacheError if the file is missing or damaged, or does not belong to frame `number`."""
     try:
         arrays = read_npz(path, None if names is None else names | {"frame"})
     except FileNotFoundError:

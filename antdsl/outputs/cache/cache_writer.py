@@ -58,11 +58,11 @@ class ForeignFolder(Exception):
 
 
 class PathBlocked(Exception):
-    """Error for a path of a cache file at which there is a folder, a link or another object. The message names the path."""
+    """Error if a folder, a link or another object has the path of a cache file. The message names the path."""
 
 
 class DifferentInputs(Exception):
-    """Error for a cache that was made from other inputs.
+    """Error for an existing cache that was made from other inputs.
 
     `names`: the inputs that differ.
     `choices`: descriptions of the options that differ."""
@@ -148,7 +148,7 @@ def clear_folder(folder: Path, last_retained: int | None = None, damaged_frames:
 
 
 class DifferentHashes(Exception):
-    """The error for a cache if its state hashes were computed by another method."""
+    """Error for a cache with state hashes that were computed by another method."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(f"`{folder}` was written by an antdsl that hashes states in another way")

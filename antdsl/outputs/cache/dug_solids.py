@@ -1,4 +1,4 @@
-"""Solids of a cache at a frame, for drawing. The stored balls are dug again, starting from the last checkpoint."""
+"""Solids of a cache as dug at a frame, for drawing. Digging starts from the last checkpoint and repeats the stored balls."""
 
 from __future__ import annotations
 
@@ -86,8 +86,8 @@ class DugSolids:
                 solid.volume.carve_balls(balls[:, :3], balls[:, 3], np.zeros(len(balls), np.int64))
 
     def _restore_volumes(self, frame: int) -> int:
-        """Restore the volumes from the last readable checkpoint up to `frame`, or from the start. Return the frame of this
-        state."""
+        """Restore the volumes from the last readable checkpoint at or before `frame`; without one, from the undug solids. Return
+        the frame of the restored state."""
         for number in sorted((n for n in self.cache.checkpoints() if n <= frame), reverse=True):
             try:
                 arrays = self.cache.read_checkpoint(number)

@@ -1,4 +1,4 @@
-"""What pictures show of the fields in a cache: the amount in each cell, or the length of its vector."""
+"""Field values that pictures show: the amount in each cell, or the length of the vector there."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from antdsl.outputs.cache.manifest import Manifest
 
 
 class FieldStrengths(NamedTuple):
-    """A field in a frame. `positions` float64 (n, 3) in scene units, `strengths` float64 (n,). `cell`: the edge of a cell."""
+    """The values of a field in one frame. `positions` float64 (n, 3) in scene units, `strengths` float64 (n,). `cell`: the edge
+    length of a cell."""
 
     name: str
     positions: NDArray[np.float64]
@@ -22,7 +23,7 @@ class FieldStrengths(NamedTuple):
 
 
 def list_program_fields(manifest: Manifest) -> dict[str, tuple[str, ...]]:
-    """Return the arrays of each field, by the field's name: one, or the three components `NAME.x`, `NAME.y`, `NAME.z`."""
+    """Return the names of each field's arrays, by field name: one array, or the components `NAME.x`, `NAME.y`, `NAME.z`."""
     parts: dict[str, tuple[str, ...]] = {}
     for entry in manifest.fields:
         name = entry.name.partition(".")[0]

@@ -54,7 +54,7 @@ def find_species_rows(arrays: Arrays, number: int) -> NDArray[np.intp]:
 
 
 def make_agent_keys(arrays: Arrays) -> LongArray:
-    """Return one number per agent that is unique among all agents and the same in all frames."""
+    """Return a number for each agent that identifies it among all agents, and is the same in all frames."""
     return get_agent_ids(arrays) * 4096 + get_species_numbers(arrays)
 
 

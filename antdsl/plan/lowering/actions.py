@@ -23,8 +23,8 @@ STEER_TEMP, GAZE_TEMP = "~steer", "~gaze"  # `~` cannot occur in names of the pr
 
 
 def write_statements(w: PlanWriter, statements: Sequence[model.Statement], site: str, machine: str = "") -> None:
-    """Write statements in text order. Unsupported ones are reported and left out. `machine`: the machine of the state, if the
-    statements are a state's body."""
+    """Write statements in text order. Unsupported statements are reported and left out. `machine`: the machine of the state if
+    the statements are a state's body."""
     for number, statement in enumerate(statements, 1):
         w.b.span = statement.span
         try:
@@ -42,7 +42,7 @@ def report_unsupported(w: PlanWriter, construct: UnsupportedConstruct) -> None:
 
 
 def _scale_by_step(w: PlanWriter, amount: PlanNode, is_rate: bool) -> PlanNode:
-    """Return the amount that is added in one step: the value, times `dt` if it is per second."""
+    """Return the amount to add in one step. This is the amount itself or, if it is per second, the amount times `dt`."""
     return w.b("mul", amount, w.read_run_value("dt")) if is_rate else amount
 
 
@@ -61,7 +61,8 @@ def _lower_face(w: PlanWriter, s: model.FaceLine, site: str) -> None:
 
 
 def store_face_direction(w: PlanWriter, register: str, direction: VectorNodes, span: Span | None) -> None:
-    """Store the direction that a `face` line requests in the temp `register`, unless an earlier line has stored one."""
+    """Store the direction that a `face` line requests in the temporary register `register`, unless an earlier line has stored
+    one."""
     for axis in AXES:
         w.declare_register(f"{register}.{axis}", ValueKind.F32, "temp")
     previous = w.read_vector(register)
@@ -112,7 +113,7 @@ def _lower_give(w: PlanWriter, s: model.Give, site: str) -> None:
 
 
 def _lower_request(w: PlanWriter, s: model.EffectRequest, site: str) -> None:
-    """Write a request as its row defines. The operands are the arguments, or are computed from them."""
+    """Write a request as its row in the table of effects defines. The operands are the arguments, or are computed from them."""
     field = w.program.fields.get(s.target) if EFFECT_BY_OPERATION[s.op].target == "field" else None
     if field is not None and field.has_vectors:
         _lower_vector_deposit(w, s)
@@ -131,7 +132,7 @@ def _lower_request(w: PlanWriter, s: model.EffectRequest, site: str) -> None:
 
 
 def _lower_vector_deposit(w: PlanWriter, s: model.EffectRequest) -> None:
-    """Write a deposit of a vector: one for each component, into a plain field."""
+    """Write a deposit of a vector as three deposits, one per component, into scalar fields."""
     (vector_expr,) = s.args
     assert vector_expr is not None
     vector = lower_vector(w, vector_expr)

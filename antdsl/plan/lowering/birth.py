@@ -95,7 +95,7 @@ _PLAIN_DEFAULTS = {"size": 4.0, "mass": 1.0, "clearance": 0.0, "max_speed": 30.0
 
 
 def _order_birth_attributes(species: model.Species) -> list[str]:
-    """Return the built-in attributes, each after the attributes that its default reads."""
+    """Return the built-in attributes, ordered so that each comes after the attributes that its default reads."""
     known = get_builtin_attributes(species.edition)
     names = [name for name in BIRTH_ATTRIBUTES if name in known and needs_register(species, name)]
     return [name for name in names if name != STANDING_SIZE_SETTING or is_standing(species)]
@@ -107,7 +107,7 @@ def list_newer_attributes(species: model.Species) -> tuple[str, ...]:
 
 
 def is_standing(species: model.Species) -> bool:
-    """Return whether a species has standing bodies, because it sets their height."""
+    """Return whether the bodies of a species stand upright, which is so if it sets their height."""
     return any(attribute.is_builtin and attribute.name == STANDING_SIZE_SETTING for attribute in species.attributes)
 
 
@@ -169,8 +169,8 @@ def _write_attribute(w: PlanWriter, name: str) -> None:
 
 
 def _order_attributes(w: PlanWriter) -> list[str]:
-    """Return the names of all attributes, each after the attributes that its default reads. The checker has already rejected
-    cycles."""
+    """Return the names of all attributes, ordered so that each comes after the attributes its default reads. The checker has
+    already rejected cycles."""
     declared = _find_author_attributes(w)
     needs: dict[str, list[str]] = {name: [] for name in (*_order_birth_attributes(w.species), *declared)}
     for name in needs:
@@ -182,6 +182,6 @@ def _order_attributes(w: PlanWriter) -> list[str]:
 
 
 def find_attributes_read(expr: model.Expr) -> list[str]:
-    """Return the names of the agent's own attributes that an expression reads, also through lets."""
+    """Return the names of the agent's own attributes that an expression reads, directly or through lets."""
     own = [e.name for e in iterate_expressions(expr) if isinstance(e, model.AttributeRef) and e.owner is None]
     return ["velocity" if name == "speed" else name for name in own]

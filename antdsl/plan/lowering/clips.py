@@ -9,10 +9,10 @@ Registers of each machine that plays clips:
 - `clip`: the number of the clip in `SpeciesPlan.clips` (-1: none). `clip_weight`: its weight.
 - `clip_turns`: its turns. `clip_last`: its turns before the last step.
 - `clip_before`, `clip_before_turns` and `clip_before_weight`: the previous clip.
-- `clip_fade`: the share that the previous clip still has. `clip_fading`: the time in which the share falls from 1 to 0.
+- `clip_fade`: the weight of the previous clip in the pose. `clip_fading`: the time in which this weight falls from 1 to 0.
 - `clip_over`: the fade time of the next change.
 - `clip_earlier` and its registers: the clip before the previous one, if a change happens during a fade.
-- `clip_earlier_fade`: its part of the share that fades out.
+- `clip_earlier_fade`: the fraction of the fading weight that belongs to it.
 
 If `clip_earlier_fade` is above 0, a further change waits (`clip_waits`), so that no pose jumps."""
 
@@ -48,7 +48,7 @@ _FADE_REGISTER_COPIES = (
 
 
 def list_clips(species: model.Species) -> tuple[ir.ClipPlan, ...]:
-    """Return the clips that a species plays, each once, in text order."""
+    """Return the clips that a species plays, without duplicates, in text order."""
     clip_plans: dict[ir.ClipPlan, None] = {}
     for machine in species.machines:
         for line in _list_play_lines(machine):
@@ -189,7 +189,7 @@ def _compute_first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: Plan
 
 
 def _start_clip(w: PlanWriter, machine: str, clip: PlanNode, span: Span | None) -> None:
-    """Start another clip. The current clip becomes the previous one, and the previous clip the one before it."""
+    """Start another clip. The current clip becomes the previous clip, and the previous clip becomes the earlier one."""
     b = w.b
     with w.open_region(w.read_at_step_start(_BEGINS_REGISTER), span or w.species.span):
         for to, source in _FADE_REGISTER_COPIES:
@@ -201,7 +201,7 @@ def _start_clip(w: PlanWriter, machine: str, clip: PlanNode, span: Span | None) 
 
 
 def _advance_fades(w: PlanWriter, machine: str, span: Span | None) -> None:
-    """Reduce the shares of the previous clips in the pose, and advance the progress of these clips."""
+    """Reduce the weights of the previous clips in the pose, and advance their progress."""
     b, dt = w.b, w.read_run_value("dt")
     with w.open_region(b("gt", w.read_at_step_start(f"{machine}.clip_fade"), b.add_number(0)), span or w.species.span):
         for which, share, over in (
@@ -221,9 +221,10 @@ def _advance_fades(w: PlanWriter, machine: str, span: Span | None) -> None:
 
 
 def _compute_play_rate(w: PlanWriter, clip: PlanNode) -> PlanNode:
-    """Return the number of times per second that a clip is played.
+    """Return how many times per second a clip is played.
 
-    For a clip that covers ground, it follows from the agent's speed in body lengths; for others, from the clip's duration."""
+    If a clip covers ground, the rate follows from the agent's speed in body lengths. Otherwise, it follows from the clip's
+    duration."""
     b = w.b
     stride, seconds = b("clip.value", clip, attrs=("stride",)), b("clip.value", clip, attrs=("seconds",))
     x, y, z = w.read_vector("velocity")

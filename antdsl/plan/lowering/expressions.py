@@ -28,7 +28,7 @@ from antdsl.program.traverse import iterate_expressions, iterate_parts
 
 
 def lower_expression(w: PlanWriter, expr: model.Expr) -> LoweredValue:
-    """Return the nodes of an expression, as read at the writer's current place in the statements."""
+    """Return the nodes of an expression, evaluated at the writer's current position in the statements."""
     outer, w.b.span = w.b.span, expr.span
     try:
         return _LOWERER_BY_EXPRESSION[type(expr)](w, expr)
@@ -60,7 +60,7 @@ def lower_vector(w: PlanWriter, expr: model.Expr) -> VectorNodes:
 
 
 def lower_condition(w: PlanWriter, expr: model.Expr) -> PlanNode:
-    """Lower an expression as a condition. A value that may be none is true if it is present."""
+    """Lower an expression as a condition. A value that may be none counts as true if it is present."""
     return convert_to_condition(w, lower_expression(w, expr), expr)
 
 

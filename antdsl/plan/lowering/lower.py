@@ -141,8 +141,8 @@ def _lower_species(w: PlanWriter, order: Sequence[str] | None) -> ir.SpeciesPlan
 
 
 def _lower_birth(w: PlanWriter, machines: list[MachineWriter]) -> Block:
-    """Return the block of birth. Birth is a separate step: the first normal step reads the stored values as its previous
-    values."""
+    """Return the block that runs at birth. Birth is a separate step: the first normal step reads the stored values as its
+    previous values."""
     w.is_birth = True
     with w.collect_block() as finish_block:
         birth.write_birth(w, machines)
@@ -169,7 +169,7 @@ def _write_decide(w: PlanWriter, machines: list[MachineWriter]) -> None:
 
 
 def _write_relaxation(w: PlanWriter, attribute: model.AttributeDecl) -> None:
-    """Move an attribute towards its rest value by the share 1 - exp(-dt / over). The result per second does not depend on the
+    """Move an attribute towards its rest value by the fraction 1 - exp(-dt / over). The result per second does not depend on the
     step length."""
     b = w.b
     assert attribute.relax_to is not None and attribute.relax_time is not None
@@ -200,7 +200,7 @@ def _write_latch(w: PlanWriter, latch: model.Binding) -> None:
 
 
 def _write_handler(w: PlanWriter, handler: model.Handler, number: int, partners: Mapping[str, PlanNode]) -> None:
-    """Write a handler. `partners`: by species, the other agent that an agent has begun to touch."""
+    """Write a handler. `partners`: by species, the other agent that each agent has begun to touch."""
     if handler.event == "spawn":
         return
     if handler.event == "collision":
@@ -259,8 +259,8 @@ def _lower_field(
 
 
 def _compute_decay_factor(b: PlanBuilder, declared_field: model.Field, lower_node: object) -> PlanNode | None:
-    """Return the factor per step of a field: 2^(-dt / half_life), exp(-rate dt), or the factor `keeps`; None if nothing
-    evaporates."""
+    """Return the factor by which a field is multiplied in each step: 2^(-dt / half_life), exp(-rate dt), or the factor `keeps`.
+    Return None if nothing evaporates."""
     assert callable(lower_node)
     dt = b("run", attrs=("dt",))
     if declared_field.half_life is not None:

@@ -78,7 +78,7 @@ class MachineWriter:
         return self.w.b("eq", self.w.read_at_step_start(f"{self.name}.state"), self.w.b.add_row(state.index))
 
     def is_in_any_state(self, states: Iterable[int]) -> PlanNode:
-        """Return whether the current state is one of these states."""
+        """Return whether the current state is one of `states`."""
         state = self.w.read_at_step_start(f"{self.name}.state")
         is_among = self.w.b.false
         for index in states:
@@ -95,7 +95,7 @@ class MachineWriter:
         self.write_per_start_state(partial(clips.write_start_clip, self.w, self.machine))
 
     def _choose_start(self) -> PlanNode:
-        """Return the index of the state at birth: the scene's if it sets one, else that of the start state."""
+        """Return the index of the state at birth. It is the scene's state if the scene sets one, else the start state."""
         b = self.w.b
         first = b.add_row(self.machine.start)
         if self._scene_key in self.w.scene_attributes:

@@ -1,6 +1,6 @@
 """Lowers a program and records the nodes of parts of its text: conditions and their parts, layers, choices, steering.
 
-The plan is unchanged: a note refers to existing nodes and writes no statement."""
+The plan does not change, because notes refer to existing nodes and write no statements."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class TimerNote:
     """A waiting time of a transition.
 
     `timer_kind`: held, after or at least. `elapsed`, `required`: the nodes of the elapsed and the required time, in steps for
-    `held`, otherwise in seconds. `is_over`: the node of whether the required time has elapsed."""
+    `held`, otherwise in seconds. `is_over`: the node that is true when the required time has elapsed."""
 
     timer_kind: str
     elapsed: PlanNode
@@ -59,7 +59,8 @@ class TimerNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChangeNote:
-    """A transition of a state. `number`: its number in the machine, from 1. `is_taken`: the node of whether it happens.
+    """A transition of a state. `number`: its number in the machine, from 1. `is_taken`: the node that is true if the transition
+    happens.
 
     `condition`, `condition_value`: the parts of the condition, and the node of its value; None for no condition."""
 

@@ -71,7 +71,7 @@ class ReadingPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GoalPlan:
-    """A goal: the nodes of its value and target, and the share of the target by which the value may differ."""
+    """A goal: the nodes of its value and target, and the tolerance as a fraction of the target."""
 
     value: PlanNode
     target: PlanNode

@@ -62,7 +62,7 @@ class NamedThing:
 
     @property
     def row(self) -> ThingKindRow:
-        """Return the row of the thing's kind."""
+        """Return the table row that describes the thing's kind."""
         return KIND_BY_WORD[self.kind.value]
 
 
@@ -109,8 +109,8 @@ def subtract_vectors(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> VectorNo
 
 
 def wrap_vector(b: PlanBuilder, v: VectorNodes, widths: tuple[float, float, float]) -> VectorNodes:
-    """Return a vector less whole `widths` (mm) of a periodic world, so that no part is longer than half a width. A width of 0 has
-    no effect."""
+    """Return a vector, shifted by whole `widths` (mm) of a periodic world so that no component exceeds half a width. A width of
+    0 has no effect."""
     parts = []
     for part, width in zip(v, widths, strict=True):
         if width:

@@ -1,8 +1,9 @@
-"""The state of lowering one species: the current block, the stores on the path to the current place, and how registers are read.
+"""The state of lowering one species: the current block, the stores on the path to the current position, and how registers are
+read.
 
 While no statement on the path can have written an own attribute, it is read by `snap`, its value at the start of the step. Nodes
-that depend on a `snap` can be shared with all other places. After a possible write, the attribute is read by `load`. A `load` has
-the number of the stores before it in the text."""
+that depend on a `snap` can be shared with all other places. After a possible write, the attribute is read by `load`. A `load`
+has the number of the stores before it in the text."""
 
 from __future__ import annotations
 
@@ -142,7 +143,7 @@ class PlanWriter:
         return self.b("load", attrs=(name, version), kind=register.kind)
 
     def read_previous(self, name: str) -> PlanNode:
-        """Return a register's value before this step. The current place does not matter."""
+        """Return a register's value before this step. The result does not depend on the current position."""
         if self.is_birth:
             return self.b.add_constant(self.registers[name].kind, self.registers[name].initial_value)
         return self.b("snap", attrs=(name,), kind=self.registers[name].kind)
@@ -211,7 +212,7 @@ class PlanWriter:
         self.mark_written(name)
 
     def store_vector(self, name: str, value: VectorNodes, span: Span | None) -> None:
-        """Set three registers together. A component that needs the previous value of another component does not read the new
+        """Set three registers together. If a component needs the previous value of another component, it does not read the new
         one."""
         names = [f"{name}.{axis}" for axis in AXES]
         parts = list(value)

@@ -9,7 +9,7 @@ from antdsl.preview.session import PreviewSession
 
 
 class BreakpointError(Exception):
-    """Error for a breakpoint that cannot be hit in this program: the reason, and a correction."""
+    """Error for a breakpoint that cannot be hit in this program. The message has the reason and a correction."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)

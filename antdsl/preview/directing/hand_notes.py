@@ -35,20 +35,20 @@ def list_active_lines(notes: Iterable[HandNote]) -> tuple[str, ...]:
 
 
 def find_last_unaffected_frame(old: HandNotes, new: HandNotes) -> float:
-    """Return the last frame that is the same with the old and with the new notes; -inf if there is none, inf if all are."""
+    """Return the last frame that is equal under the old and the new notes; -inf if there is none, inf if all are equal."""
     keys = [{note.key for note in notes if note.is_on} for notes in (old, new)]
     changed = [note.note for note in (*old, *new) if note.key in keys[0] ^ keys[1]]
     return min((note.first_frame - note.ease_frames - 1 for note in changed), default=inf)
 
 
 def drop_written_notes(notes: HandNotes, scene: Scene) -> HandNotes:
-    """Return the notes without those that the scene's file has now."""
+    """Return the notes that the scene's file does not contain yet."""
     written = scene.model.notes[: len(scene.model.notes) - scene.added_notes]
     return tuple(each for each in notes if each.note not in written)
 
 
 def switch_off_failed_notes(notes: HandNotes, report: Report) -> HandNotes:
-    """Return the notes. Notes with errors in `report`, the report of all active notes, are switched off."""
+    """Return the notes, after switching off those with errors. `report`: the report of all active notes."""
     problems = {d.span.source.path: d.message for d in reversed(report.errors) if d.span is not None}
     active = [note for note in notes if note.is_on]
     failed = {note.key: problems[path] for k, note in enumerate(active) if (path := format_note_source(k)) in problems}

@@ -70,7 +70,7 @@ def _is_draft_source(span: Span) -> bool:
 
 
 def write_draft(form: VerbForm, agents: str, values: Mapping[str, str]) -> LineDraft:
-    """Return a line on one line of text, without findings. Defaults are left out."""
+    """Return the draft of a line, written on one line of text, without findings. Values equal to the default are left out."""
     filled = [(key.name, key.name, values.get(key.name, ""), key.default) for key in form.keys]
     text = "{"
     ends: dict[str, tuple[int, int]] = {}

@@ -1,4 +1,5 @@
-"""The simulated frames of a session in the form of a cache. A frame is made when it is read, from a world at this frame."""
+"""Presents the simulated frames of a session as a cache. A frame's arrays are made only when it is read, from a world at this
+frame."""
 
 from __future__ import annotations
 
@@ -46,7 +47,7 @@ class _RecordedFrameStore:
 
 @dataclass(frozen=True, eq=False)
 class RecordedFrames(Cache):
-    """The frames of a session that were simulated. Another frame than the session's is simulated from the nearest checkpoint.
+    """The simulated frames of a session. To read a frame other than the session's, it is simulated from the nearest checkpoint.
 
     `shot`: the shot of the manifest. `static`: the arrays of `static.npz`. `last`: the last frame; None for all that exist."""
 

@@ -1,5 +1,5 @@
-"""Reports random draws that are repeated in every step. In a condition, the frame rate changes how often it holds. In steering,
-the frame rate changes the path: with n times as many draws a second, they add up to sqrt(n) times as much."""
+"""Reports random draws that are repeated in every step. In a condition, the frame rate then determines how often it holds. In
+steering, it determines the path: with n times as many draws per second, their sum is sqrt(n) times as large."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def check_draws(context: CheckContext, report: Report) -> None:
 
 
 def _check_steering(species: Species, has_library: bool, report: Report) -> None:
-    """Report draws in what states and layers steer or face, and in attributes that a state draws again in every step."""
+    """Report draws in steering and facing of states and layers, and in attributes that a state draws again in every step."""
     lines = [line for machine in species.machines for state in machine.states for line in state.body]
     drawn = {
         line.attribute: draws
@@ -72,9 +72,9 @@ def _check_steering(species: Species, has_library: bool, report: Report) -> None
 
 
 def _find_step_draws(root: Expr, draws_by_attribute: dict[str, list[OperationExpr]]) -> list[OperationExpr]:
-    """Return the draws that are repeated in every step, if their sum over a second depends on the frame rate.
+    """Return draws that are repeated in every step, if their sum over a second depends on the frame rate.
 
-    Draws that `dt` scales are left out, and those inside sets. `draws_by_attribute`: by attribute, the draws that a state
+    Draws scaled by `dt` and draws inside sets are left out. `draws_by_attribute`: for each attribute, the draws that a state
     assigns to it."""
     draws: list[OperationExpr] = []
     stack, visited = [root], set[int]()
@@ -102,7 +102,8 @@ def _find_step_draws(root: Expr, draws_by_attribute: dict[str, list[OperationExp
 def _format_jitter(draw: OperationExpr) -> str | None:
     """Return the call of `jitter` that replaces a draw of an angle, such as `jitter(73.5 deg)` for `normal(0 deg, 15 deg)`.
 
-    Returns None unless the draw is `normal` or `uniform` about 0. At 24 frames a second, both spread equally in a second."""
+    Returns None unless the draw is `normal` or `uniform` about 0. At 24 frames a second, both have the same spread after a
+    second."""
     if draw.name not in ("uniform", "normal") or len(draw.args) < 2:
         return None
     first, second = draw.args[:2]
@@ -143,7 +144,7 @@ def _has_draw(part: OperationExpr) -> bool:
 
 def _iterate_reachable_parts(root: Expr, entered_operations: Collection[str]) -> Iterator[Expr]:
     """Yield an expression and its parts. The walk enters only the operations in `entered_operations` and the values of names,
-    each named value once. It does not enter sets."""
+    following each named value once. It does not enter sets."""
     stack: list[Expr] = [root]
     named: set[int] = set()
     while stack:

@@ -55,7 +55,7 @@ def check_idle_layers(context: CheckContext, report: Report) -> None:
 
 
 def _check_priorities(reader: ConditionReader, species: Species, report: Report) -> None:
-    """Report layers below a layer that always uses the complete priority budget. Summed layers are not reported."""
+    """Report layers that come after a layer that always uses the complete priority budget. Summed layers are not reported."""
     lines = tuple(layer for layer in species.layers.layers if not layer.is_face_line)  # `face` lines use no strength
     enough = {"budget": 1.0, "first": 1e-6}.get(species.layers.mode)
     if enough is None:

@@ -61,7 +61,7 @@ def _check_lines(state: State, report: Report) -> None:
 def _check_added_amount(
     line: Assign | EffectRequest | Give, amount: Expr, attribute: str, per_second: bool, line_start: str, report: Report
 ) -> None:
-    """Report an amount that a state adds, if it is not an amount per second. The language multiplies such amounts by `dt`."""
+    """Report an amount that a state adds if it is not per second. The language multiplies amounts per second by `dt`."""
     if not per_second or is_rate(amount, attribute):
         return
     single_amount = (
@@ -213,7 +213,7 @@ def _format_decay_factor(factor: Expr, power: int) -> str:
 
 
 def _format_exponential(rate: float) -> str:
-    """Return the text of the exponential of `dt` with the growth `rate` per step at 24 frames a second."""
+    """Return the text of an exponential of `dt`. Its exponent is `rate` per step at 24 frames a second."""
     return f"exp({'-' if rate < 0 else ''}dt / {1 / abs(rate) / ASSUMED_FPS:.3g} s)"
 
 

@@ -29,7 +29,7 @@ def check_reachability(context: CheckContext, report: Report) -> None:
 
 
 def _find_reachable_states(machine: Machine) -> set[int]:
-    """Return the states that are reachable from the start state. `previous` leads only to states that were active earlier."""
+    """Return the states that can be reached from the start state. `previous` leads only to states that were active earlier."""
     reached: set[int] = set()
     stack = [machine.start]
     while stack:
@@ -84,7 +84,7 @@ def _report_shadowed(reader: ConditionReader, change: Transition, first: Transit
 
 
 def _is_shadowing(reader: ConditionReader, first: Transition, change: Transition) -> bool:
-    """Return whether transition `first` is chosen whenever the later transition `change` could be.
+    """Return whether transition `first` is chosen whenever the later transition `change` could be chosen.
 
     That includes a transition with a `take`: if the take fails, no other transition is tried in that step."""
     if not _is_wait_shorter(first.delay, change.delay) or not _is_wait_shorter(first.hold_time, change.hold_time):
@@ -143,7 +143,7 @@ def _check_clip_waits(species: Species, machine: Machine, state: State, report: 
 
 
 def _split_conjunction(test: Expr) -> list[Expr]:
-    """Return the conditions that a condition joins by `and`; all of them must hold."""
+    """Return the parts of a condition that `and` joins. All of them must hold."""
     if isinstance(test, OperationExpr) and test.name == "and":
         return [part for arg in test.args if arg is not None for part in _split_conjunction(arg)]
     return [test]

@@ -1,4 +1,4 @@
-"""Reports declarations that are never used, only set, or only read, and programs that declare nothing that could act.
+"""Reports declarations that are never used, only set or only read, and programs without anything that could act.
 
 The declarations are params, attributes, lets, fields, behaviours and events."""
 

@@ -63,7 +63,7 @@ def _is_radius_search(part: SetExpr, is_nearest_only: bool) -> bool:
 
 
 def _follow_names(expr: Expr) -> list[Expr]:
-    """Return an expression and, if it is a name, the chain of expressions that the name stands for."""
+    """Return an expression. If it is a name, also return the chain of expressions that the name stands for."""
     exprs = [expr]
     while isinstance(expr, BindingRef) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
         expr = expr.binding.value
@@ -72,7 +72,7 @@ def _follow_names(expr: Expr) -> list[Expr]:
 
 
 def _find_constant_radius(expr: Expr, params: Mapping[str, Param]) -> Constant | None:
-    """Return the constant value of a radius, with a param at its default; None if it is not constant."""
+    """Return the constant value of a radius, or None if it is not constant. A param counts with its default."""
     last = _follow_names(expr)[-1]
     return find_constant(params[last.name].default if isinstance(last, ParamRef) and last.name in params else last)
 

@@ -1,4 +1,5 @@
-"""Types values that a line adds: a rate per second if the line runs in every step, an amount if it runs once."""
+"""Checks the types of values that a line adds. It is a rate per second if the line runs in every step, or an amount if it runs
+once."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ class StatementContext:
     """The context of statements.
 
     - `is_state_body`: the statements run in each step.
-    - `must_be_order_independent`: they are in a handler, where several events may arrive in one step."""
+    - `must_be_order_independent`: whether they are in a handler, where several events may arrive in one step."""
 
     is_state_body: bool
     must_be_order_independent: bool = False
@@ -41,7 +42,7 @@ def type_amount_or_rate(
 ) -> Expr | None:
     """Return the typed value that a line adds: a rate per second in a state's body, else an amount.
 
-    - `is_always_amount`: always an amount.
+    - `is_always_amount`: whether the value is an amount even in a state's body.
     - `prefix`, `suffix`: the source text around the value, for messages."""
     per_second = ValueType(type.kind, combine_dimensions(type.dimension, Dimension(time=1), -1))
     want = per_second if block.is_state_body else type

@@ -57,7 +57,7 @@ _TOO_EARLY_REASON = "starting values are computed before the animal has sensed a
 
 
 def check_attributes(scope: NameScope, node: nodes.Species) -> list[model.AttributeDecl]:
-    """Return built-in and own attributes. Each comes after the attributes that its initial value reads."""
+    """Return the built-in attributes and the species' own. Each comes after the attributes that its initial value reads."""
     declared: dict[str, nodes.Declaration | nodes.AnimalProperty] = {}
     assert scope.species is not None
     for name, row in scope.builtins.items():
@@ -119,7 +119,7 @@ def _check_speeds(
 
 
 def get_default_text(name: str, species: SpeciesNames) -> str | None:
-    """Return the default of the setting `name` of a species, as text of the language. None if it has no default."""
+    """Return the default of the setting `name` of a species, as text of the language, or None if it has no default."""
     if species.has_standing_bodies and name in STANDING_DEFAULTS:
         return STANDING_DEFAULTS[name]
     row = DEFAULT_BY_SETTING.get(name)
@@ -127,7 +127,7 @@ def get_default_text(name: str, species: SpeciesNames) -> str | None:
 
 
 def has_default_without_register(name: str, species: SpeciesNames) -> bool:
-    """Return whether an attribute has its default even in species without a register for it, so that none is needed."""
+    """Return whether an attribute has its default even in species without a register for it. Then it needs no register."""
     return name in OPTIONAL_ATTRIBUTES and not (species.has_standing_bodies and name in STANDING_DEFAULTS)
 
 
@@ -194,7 +194,7 @@ def _is_settable(scope: NameScope, member: nodes.AnimalProperty) -> bool:
 
 
 def _suggest_place(word: str) -> str | None:
-    """Return the right place for a line that begins with a word of the language, such as a sense.
+    """Return where a line must be that begins with a word of the language, such as a sense.
 
     Such words cannot be attribute names."""
     if word in SENSE_REPLACEMENTS:

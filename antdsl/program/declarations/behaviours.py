@@ -1,4 +1,4 @@
-"""Checks each behaviour once alone, and replaces each call by the behaviour's expansion with the types of the call."""
+"""Checks each behaviour once, without its callers. Replaces each call by the behaviour's expansion with the types of the call."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ _MAX_NESTED_OPERATIONS = 100  # maximum size of an expanded behaviour
 
 
 def measure_behaviour(report: Report, info: BehaviourInfo) -> None:
-    """Compute the size and depth of a behaviour and of all behaviours that it calls. A cycle of calls is reported once, with its
-    names."""
+    """Compute the size and depth of a behaviour and of all behaviours that it calls. A cycle of calls is reported once, with all
+    its names."""
     stack: list[tuple[BehaviourInfo, int]] = [(info, 0)]
     path: list[BehaviourInfo] = []
     while stack:

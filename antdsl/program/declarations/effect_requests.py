@@ -1,4 +1,4 @@
-"""Checks lines with a verb of the world by the verb's row in the table.
+"""Checks lines that begin with a verb of the world, by the verb's row in the table.
 
 The row defines the named thing, the arguments, and the blocks in which the line may appear."""
 
@@ -96,7 +96,7 @@ def _type_argument(
     block: StatementContext,
     form: str,
 ) -> Expr | None:
-    """Return the value of an argument; None if it is absent, BAD after an error."""
+    """Return the typed value of an argument. Return None if it is absent, or BAD after an error."""
     node = written_arguments.get(arg.name)
     if node is None:
         return None if arg.default is None else parse_default_values(scope, arg.default, line.span)[0]

@@ -81,7 +81,7 @@ def check_field(declarations: Declarations, names: FileNames, node: nodes.FieldD
 
 
 def _check_value_type(report: Report, node: nodes.FieldDecl) -> None:
-    """Report an error if the cells would hold something else than numbers or pushes."""
+    """Report an error if the cells would hold anything other than numbers or pushes."""
     written = node.value_type
     if written is not None and (written.name.text not in FIELD_VALUE_WORDS or written.of is not None):
         words = " or ".join(f"`{word}`" for word in FIELD_VALUE_WORDS)
@@ -91,7 +91,7 @@ def _check_value_type(report: Report, node: nodes.FieldDecl) -> None:
 
 
 def _check_vector_settings(report: Report, node: nodes.FieldDecl, settings: dict[str, nodes.Setting]) -> None:
-    """Report settings that make no sense for vectors: no vector is the greatest of several."""
+    """Report settings that make no sense for vectors, such as the greatest of several, which is not defined for them."""
     setting = settings.get("combine")
     if node.has_vectors and setting is not None and setting.value.span.text == "max":
         message = f"`combine max` needs numbers, but the cells of `{node.name.text}` hold vectors"
@@ -180,8 +180,8 @@ def _type_keep_factor(scope: NameScope, node: nodes.Setting) -> Expr | None:
 
 
 def _find_word_index(scope: NameScope, node: nodes.Setting) -> Expr | None:
-    """Return the index of a setting's word among the allowed words, as a constant; report an error and return None for another
-    word."""
+    """Return the index of a setting's word among the allowed words, as a constant. For another word, report an error and return
+    None."""
     setting = node.name.text
     words = WORD_SETTING_VALUES[setting]
     word = node.value.name.text if isinstance(node.value, nodes.NameRef) else ""

@@ -58,7 +58,7 @@ def check_machine(scope: NameScope, names: MachineNames, members: Sequence[objec
 def _check_from_any_transitions(
     scope: NameScope, names: MachineNames, changes: Sequence[nodes.Change]
 ) -> list[tuple[nodes.Change, model.Transition | None]]:
-    """Return each transition `from any` as its syntax node and its checked form, which is None after an error."""
+    """Return each transition `from any`, as a pair of its syntax node and its checked form. The form is None after an error."""
     scope = scope.with_changes(keys=StableKeys(f"{names.key}.{model.FROM_ANY_KEY}"))
     return [(node, _check_from_any_transition(scope, names, node)) for node in changes]
 
@@ -237,7 +237,7 @@ def _type_hold_time(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
 
 
 def _find_leftmost(node: nodes.Expr | None) -> nodes.Expr | None:
-    """Return the first operand in a chain of `and` and `or`."""
+    """Return the first operand of a chain of `and` and `or`."""
     while isinstance(node, nodes.Binary) and node.op in ("and", "or"):
         node = node.left
     return node

@@ -1,4 +1,4 @@
-"""Checks measures: numbers and conditions about the complete run, in the words of specs."""
+"""Checks measures, which are numbers and conditions about the complete run, in the language of specs."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Checks the params of a species: each has a value, and a range within which it may change.
 
-If the value and the range's two ends do not match, the finding marks the number that contradicts the other two."""
+If the value and the two ends of the range do not match, the finding marks the number that differs from the other two."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def _is_consistent(consts: Sequence[Constant]) -> bool:
 def _report_missing_units(
     scope: NameScope, param_numbers: Sequence[_WrittenParamNumber], unit_numbers: Sequence[_WrittenParamNumber]
 ) -> None:
-    """Report numbers without a unit; one fix adds the unit to all of them."""
+    """Report numbers without a unit. A single fix adds the unit to all of them."""
     bare = [each for each in param_numbers if each.is_unitless]
     unit = _find_common_unit(param_numbers, unit_numbers)
     if unit is None:
@@ -283,7 +283,7 @@ def _format_order_advice(end: _WrittenParamNumber, low: _WrittenParamNumber) -> 
 
 
 def _suggest_within_limits(param_numbers: Sequence[_WrittenParamNumber]) -> str | None:
-    """Return the value with the unit of the range's ends, if that lies in the range; else None. It replaces a wrong unit."""
+    """Return the value with the unit of the range's ends, to replace a wrong unit. Return None if that is outside the range."""
     value, low, high = param_numbers
     units = {each.unit for each in (low, high)} - {""}
     node = value.node

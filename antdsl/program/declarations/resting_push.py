@@ -1,4 +1,5 @@
-"""Finds states without steering. If other states of the species steer, agents stand still there, by the library's `halt()`."""
+"""Finds states without steering. If other states of the species steer, agents in these states stand still, by the library's
+`halt()`."""
 
 from __future__ import annotations
 

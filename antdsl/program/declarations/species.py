@@ -44,8 +44,8 @@ _PURE_LET_REASON = "a `let` only names a value"
 
 @dataclass(slots=True)
 class PartlyCheckedSpecies:
-    """A species under construction: its own names, so that other species may refer to them. `complete_species` adds the other
-    members."""
+    """A species that is not completely checked. It has its own names, so that other species can refer to them.
+    `complete_species` adds the other members."""
 
     names: SpeciesNames
     node: nodes.Species
@@ -254,8 +254,8 @@ def _check_handlers(scope: NameScope, handler_nodes: tuple[nodes.On, ...]) -> li
 
 
 def _check_handler(scope: NameScope, node: nodes.On, keys_by_event: dict[str, StableKeys]) -> model.Handler:
-    """Check a handler. `keys_by_event`: the keys of the earlier handlers by event, because two handlers of one event must not
-    share random draws."""
+    """Check a handler. `keys_by_event`: for each event, the keys of earlier handlers. Two handlers of one event must not share
+    random draws."""
     names, event = scope.species, node.event.text
     assert names is not None
     keys = keys_by_event.setdefault(event, StableKeys(f"{names.name}.on.{event}"))

@@ -125,7 +125,7 @@ def _type_time(
 
 
 def _read_share(work: _SpecCheck, line: nodes.SpecLine, node: nodes.Expr | None) -> float | None:
-    """Return the share of the seeds that must pass, or the tolerance of a goal, from 0 to 1; None after an error."""
+    """Return the fraction of seeds that must pass, or the tolerance of a goal, from 0 to 1. Return None after an error."""
     assert node is not None
     word = f"`{line.kind}`"
     expr = type_value_as(make_outer_scope(work.declarations, work.names, "spec"), node, NUMBER_TYPE, word)
@@ -284,7 +284,7 @@ def _add_expectation(work: _SpecCheck, line: nodes.SpecLine, species: str | None
 
 
 def _add_goal(work: _SpecCheck, line: nodes.SpecLine) -> None:
-    """Add a goal as an expectation about the last frame: the value differs from the target by no more than the tolerance."""
+    """Add a goal as an expectation about the last frame: the difference between value and target is at most the tolerance."""
     report, node, tolerance = work.declarations.report, line.condition, _read_share(work, line, line.time)
     if not isinstance(node, nodes.Binary) or node.op != "==" or line.held is not None:
         span = line.span if node is None else node.span
@@ -346,7 +346,8 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
 
 
 def is_free_of_draws(report: Report, expr: Expr, place: str) -> bool:
-    """Return whether an expression draws no random number; report an error if it does. `place`: where it is, in words."""
+    """Return whether an expression has no random draws; report an error if it has some. `place`: its location, as text for the
+    message."""
     draw = next((p for p in iterate_parts(expr) if isinstance(p, OperationExpr) and p.name in DRAWING_OPERATIONS), None)
     if draw is not None:
         message = f"{quote_source(draw.span)} draws a random number, but {place} must not change the run"

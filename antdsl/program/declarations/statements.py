@@ -1,5 +1,5 @@
-"""Checks the statements of a state or an action. An added value is a rate if the line runs in every step, an amount if it runs
-once."""
+"""Checks the statements of a state or an action. An added value is a rate if the line runs in every step, or an amount if it
+runs once."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ def _check_attribute(
 
 
 def check_world_species(declarations: Declarations) -> None:
-    """Compare `world { species rabbit { … } }` with the declaration of the species itself, if both are checked together."""
+    """Check that `world { species rabbit { … } }` agrees with the declaration of the species, if both are checked together."""
     for thing in declarations.things.values():
         species = declarations.species.get(thing.name)
         if thing.kind != "species" or species is None or species.node is None:

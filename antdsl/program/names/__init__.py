@@ -1,6 +1,6 @@
-"""Resolves names: the first half of a check.
+"""Resolves names, which is the first half of a check.
 
-- `collect`: reads all files once, and gathers their declarations and the behaviours that each file can call.
+- `collect`: reads all files once, and collects their declarations and the behaviours that each file can call.
 - `ordering`: puts each declaration after the declarations that it uses.
-- `scope`: the names that are visible at a place of the text, and their meanings.
-- `missing_things`: reports an undeclared thing of the world, with the line that declares it."""
+- `scope`: the names that are visible at a position of the text, and their meanings.
+- `missing_things`: reports an undeclared thing of the world, with the line that would declare it."""

@@ -69,7 +69,7 @@ class FileLoader:
         self.libraries: dict[str, FileNames | None] = {}
 
     def load_file(self, node: nodes.File, using_files: tuple[nodes.File, ...] = ()) -> FileNames:
-        """Return the names of a file. `using_files`: the files that use it, outermost first, to detect cycles."""
+        """Return the names of a file. `using_files`: the chain of files that use it, outermost first, to detect cycles."""
         if id(node) in self.known:
             return self.known[id(node)]
         names = self.known[id(node)] = FileNames(node)

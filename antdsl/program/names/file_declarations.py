@@ -25,8 +25,8 @@ class Declaration:
 
 
 def list_declarations(file: nodes.File) -> DeclarationIterator:
-    """Return the declarations of a file. Of equal keys, the first counts, as in the checker: the `species` itself comes before
-    its entry in `world`."""
+    """Return the declarations of a file. If keys are equal, only the first declaration counts, as in the checker: a `species`
+    comes before its entry in `world`."""
     for item in sorted(file.items, key=lambda item: isinstance(item, nodes.World)):
         yield from _LISTER_BY_ITEM[type(item)](file.source.path, item)
 

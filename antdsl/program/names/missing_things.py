@@ -1,4 +1,4 @@
-"""Suggests the line of `world` that would declare an unknown name, if a thing of the world is expected at the place."""
+"""Suggests the line of `world` that would declare an unknown name. It does so where a thing of the world is expected."""
 
 from __future__ import annotations
 

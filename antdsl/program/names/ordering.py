@@ -1,4 +1,4 @@
-"""Orders declarations so that each comes after those that it uses."""
+"""Orders declarations so that each comes after the declarations that it uses."""
 
 from __future__ import annotations
 

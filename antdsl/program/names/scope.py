@@ -1,6 +1,6 @@
-"""The meaning of names at a place of the text.
+"""The meanings of names at a position in the text.
 
-`Declarations` has the declarations of all files. `NameScope` has the names that are visible at one place."""
+`Declarations` has the declarations of all files. `NameScope` has the names that are visible at one position."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TypingRules = Mapping[type, Callable[["NameScope", object, "ValueType | None"], 
 
 @dataclass(slots=True)
 class MachineNames:
-    """The states of a machine: their indices by name. `key`: `species.machine`, as in the type of a state."""
+    """The states of a machine. Their indices are stored by name. `key`: `species.machine`, as in the type of a state."""
 
     name: str
     key: str
@@ -102,7 +102,7 @@ class FileNames:
 
 @dataclass(slots=True)
 class Declarations:
-    """All declarations in the files of one program, all uses of them, and the findings so far."""
+    """All declarations in the files of one program, all uses of the declared names, and the findings so far."""
 
     rules: TypingRules
     report: Report
@@ -163,7 +163,7 @@ class StableKeys:
 
 @dataclass(frozen=True, slots=True)
 class NameScope:
-    """The names that are visible at one place of the text. `with_changes(…)` returns a copy for another place."""
+    """The names that are visible at one position in the text. `with_changes(…)` returns a copy for another position."""
 
     declarations: Declarations
     file: FileNames
@@ -200,7 +200,7 @@ class NameScope:
         return self.declarations.rules[type(node)](self, node, expected_type)
 
     def report_error(self, code: str, message: str, span: Span, help: str | None = None, **details: object) -> Expr:
-        """Report an error about an expression, and return its replacement."""
+        """Report an error about an expression, and return an expression to use in its place."""
         self.report.error(code, message, span, help, **details)
         return make_bad_expression(span)
 
@@ -264,12 +264,12 @@ class NameScope:
 
 
 def make_bad_expression(span: Span) -> Expr:
-    """Return the expression that replaces one with a reported error."""
+    """Return an expression to use in place of one with a reported error."""
     return ThingRef(BAD_TYPE, ChangeRate.CONST, span, "?")
 
 
 def find_highest_rate(parts: Iterable[Expr | None]) -> ChangeRate:
-    """Return the greatest rate of some expressions; CONST if there are none."""
+    """Return the highest rate of some expressions; CONST if there are none."""
     return max((part.rate for part in parts if part is not None), default=ChangeRate.CONST)
 
 

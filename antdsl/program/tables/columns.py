@@ -1,11 +1,11 @@
 """The table of the arrays of agents, items and frames, with one row each.
 
-A row defines an array and its uses. Made from the rows: the store of a population, the state hash, checkpoints, reloads, frames
-of a cache, exports, packets of the preview and the table of `docs/cache.md`.
-Registers that a program declares have no rows; their names, types and roles are in the plan.
+A row defines an array and its uses. These parts of antdsl use the rows: populations, the state hash, checkpoints, reloads,
+frames of a cache, exports, the preview and `docs/cache.md`. Registers that a program declares have no rows; their names, types
+and roles are in the plan.
 
-Rows are data. Functions that compute derived arrays are in the tables `VALUE_WRITERS` of
-`antdsl.outputs.cache.agent_arrays` and `VALUE_FUNCTIONS` of `antdsl.preview.agent_columns`, by the name of the row."""
+Rows are data. Functions that compute derived arrays are in the tables `VALUE_WRITERS` of `antdsl.outputs.cache.agent_arrays` and
+`VALUE_FUNCTIONS` of `antdsl.preview.agent_columns`, by the name of the row."""
 
 from __future__ import annotations
 

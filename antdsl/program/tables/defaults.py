@@ -30,7 +30,7 @@ def parse_default(text: str, span: Span) -> nodes.Expr:
 
 
 def parse_product(text: str, span: Span) -> nodes.Expr:
-    """Return the syntax tree of terms joined by `*` and `/`, from left to right. Each sign must have blanks around it."""
+    """Return the syntax tree of terms joined by `*` and `/`, from left to right. There must be blanks around each sign."""
     words = re.split(r" ([*/]) ", text)
     node = parse_term(words[0], span)
     for sign, term in zip(words[1::2], words[2::2], strict=True):

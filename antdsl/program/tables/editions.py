@@ -33,7 +33,7 @@ class EditionDefault:
         return self.defaults[edition - 1]
 
     def format_setting_line(self, edition: int) -> str:
-        """Return the line of a species that sets the default of an edition explicitly."""
+        """Return the line that sets the default of an edition explicitly in a species."""
         return f"{self.setting} {self.get_default(edition)}"
 
 

@@ -154,7 +154,7 @@ def list_effects_of_phase(phase: str) -> tuple[str, ...]:
 
 
 def list_feeding_effects(kind: str) -> frozenset[str]:
-    """Return the names of the effects that change what agents sense of a thing. `kind`: the kind of thing, `field` or `event`."""
+    """Return the names of the effects that change what agents sense of a thing. `kind`: the kind of thing, "field" or "event"."""
     return frozenset(row.op for row in EFFECT_BY_OPERATION.values() if row.is_feeding_senses and row.target == kind)
 
 

@@ -1,4 +1,4 @@
-"""Words from other tools, as calls and as names, with their replacements in this language."""
+"""Words that other tools use for functions and names, with their replacements in this language."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Units and dimensions: converts quantities to base units, and gives words for dimensions."""
+"""Units and dimensions. Converts quantities to base units, and describes dimensions in words."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ _DIMENSION_NAMES: dict[Dimension, str] = {
 
 
 def choose_default_unit(dim: Dimension) -> str:
-    """Return a usual unit of a dimension: `mm`, `deg/s`, `/s`; empty for a plain number."""
+    """Return a usual unit of a dimension, such as `mm`, `deg/s` or `/s`; empty for a plain number."""
     if dim == FORCE_DIMENSION:
         return "uN"
     top: list[str] = []
@@ -101,7 +101,7 @@ def add_article(words: str) -> str:
 
 
 def describe_dimension(dim: Dimension) -> str:
-    """Return words for a dimension: `a length`, `a number without a unit`, `a value in mm*g`."""
+    """Return words for a dimension, such as `a length`, `a number without a unit` or `a value in mm*g`."""
     name = _DIMENSION_NAMES.get(dim)
     return add_article(name) if name else f"a value in `{choose_default_unit(dim)}`"
 

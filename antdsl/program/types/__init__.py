@@ -1,4 +1,4 @@
-"""Types expressions: finds dimension, kind and rate of each, and reports errors.
+"""Determines the types of expressions (their dimension, kind and rate), and reports errors.
 
 - `rules`: maps each node class to the function that types it.
 - `expressions`: literals and names. `operators`: operators. `calls`, `arguments`: calls.

@@ -1,4 +1,4 @@
-"""Finds the agents, items or cells that a value such as `total(food.load)` or `share(state == carry)` is about."""
+"""Finds which agents, items or cells a value such as `total(food.load)` or `share(state == carry)` is about."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def find_subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> Val
 
 
 def find_thing_kind(declarations: Declarations, name: str) -> TypeKind | None:
-    """Return SPECIES or ITEMS for the name of a species or of items; None for other names."""
+    """Return SPECIES or ITEMS if the name is that of a species or of items; None for other names."""
     if name in declarations.species:
         return TypeKind.SPECIES
     thing = declarations.things.get(name)

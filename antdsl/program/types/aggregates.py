@@ -1,4 +1,5 @@
-"""Types expressions that only specs can use: `total(food.load)`, `share(state == carry)`, `initial_count`, `motion.circling`."""
+"""Determines the types of expressions that only specs can use, such as `total(food.load)`, `share(state == carry)` or
+`initial_count`."""
 
 from __future__ import annotations
 
@@ -348,7 +349,7 @@ def _find_result_type(reducer: str, body: Expr | None) -> ValueType:
 
 
 def _uses_word(root: nodes.Expr, words: Container[str]) -> bool:
-    """Return whether an expression contains a word such as `initial_count` alone, and not as a call `initial_count(…)`."""
+    """Return whether an expression contains a word such as `initial_count` alone, not as a call `initial_count(…)`."""
     called = {id(part.function) for part, _ in iterate_nodes(root) if isinstance(part, nodes.Call)}
     return any(isinstance(p, nodes.NameRef) and p.name.text in words and id(p) not in called for p, _ in iterate_nodes(root))
 

@@ -1,7 +1,7 @@
-"""Matches the arguments of a call, by position or by name, with the parameters, in the order of the parameters.
+"""Matches the arguments of a call with the parameters, by position or by name. Results are in the order of the parameters.
 
-For a parameter that is a point, items or a species mean the nearest item or agent. Other values with a position are used
-directly."""
+If a parameter is a point, the name of items or of a species means the nearest item or agent. Other values with a position are
+used directly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Types calls: finds the called function, matches the arguments with the tables, and returns the operation with its type."""
+"""Determines the types of calls. It finds the called function, matches the arguments with the tables, and returns the operation
+with its type."""
 
 from __future__ import annotations
 
@@ -303,7 +304,7 @@ def _make_operation(
 def _infer_result_type(
     row: BuiltinRow, variables: Mapping[str, tuple[nodes.Expr, Expr]], args: list[Expr | None] | tuple[Expr | None, ...]
 ) -> ValueType:
-    """Return the result type of a row, with its type variables replaced."""
+    """Return the result type of a row. Its type variables are replaced by the types they are bound to."""
     word, _, of = row.result.partition(" ")
     if word in ("number", "vector") and of:
         kind = TypeKind(word)

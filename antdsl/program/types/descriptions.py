@@ -41,7 +41,7 @@ _VECTOR_PHRASES: dict[Dimension, str] = {
 
 
 def describe_type(type: ValueType) -> str:
-    """Return words for a type: `a length`, `a push or direction`, `an item of food`, `an agent of rabbit`."""
+    """Return words for a type, such as `a length`, `a push or direction`, `an item of food` or `an agent of rabbit`."""
     if type.kind is TypeKind.NUMBER:
         return describe_dimension(type.dimension)
     if type.kind is TypeKind.VECTOR:

@@ -1,5 +1,5 @@
-"""Types literals, names and values of things. Calls, operators and behaviours are in other files; `rules` has all typing
-functions."""
+"""Determines the types of literals, names and values of things. Calls, operators and behaviours are in other files; `rules`
+lists all typing functions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Types operators: arithmetic, comparisons, and/or/not, `no`, `is none`, `chance`, if-then-else."""
+"""Determines the types of operators: arithmetic, comparisons, and/or/not, `no`, `is none`, `chance`, if-then-else."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _VALUE_AT_AGENT[TypeKind.VECTOR_FIELD] = _VALUE_AT_AGENT[FLOW_KIND]
 
 
 def make_operation(name: str, type: ValueType, span: Span, *args: Expr | None, site: str = "") -> OperationExpr:
-    """Return an operation with the highest rate of its arguments. `site`: the key of a draw."""
+    """Return an operation with the highest rate of its arguments. `site`: the key of a random draw."""
     return OperationExpr(type, find_highest_rate(args), span, name, args, site)
 
 
@@ -50,7 +50,7 @@ def convert_to_value(expr: Expr) -> Expr:
 
 
 def type_value_as(scope: NameScope, node: nodes.Expr, expected_type: ValueType, place: str) -> Expr:
-    """Return the value of an expression of a required type. `place`: the words for the place in messages."""
+    """Return the value of an expression that must have a given type. `place`: a description of its position, for messages."""
     expr = type_value(scope, node, expected_type)
     if is_compatible(expr.type, expected_type):
         return expr

@@ -1,4 +1,5 @@
-"""Types sets and reductions over them: `neighbours`, `all`, `nearest`, `feelers`, `sum(n in SET: …)` and similar."""
+"""Determines the types of sets and of reductions over them: `neighbours`, `all`, `nearest`, `feelers`, `sum(n in SET: …)` and
+similar."""
 
 from __future__ import annotations
 
@@ -99,7 +100,7 @@ def _check_reach(scope: NameScope, radius: Expr | None, node: nodes.Call) -> Non
 def _type_count_limit(
     scope: NameScope, function_name: str, row: BuiltinRow, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
 ) -> Expr | None:
-    """Return the maximum number of the nearest elements of a set that count. A known value must be whole and at least 1."""
+    """Return how many of the nearest elements of a set count at most. A known value must be whole and at least 1."""
     arg = next((arg for arg in row.args if arg.name == "most"), None)
     most = _type_optional(scope, function_name, arg, arguments_by_slot, node) if arg is not None else None
     known = find_constant(most) if most is not None else None

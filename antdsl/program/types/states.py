@@ -1,5 +1,5 @@
-"""Types questions about states and clips: `state == carry`, `mood.state`, `n.state`, `time_in_state`, `clip done`, `clip at
-MARK`."""
+"""Determines the types of expressions about states and clips, such as `state == carry`, `mood.state`, `time_in_state` or `clip
+at MARK`."""
 
 from __future__ import annotations
 

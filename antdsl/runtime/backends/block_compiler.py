@@ -1,9 +1,9 @@
-"""Converts a block of the plan into lists of vectorised instructions over slots. A slot holds one value for all rows of a
-scope. A scope consists of the rows for which a region's condition holds.
+"""Converts a block of the plan into lists of vectorised instructions over slots.
 
-A value is computed in the first scope that uses it, and gathered from there into inner scopes. Senses that the plan marks as
-lazy are stored for the complete step, in arrays as long as the species. They are computed for the rows that have no value yet.
-NumPy runs the instructions one by one (`numpy_calls`). `native` makes machine code from the same lists."""
+A slot holds one value for all rows of a scope. A scope is the set of rows for which a region's condition holds. A value is
+computed in the first scope that uses it; inner scopes gather it from there. Senses that the plan marks as lazy are stored for
+the complete step, in arrays as long as the species. Later uses compute them only for rows that have no value yet. NumPy runs
+the instructions one by one (`numpy_calls`). `native` makes machine code from the same lists."""
 
 from __future__ import annotations
 
@@ -55,12 +55,11 @@ class InstructionKind(Enum):
 class BlockInstruction:
     """One instruction of a block; `subject` is its node or statement.
 
-    `slot`, `inputs`: the slot of its result, and the slots of its operands.
-    `dtype`: the type of the buffer for its result; None if it allocates an array.
-    `scope`: the rows for which it runs. `span`: the source text that it computes.
-    `layer`: the number of the first layer that needs it, -1 for none.
-    `inner`: the scope that it runs for some of its rows. `inner_result_slot`: the slot of that scope's result.
-    `order`: the position of a statement in the text of its species."""
+    `slot`, `inputs`: the slot of its result, and the slots of its operands. `dtype`: the type of the buffer for its result;
+    None if it allocates an array. `scope`: the rows for which it runs. `span`: the source text that it computes. `layer`: the
+    number of the first layer that needs the instruction, -1 for none. `inner`: the inner scope that the instruction runs for
+    some of the rows. `inner_result_slot`: the slot of that scope's result. `order`: the position of a statement in the text of
+    its species."""
 
     kind: InstructionKind
     subject: ir.PlanNode | ir.PlanStatement
@@ -98,7 +97,7 @@ class RowScope:
 
 @dataclass(slots=True, eq=False)
 class PairScope:
-    """The pairs of one set in one scope: the `slot` of the pairs, and for each node the slot of its values over the pairs."""
+    """The pairs of one set in one scope: the `slot` of the pairs, and, for each node, the slot with one value per pair."""
 
     slot: int
     slot_by_node: dict[ir.PlanNode, int] = field(default_factory=dict)
@@ -187,10 +186,10 @@ class BlockCompiler:
             self._emit_instruction(scope, InstructionKind.STATEMENT, statement, -1, inputs)
 
     def _find_statement_layers(self, block: ir.Block) -> list[int]:
-        """Return the layer that contains the line of each statement.
+        """Return the layer of each statement, by its line.
 
-        A statement that stores a behaviour's memory is in another file. It gets the layer that called the behaviour: that of
-        the next statement inside a layer."""
+        A statement that stores a behaviour's memory is in another file. Its layer is the one that called the behaviour: the
+        layer of the next statement that has one."""
         if not self._layer_spans:
             return [-1] * len(block.statements)
         numbers, current = [], self._layer_number
@@ -205,7 +204,7 @@ class BlockCompiler:
     # --- values --------------------------------------------------------------------------------------------------------
 
     def emit_value(self, scope: RowScope, node: ir.PlanNode, recompute: bool = False) -> int:
-        """Return the slot of a node's value in a scope. Emit the instructions that compute it if they are missing.
+        """Return the slot of a node's value in a scope. If the value is not computed yet, emit the instructions for it.
 
         `recompute`: whether to compute a value that is stored for the step."""
         if node.rate <= ir.UpdateRate.STEP:
@@ -236,7 +235,7 @@ class BlockCompiler:
 
     @staticmethod
     def _find_holding_scope(scope: RowScope | None, node: ir.PlanNode) -> RowScope | None:
-        """Return the innermost of `scope` and the scopes around it that has the value of a node; None if none has it."""
+        """Return the innermost scope that has the value of a node: `scope` or a scope around it. None if no scope has it."""
         while scope is not None and node not in scope.slot_by_node:
             scope = scope.parent
         return scope
@@ -278,7 +277,7 @@ class BlockCompiler:
     # --- sets ----------------------------------------------------------------------------------------------------------
 
     def _emit_reduction(self, scope: RowScope, node: ir.PlanNode) -> tuple[int, ...]:
-        """Emit the pairs of a reduction and the values over these pairs. Return the slots of its inputs."""
+        """Emit the pairs of a reduction, and its values for each pair. Return the slots of the reduction's inputs."""
         pairs = self._find_or_emit_pairs(scope, node.args[0])
         bodies = node.args[1:]
         for each in collect_required_nodes(bodies):
@@ -336,11 +335,10 @@ def _flatten_instructions(scope: RowScope, order: list[tuple[BlockInstruction, b
 
 
 def bind_calls(compiler: BlockCompiler, find_maker: Callable[[BlockInstruction, BlockCompiler], SlotFunctionMaker]) -> None:
-    """Assign buffers to elementwise results, and make the call of each instruction with the maker that `find_maker` returns.
+    """Assign buffers to elementwise results, and create the function call of each instruction.
 
-    A buffer is used again after the last use of its value.
-    This is a linear scan over the execution order (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895). No region runs
-    twice."""
+    `find_maker` returns the function that creates the call. After the last use of a value, its buffer is reused. This is a
+    linear scan over the execution order (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895). No region runs twice."""
     order: list[tuple[BlockInstruction, bool]] = []
     _flatten_instructions(compiler.root_scope, order)
     last: dict[int, int] = {}

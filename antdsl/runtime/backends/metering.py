@@ -1,4 +1,4 @@
-"""The time of each call of a compiled block, without the time of the calls inside it."""
+"""Measures the time of each call in a compiled block, excluding calls nested inside it."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from antdsl.runtime.backends.block_compiler import (
 
 
 class MeteredBlock:
-    """A compiled block with calls that are timed until `stop`.
+    """A compiled block. Its calls are timed until `stop` is called.
 
-    `seconds`: the time of each of `instructions`. If threads run in parallel, times are scaled so that their sum does not exceed
-    the elapsed time."""
+    `seconds`: the time of each of `instructions`. If threads run in parallel, times are scaled so that their sum does not
+    exceed the elapsed time."""
 
     def __init__(self, compiler: BlockCompiler) -> None:
         self.instructions: list[BlockInstruction] = []
@@ -37,7 +37,8 @@ class MeteredBlock:
         self.seconds = [0.0] * len(self.instructions)
 
     def make_counters(self) -> list[float]:
-        """Return zeros for one chunk: a time (s) for each instruction, then the time of the calls inside the current one."""
+        """Return counters for one chunk, all 0: a time (s) for each instruction, then the time of calls nested inside the
+        current one."""
         return [0.0] * (len(self.instructions) + 1)
 
     def add_counters(self, counters: list[list[float]], elapsed: float) -> None:
@@ -67,7 +68,7 @@ def _iterate_scopes(root: RowScope) -> Iterator[RowScope]:
 
 
 def _time_call(call: SlotFunction, number: int) -> SlotFunction:
-    """Return `call` with timing: it adds its time, without the time of inner calls, to counter `number`."""
+    """Wrap `call` so that its time, excluding nested calls, is added to counter `number`."""
 
     def run_timed(v: SlotValues) -> None:
         spent = v[SPENT_SECONDS_SLOT]

@@ -1,4 +1,4 @@
-"""The NumPy backend: structure of arrays, one pass over all agents per operation, in chunks of rows and possibly in threads."""
+"""The NumPy backend. Each operation is one pass over arrays with a value per agent, in chunks of rows and possibly in threads."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ StoredSenses = dict[ir.PlanNode, tuple[NDArray[np.bool_], list[NDArray[Any]]]]
 
 
 class NumpyBackend:
-    """Runs a plan that is compiled once. Call `begin` at the start of each step, and `run` for each block of each species."""
+    """The NumPy backend of one plan, which is compiled once. Call `begin` at the start of each step, and `run` for each block
+    of each species."""
 
     spare_rows = 0  # spare rows at the end of arrays over a species
 
@@ -79,7 +80,7 @@ class NumpyBackend:
 
     @property
     def backend_name(self) -> str:
-        """Return the name of the backend that runs the blocks of this step, for the user."""
+        """Return the name, for users, of the backend that runs the blocks of this step."""
         return "NumPy"
 
     def set_timing(self, enabled: bool) -> None:
@@ -156,7 +157,7 @@ class NumpyBackend:
     def _split_rows(
         self, world: World, population: Population, compiler: BlockCompiler, rows: NDArray[np.intp] | None
     ) -> list[Any]:
-        """Return the rows to process, without quarantined agents, as slices or arrays of one chunk each."""
+        """Split the rows, without quarantined agents, into chunks. Each chunk is a slice or an array."""
         size = max(1, world.options.chunk)
         for species in compiler.complete_species:
             size = max(1, min(size, MAX_PAIRS_PER_CHUNK // max(1, len(world.populations[species]))))
@@ -230,7 +231,7 @@ def compute_uniform_values(
 ) -> dict[ir.PlanNode, Any]:
     """Return the values that are equal for all agents, as NumPy scalars, together with those in `known_values`.
 
-    `nodes`: operands come before the nodes that use them. If it is empty, `known_values` itself is returned."""
+    `nodes`: operands come before the nodes that use them. If `nodes` is empty, `known_values` itself is returned."""
     if known_values is not None and not nodes:
         return known_values
     values = dict(known_values or {})

@@ -1,5 +1,5 @@
-"""Function calls for the instructions of compiled blocks. Each public `make_…` function returns a maker of such calls. A call
-takes the list of slots of one run.
+"""Function calls for the instructions of compiled blocks. Each public `make_…` function returns a maker: a function that
+creates a call. A call takes the list of slots of one run.
 
 `v` is the list of slots. The first slots hold the world, the population, the effects, the buffers and the cached senses."""
 
@@ -232,7 +232,7 @@ def _make_draw_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope)
 def make_pairs_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
     """Return the maker of the call that finds the pairs of a set.
 
-    A set that several regions use is cached for the step after it was computed for a complete chunk."""
+    If several regions use a set, it is cached for the step once it has been computed for a complete chunk."""
     shared, root, rows = compiler.region_count_by_set, compiler.root_scope.rows, scope.rows
 
     def make_pairs(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:

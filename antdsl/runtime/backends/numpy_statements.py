@@ -1,4 +1,5 @@
-"""Function calls for the statements of compiled blocks: stores in registers, and requests to other parts of the world."""
+"""Function calls for the statements of compiled blocks. Statements store values in registers, or request something of the
+world."""
 
 from __future__ import annotations
 
@@ -35,7 +36,7 @@ def _copy_row_values(v: SlotValues, scope: RowScope, value: Any) -> NDArray[Any]
 
 
 def is_storable(value: NDArray[Any], allows_infinity: bool) -> NDArray[np.bool_]:
-    """Return which values may be stored: finite ones and, with `allows_infinity`, also +inf."""
+    """Return a mask of values that may be stored: finite values and, with `allows_infinity`, +inf."""
     good: NDArray[np.bool_] = np.isfinite(value)
     return good | (value == np.inf) if allows_infinity else good
 
@@ -74,7 +75,7 @@ def _make_store_call(statement: ir.Store, block: str, scope: RowScope) -> SlotFu
 def _select_finite_amounts(
     v: SlotValues, scope: RowScope, block: str, value_name: str, span: Any, value: Any
 ) -> tuple[NDArray[np.intp], NDArray[Any], Any]:
-    """Return the rows with finite values, these values, and which of the scope's rows they are.
+    """Return the rows with finite values, these values, and the indices of these rows in the scope.
 
     Record a fault for all other rows."""
     rows, value = convert_to_row_array(v[scope.rows]), _copy_row_values(v, scope, value)

@@ -37,7 +37,7 @@ class ReferenceBackend:
         self._orders = {name: number_statements(species) for name, species in plan.species.items()}
 
     def begin(self, world: World) -> None:
-        """Do nothing: no data is cached from step to step."""
+        """Do nothing, because this backend caches no data from step to step."""
 
     def messages(self) -> list[str]:
         """Return an empty list: this backend runs everything as requested."""
@@ -55,7 +55,7 @@ class ReferenceBackend:
 
 
 class NodeFault(Exception):
-    """Signals that the repeated run of an agent has reached the node with the faulty value, and ends that run."""
+    """A signal that ends the repeated run of an agent, once it has reached the node with the faulty value."""
 
     def __init__(self, node: ir.PlanNode) -> None:
         super().__init__()
@@ -63,7 +63,8 @@ class NodeFault(Exception):
 
 
 class AgentRun:
-    """The run of one block for one agent. `now[name][at]`: the agent's register `name`. Other arrays are indexed by `row`."""
+    """The run of one block for one agent. `now[name][at]` is the agent's register `name`. All other arrays are indexed by
+    `row`."""
 
     def __init__(
         self,
@@ -100,7 +101,7 @@ class AgentRun:
                 getattr(self, "_" + type(statement).__name__.lower())(statement)
 
     def _compute_finite_value(self, node: ir.PlanNode, value_name: str, span: Span | None, infinite: bool = False) -> Any:
-        """Return a node's value if it may be stored; else record a fault and return None. `infinite`: +inf may be stored."""
+        """Return a node's value if it may be stored, else record a fault and return None. `infinite`: whether +inf is allowed."""
         value = self.compute_value(node)
         if node.kind is not ir.ValueKind.F32 or np.isfinite(value) or (infinite and value == np.inf):
             return value
@@ -258,7 +259,7 @@ def _list_pair_nodes(roots: tuple[ir.PlanNode, ...]) -> tuple[ir.PlanNode, ...]:
 
 @cache
 def _list_own_operands(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
-    """Return the nodes of the agent's own values that a node needs, also within its sets and reductions."""
+    """Return those nodes of the agent's own values on which a node depends, also inside its sets and reductions."""
     operands: list[ir.PlanNode] = []
     pending = list(node.args)
     while pending:
@@ -333,9 +334,9 @@ _REDUCTION_FUNCTIONS: dict[str, Callable[[AgentRun, ir.PlanNode, ir.PlanNode, Me
 def find_fault_operands(
     world: World, population: Population, row: int, block: str, value_name: str, span: Span | None
 ) -> tuple[tuple[str, str], ...]:
-    """Return the operands of the operation that made a rejected value not finite, each as its text and its value.
+    """Return the operands, as text and value, of the operation that first produced the non-finite value.
 
-    For this, run one agent's step again, without effects, up to that value."""
+    To find it, one agent's step is run again, without effects, up to that value."""
     now = {name: population.start[name][row : row + 1].copy() for name in population.now}
     for name, register in population.plan.registers.items():
         if register.role == "temp":
@@ -359,7 +360,7 @@ def find_fault_operands(
 
 
 def apply_claims(agent: AgentRun, population: Population) -> None:
-    """Set the registers of an agent that runs again to the results of its claims."""
+    """Set the registers of an agent that is run again to the results of its claims."""
     for claim in agent.effects.claims:
         won = bool(population.now[claim.statement.won_register][agent.row])
         agent.now[claim.statement.won_register][0] = won

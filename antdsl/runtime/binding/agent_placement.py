@@ -1,4 +1,4 @@
-"""Start positions of agents: on the ground or inside things, outside obstacles, without overlaps.
+"""Places agents at the start: on the ground or inside things, outside obstacles, without overlaps.
 
 A position depends on the seed, the agent's species and id, and the agents placed before. Adding agents moves no other agent."""
 
@@ -52,8 +52,8 @@ def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray
     """Add agents of crowd lines and return their rows, by species. Only their positions are set.
 
     Agents overlap neither each other nor existing agents. Positions that the scene gives as points come first and are used
-    unchanged. Each line avoids the agents of earlier lines. `world.overcrowded_lines` lists the lines without space for all
-    agents."""
+    unchanged. Each line avoids the agents of earlier lines. `world.overcrowded_lines` receives the lines that have no space
+    for all their agents."""
     new_crowds = [(crowd, ids) for crowd, ids in new_crowds if len(ids)]
     if not new_crowds:
         return {}
@@ -109,7 +109,7 @@ def _find_reachable_box(
 def _find_rows_in_reach(
     position: NDArray[np.float64], radius: NDArray[np.float64], box: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return which agents at `position` (n, 3) with `radius` (n) reach into a box with corners (2, 3)."""
+    """Return a mask of the agents at `position` (n, 3) with `radius` (n) that extend into a box with corners (2, 3)."""
     reach = 1.01 * np.where(has_extent(radius), radius, 0.0)[:, None]
     is_near: NDArray[np.bool_] = ((position >= box[0] - reach) & (position <= box[1] + reach)).all(axis=1)
     return is_near
@@ -131,7 +131,7 @@ def _compute_birth_radii(
 ) -> list[NDArray[np.float64]]:
     """Return the radius (mm) at birth of each line's agents, at the positions of their first draw.
 
-    A radius may depend on any value available at birth, so a temporary world computes it."""
+    A radius may depend on any value available at birth, so it is computed in a temporary world."""
     trial = replace(
         world,
         populations={name: make_empty_population(p.plan, world.ground) for name, p in world.populations.items()},
@@ -162,10 +162,10 @@ def _compute_spacing_radii(
     starts: Sequence[StartPositionSampler],
     radius: list[NDArray[np.float64]],
 ) -> list[NDArray[np.float64]]:
-    """Return the radii (mm) of the discs by which the agents of each line keep their distance at the start.
+    """Return the radius (mm) of the disc that each agent of a line occupies at the start.
 
     They are at least `radius`, and at least half the distance that a line declares between its agents. For an even crowd, the
-    discs are as large as random placement can fit into the place. Lines with the same place are counted together."""
+    discs are as large as random placement allows. For this, lines with the same place are counted together."""
     radii = []
     for (crowd, _), start, own in zip(new_crowds, starts, radius, strict=True):
         half = crowd.place.spacing / 2
@@ -177,7 +177,7 @@ def _compute_spacing_radii(
 
 
 def _make_place_key(place: PlacementData) -> tuple[object, ...]:
-    """Return a key of the place of a line. It is equal for two lines that start evenly in the same place."""
+    """Return a key that is equal for two lines that distribute their agents evenly in the same place."""
     return place.surfaces, place.disc_centre, place.radius, place.density, place.is_by_area, place.spacing
 
 
@@ -223,7 +223,7 @@ def _shuffle_rows(world: World, population: Population) -> None:
 def _choose_headings(
     world: World, population: Population, rows: NDArray[np.intp], up: VectorArrays, drawn_headings: VectorArrays
 ) -> VectorArrays:
-    """Return headings along the ground: the heading of the start point if it has one, else the drawn heading."""
+    """Return headings along the ground: the heading that the start point defines, or else the drawn heading."""
     heading = drawn_headings
     for crowd in world.setting.crowds:
         if crowd.species != population.name or (crowd.place.headings is None and crowd.place.facing is None):
@@ -247,7 +247,7 @@ def _choose_headings(
 
 
 def _orient_agents(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Set the up direction of agents from their ground, the scene's heading or a random one, and velocity 0."""
+    """Set up direction, heading and velocity (0) of agents. Up follows their ground; the heading is the scene's or random."""
     target_up = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
     up = vec.split_columns(world.ground.compute_upright_normals(population.footing, target_up)[rows], np.float32)
     angle = _draw_uniform(world, population.name, 0, population.ids[rows]) * FULL_TURN

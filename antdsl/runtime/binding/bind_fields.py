@@ -1,4 +1,4 @@
-"""The fields of a plan over the surfaces of a setting: their cells, start amounts, and rates per step."""
+"""Creates the fields of a plan on the surfaces of a setting: cells, start amounts, and rates per step."""
 
 from __future__ import annotations
 

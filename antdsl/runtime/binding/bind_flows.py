@@ -1,4 +1,4 @@
-"""The flows and maps of a setting over the ground: points at the required resolution, and the values at these points."""
+"""Creates the flows and maps of a setting on the ground: points at the required resolution, and values at these points."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def _make_painted_flow(world: World, painted_values: PaintedValues) -> SurfaceFl
 
 
 def _select_faces(world: World, surfaces: tuple[str, ...]) -> Flags:
-    """Return which faces belong to the flow's surfaces, without faces of area 0."""
+    """Return a mask of the faces of the flow's surfaces. Faces of area 0 are excluded."""
     _, _, mesh, table = _get_ground_meshes(world).triangles
     mesh_numbers = [world.surface_index[name] for name in surfaces] or list(world.surface_index.values())
     chosen: Flags = table.is_live & np.isin(mesh, mesh_numbers)
@@ -186,7 +186,7 @@ def _make_vector_flow(
 
 
 def _locate_target(world: World, target: FlowTarget) -> FlowTarget:
-    """Return a target at the current frame, relative to the world's origin."""
+    """Return the target with its position in the current frame, relative to the world's origin."""
     moves = world.setting.motion
     tracks = (moves.curves if target.is_line else moves.items).get(target.name)
     positions = target.positions if tracks is None else moves.find_positions(tracks, world.frame)
@@ -286,7 +286,7 @@ def _list_solid_versions(world: World) -> list[int]:
 def _make_crossable_ground(world: World, lattice: FaceLattice, is_chosen: Flags, point: Index | None = None) -> CrossableGround:
     """Return the surface for paths on a lattice: points merged across faces, open triangles, and links between surfaces.
 
-    Triangles are open if no obstacle cuts them and no undug solid buries them. `point`: the point of each slot, if known."""
+    A triangle is open if no obstacle cuts it and it is not inside undug solid. `point`: the point of each slot, if known."""
     _, _, mesh, table = _get_ground_meshes(world).triangles
     face, place = _locate_slots(world, lattice)
     if point is None:
@@ -344,7 +344,7 @@ def _link_points_of_surfaces(points: Floats, surface_numbers: NDArray[np.int32],
 def _find_goal_points(world: World, flow: SolvedFlowData, grounds: CrossableGround) -> tuple[Index, Floats, float]:
     """Return the points at the target, their remaining distances (mm), and the gap (mm) between target and ground.
 
-    The points at the target are those within its radius, and the point nearest to each of its positions. The gap is the least
+    These are the points within the target's radius, and the point nearest to each position of the target. The gap is the least
     distance of a position from a point, minus the radius."""
     from scipy.spatial import cKDTree
 

@@ -1,5 +1,5 @@
-"""The binding of a plan to a setting: meshes become ground and ray scenes, and items and crowds become arrays. The result is a
-world at its first frame."""
+"""Binds a plan to a setting: makes ground and ray scenes from meshes, and arrays from items and crowds. The result is a world
+at its first frame."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 
 class BindError(ValueError):
-    """The error that a plan and a setting do not match. `report`: the findings."""
+    """Error: a plan and a setting do not match. `report`: the findings."""
 
     def __init__(self, report: Report) -> None:
         super().__init__("; ".join(d.message for d in report.errors))
@@ -51,7 +51,7 @@ class BindError(ValueError):
 
 
 def _make_note_run(setting: WorldSetting) -> NoteRun | None:
-    """Return the notes of a setting as a `NoteRun`; None without notes. Only notes need the import of the models of scenes."""
+    """Return the notes of a setting as a `NoteRun`; None without notes. Scene models are imported only if there are notes."""
     if not setting.notes:
         return None
     from antdsl.runtime.notes.note_run import NoteRun
@@ -63,10 +63,10 @@ def _make_note_run(setting: WorldSetting) -> NoteRun | None:
 def bind(
     plan: ir.Plan, setting: WorldSetting, options: Options | None = None, *, binding_cache: BindingCache | None = None
 ) -> World:
-    """Return the world at `setting.first_frame`: all agents of the start exist, and none has moved.
+    """Return the world at `setting.first_frame`: the agents that exist at the start are placed, and none has moved.
 
-    `plan`: an optimised and verified plan. `binding_cache`: a cache for data made from meshes, for use in other worlds.
-    Raises BindError with a report if plan and setting do not match."""
+    `plan`: an optimised and verified plan. `binding_cache`: a cache for data made from meshes, for use in other worlds. Raises
+    BindError with a report if plan and setting do not match."""
     world = bind_empty(plan, setting, options, binding_cache=binding_cache)
     stages.begin_stage("placing agents")
     with np.errstate(all="ignore"):
@@ -87,7 +87,7 @@ def bind_empty(
 ) -> World:
     """Return a world as `bind` does, but without agents.
 
-    `origin` (mm): an existing origin to which positions are relative. Raises MachineCodeUnavailableError if no kernel can run."""
+    `origin` (mm): an existing origin that positions are relative to. Raises MachineCodeUnavailableError if no kernel can run."""
     llvm_compiler.require_llvm()
     options, binding_cache = options or Options(), binding_cache or BindingCache()
     origin = compute_world_origin(setting) if origin is None else origin
@@ -195,7 +195,7 @@ def _make_ground(
 def _make_mesh_ground(
     meshes: dict[str, MeshData], moving_names: Iterable[str], has_ray_starts: bool, binding_cache: BindingCache
 ) -> MeshGround | None:
-    """Return the part of the ground that consists of meshes, or None if there are none."""
+    """Return the part of the ground that consists of meshes, or None if the setting has no meshes."""
     surfaces = {name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
     moved = [name for name in moving_names if name in surfaces]
     if moved:
@@ -209,7 +209,7 @@ def _make_mesh_ground(
 
 
 def _make_ray_scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], binding_cache: BindingCache) -> dict[str, Obstacle]:
-    """Return what rays can hit, by name: meshes, and solids in their current state."""
+    """Return everything that rays can hit, by name: meshes, and solids in their current state."""
     if not meshes and not solids:
         return {}
     scenes: dict[str, Obstacle] = {
@@ -246,7 +246,7 @@ def compute_run_value(world: World, node: ir.PlanNode) -> float:
 
 
 def set_flow(world: World, name: str, flow: FlowData) -> None:
-    """Replace a flow from the next step on, without compilation. Raises BindError as `bind` does."""
+    """Replace a flow from the next step on, without compilation. Raises BindError under the same conditions as `bind`."""
     if name not in world.plan.list_things_of_kind("flow"):
         raise KeyError(name)
     from antdsl.runtime.binding.bind_flows import bind_flow

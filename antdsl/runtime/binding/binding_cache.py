@@ -1,4 +1,4 @@
-"""A cache of data made from meshes, which the next world uses again. Its keys are digests of the inputs.
+"""A cache of data computed from meshes, for use in later worlds. Its keys are digests of the inputs.
 
 Meshes seldom change when a program is edited. Preparing a ground with its rays and cells takes longer than a step."""
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 class BindingCache:
     """A cache of grounds, ray scenes, cells, volumes and flows in their initial state.
 
-    Data that changes during a run, such as dug or moving things, is returned as a copy."""
+    Data that changes during a run, such as diggable or moving things, is returned as a copy."""
 
     def __init__(self) -> None:
         self._values: dict[str, Any] = {}
@@ -54,7 +54,7 @@ def compute_digest(value: object) -> str:
 
 
 def _add_to_digest(update: Callable[[bytes], None], value: object) -> None:
-    """Pass the content of a value to `update`, with marks that distinguish types and lengths."""
+    """Pass the content of a value to `update`, together with marks for types and lengths."""
     if isinstance(value, np.ndarray):
         update(f"a{value.dtype.str}{value.shape}".encode())
         update(np.ascontiguousarray(value).tobytes())

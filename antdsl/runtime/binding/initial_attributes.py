@@ -1,6 +1,6 @@
 """The values that crowd lines give to attributes and states at birth. The block `born` reads them from temporary registers.
 
-A value is a function of (seed, species, attribute, id) and, for a painted value, of the position."""
+A value depends only on (seed, species, attribute, id) and, if it is painted, on the position."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Crowd lines with a place that has no space for all their agents."""
+"""Crowd lines that have more agents than fit into their place."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class OvercrowdedLine:
-    """A crowd line of the scene without space for all its agents at its place. `group`: the number of the line.
+    """A crowd line of the scene with more agents than fit into its place. `group`: the number of the line.
 
     `fitting_count`: how many of its `count` agents have space. `radius` (mm): the least and the greatest radius of its agents.
     `covered_area`, `available_area` (mm²): the area that all agents would cover, and the available area (None if unknown).
-    `sufficient_radius` (mm): the radius of the place that gives space to all; None if there is none.
-    `fits_by_area`: whether all agents would have space with `by: area`."""
+    `sufficient_radius` (mm): a radius of the place at which all agents fit; None if there is none. `fits_by_area`: whether all
+    agents would have space with `by: area`."""
 
     group: int
     species: str

@@ -1,6 +1,5 @@
-"""Creates agents of crowd lines during the run: those that are due at a frame, at their places and with their ids.
-
-How many agents a line has created is a function of the frame. Their ids are reserved in `World.crowd_lines`. So no id is used
+"""Creates agents of crowd lines during the run. At each frame, the agents that are due get their positions and ids. The number
+of agents that a line has created depends only on the frame. Their ids are reserved in `World.crowd_lines`. So no id is used
 twice, and a run that continues from a checkpoint creates the same agents."""
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ class Occupancy:
         return entries
 
     def remove(self, entries: Rows) -> None:
-        """Mark entries as removed; they stay in the groups until `drop_removed`."""
+        """Mark entries as removed. They remain in the groups until `drop_removed` is called."""
         self._is_present[entries] = False
 
     def drop_removed(self) -> None:
@@ -121,9 +121,9 @@ class Occupancy:
     def find_overlaps(self, place: Floats, radius: Floats, order: Rows | None = None) -> tuple[Rows, Rows, Floats]:
         """Return pairs of a given disc and an entry that overlap: the disc, the entry, and their relative distance.
 
-        The relative distance is the distance divided by the distance at which both touch. With `order`, the numbers of the discs
-        in the start order, only earlier entries count. Thousands of smaller entries may overlap one disc, so only the entry with
-        the most overlap is returned."""
+        The relative distance is the distance divided by the distance at which both touch. `order`: the numbers of the discs in
+        the start order; if set, only earlier entries are considered. Thousands of smaller entries may overlap one disc, so
+        only the entry with the most overlap is returned."""
         pairs: list[tuple[Rows, Rows, Floats]] = []
         classes = _compute_size_class(radius)
         for size in np.unique(classes):
@@ -160,10 +160,9 @@ class Occupancy:
     def _find_worst_overlap(
         self, place: Floats, radius: Floats, order: Rows, rows: Rows, group: _DiscGroup
     ) -> tuple[Rows, Rows, Floats]:
-        """Return, for those `rows` of discs that overlap an earlier entry of a group, the one with the most overlap.
-
-        The results are the rows, the entries, and the relative distances as in `find_overlaps`.
-        Nearest entries are checked until no entry farther away can overlap more."""
+        """Find, for each of `rows` of the discs, the earlier entry of a group with the most overlap. Discs without overlap are
+        omitted. The results are the rows, the entries, and the relative distances as in `find_overlaps`. Nearest entries are
+        checked until no entry farther away can overlap more."""
         entry, least = np.zeros(len(rows), np.intp), np.full(len(rows), np.inf)
         pending_discs, count = np.arange(len(rows)), _FIRST_QUERY_NEIGHBOURS
         while pending_discs.size:
@@ -184,7 +183,7 @@ class Occupancy:
         return rows, entry, least
 
     def measure_freedom(self, place: Floats, radius: Floats, order: Rows) -> Floats:
-        """Return the freedom (n) of discs from earlier entries: 1 without overlap, 0 at the centre of an entry."""
+        """Return the freedom (n) of discs: 1 without overlap with earlier entries, 0 at the centre of such an entry."""
         i, _, share = self.find_overlaps(place, radius, order)
         least = np.ones(len(place))
         np.minimum.at(least, i, share)
@@ -193,7 +192,7 @@ class Occupancy:
     def find_displaced_entries(self, entries: Rows) -> tuple[Rows, Floats]:
         """Return the entries that must move because the given entries were added, and the freedom of their positions.
 
-        The entries may be among the given ones. The freedom is as in `measure_freedom`."""
+        These may include given entries. The freedom is defined in `measure_freedom`."""
         i, entry, share = self.find_overlaps(self._place[entries], self._radius[entries])
         own = entries[i]
         loser = np.where(self._order[entry] < self._order[own], own, entry)
@@ -209,7 +208,7 @@ class Occupancy:
 
 
 def has_extent(radius: NDArray[np.floating[Any]]) -> Flags:
-    """Return which radii are above 0 and not NaN, so that their agents keep others away."""
+    """Return a mask of the radii that are above 0 and not NaN. Only agents with such a radius occupy space."""
     wide: Flags = np.isfinite(radius) & (radius > 0)
     return wide
 
@@ -222,11 +221,11 @@ def spread_agents(
     first: int,
     max_rounds: tuple[int, ...] | None = None,
 ) -> tuple[StartPositionDraws, Flags]:
-    """Return positions for agents in the order of `ids`, and which agents touch no other at their position.
+    """Return positions for agents in the order of `ids`, and a mask of agents that touch no other agent there.
 
-    All other agents get the position at which they overlap earlier agents least. Only agents with a free position are added to
-    `occupancy`. `first`: the number of the first agent in the start order. `max_rounds`: how many positions an agent tries in
-    each round; None for as many as pay off."""
+    An agent without a free position gets the one at which it overlaps earlier agents least. Only agents with a free position
+    are added to `occupancy`. `first`: the number of the first agent in the start order. `max_rounds`: how many positions an
+    agent tries in each round; None for as many as are worthwhile."""
     chosen: StartPositionDraws | None = None
     fits = np.zeros(len(ids), np.bool_)
     rounds: tuple[int, ...] = _SPACING_ROUNDS[0][1] if max_rounds is None else max_rounds

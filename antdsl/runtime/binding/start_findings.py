@@ -1,4 +1,4 @@
-"""Findings about the start of a crowd after binding: too little space for all agents, or no path to the target of a flow."""
+"""Warnings about a crowd's start, after binding: too little space for all agents, or no path to the target of a flow."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def find_start_warnings(scene: Scene, world: World) -> Report:
 def _measure_excessive_gap(world: World, name: str) -> float:
     """Return the distance (mm) of a target from the ground if it exceeds a tenth of the ground's extent, else 0.
 
-    Smaller differences, as in the height of a target, matter little."""
+    Smaller distances, such as a target slightly above the ground, are not a problem."""
     flow = world.flows[name]
     if not isinstance(flow, PathFlow) or flow.crossable_ground is None:
         return 0.0

@@ -1,4 +1,4 @@
-"""The random start positions of the agents of a crowd line. Each is a function of (seed, species, id, number of the try)."""
+"""The random start positions of the agents of a crowd line. Each depends only on (seed, species, id, number of the try)."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class StartPositionSampler:
         return total_area if share == 1 else float(f"{total_area * share:.1e}")
 
     def find_sufficient_radius(self, agent_area: float) -> float | None:
-        """Return a radius (mm) with which the place has space for agents that cover `agent_area` (mm²), or None if none has."""
+        """Return a radius (mm) of the place at which agents that cover `agent_area` (mm²) fit, or None if there is none."""
         radius = self.place.radius
         for _ in range(_MAX_RADIUS_TRIES):
             if radius is None:
@@ -97,7 +97,8 @@ class StartPositionSampler:
         return wider is not None and wider * MAX_RANDOM_COVERED_SHARE >= agent_area
 
     def draw(self, ids: Ids, tries: range) -> StartPositionDraws:
-        """Return start positions for each try in `tries`: all agents for the first try, then for the next."""
+        """Return start positions for each try in `tries`: first the positions of all agents for the first try, then for the
+        next."""
         world, place = self._world, self.place
         if has_shape(place):
             return self._draw_by_shape(ids, tries)
@@ -117,9 +118,9 @@ class StartPositionSampler:
         )
 
     def _draw_by_shape(self, ids: Ids, tries: range) -> StartPositionDraws:
-        """Return positions of ranks, lines, volumes and clumps, on the ground below them.
+        """Return positions of a shape, such as ranks, lines or clumps, dropped onto the ground below.
 
-        Positions of edges, volumes and areas are instead moved to the nearest point of the ground."""
+        Positions of edges, volumes and areas are moved to the nearest point of the ground instead."""
         world, place = self._world, self.place
         points = self._wrap_points([self._find_shape_points(ids, attempt) for attempt in tries])
         has_ground = np.ones(len(points), np.bool_)
@@ -134,7 +135,7 @@ class StartPositionSampler:
         return StartPositionDraws(footing, at, up, is_allowed)
 
     def _wrap_points(self, point_sets: list[Floats]) -> Floats:
-        """Return all points (n, 3) mm of some sets; in a periodic world, moved into its box."""
+        """Concatenate the points (n, 3) mm of several sets. In a periodic world, move them into its box."""
         points, periodic = np.concatenate(point_sets), self._world.periodic
         return points if periodic is None else periodic.box.wrap_points(points)
 
@@ -224,7 +225,7 @@ def _draw_points_on_faces(
 
 
 def is_inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
-    """Return which points are inside an obstacle: a ray upwards from such a point first hits the back of a face."""
+    """Return a mask of points inside an obstacle. A ray upwards from such a point first hits the back of a face."""
     is_inside = np.zeros(len(points), np.bool_)
     up = np.broadcast_to(world.up, points.shape)
     for name in world.plan.obstacles:

@@ -1,4 +1,4 @@
-"""The shapes in which crowd lines begin: ranks, curves, borders, volumes and clumps; and the directions that agents face.
+"""The shapes of crowds at the start: ranks, curves, borders, volumes and clumps. Also the directions that agents face.
 
 Positions and directions are those of the current frame: curves, surfaces and items may move."""
 
@@ -90,7 +90,7 @@ def _find_segments(world: World, place: PlacementData) -> tuple[Floats, Floats]:
 
 
 def _find_border(world: World, place: PlacementData) -> BorderEdges:
-    """Return the open border of the place's surface; without one, no edges."""
+    """Return the open border of the place's surface; if there is none, return no edges."""
     meshes = world.ground.meshes
     none = np.empty((0, 3))
     if meshes is None or place.border_surface not in meshes.names:
@@ -99,7 +99,7 @@ def _find_border(world: World, place: PlacementData) -> BorderEdges:
 
 
 def _compute_ranks(world: World, place: PlacementData, ranks: RanksData, numbers: Ids) -> Floats:
-    """Return the positions of ranks, centred at the place, with the first rank ahead."""
+    """Return positions in ranks. These are centred at the place, with the first rank in front."""
     middle = np.asarray(place.disc_centre or (0.0, 0.0, 0.0), np.float64) - world.origin
     up, facing = world.up, place.facing
     ahead = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
@@ -117,7 +117,7 @@ def _compute_ranks(world: World, place: PlacementData, ranks: RanksData, numbers
 
 
 def compute_facing(world: World, crowd: CrowdData, position: Floats) -> Floats | None:
-    """Return the directions (n, 3) that agents of a line face at their positions, 0 for agents without one.
+    """Return the directions (n, 3) that agents of a line face at their positions, 0 for agents without a direction.
 
     None if the scene sets no direction, so that headings are random."""
     place = locate_place(world, crowd.place)

@@ -1,4 +1,4 @@
-"""Random points on surfaces, on faces of any orientation. They are spread evenly, or by the density of a map."""
+"""Random points on surfaces, on faces of any orientation. They are distributed evenly, or by a density that a map defines."""
 
 from __future__ import annotations
 
@@ -43,11 +43,10 @@ class FaceArea:
     def draw_points(
         self, u: NDArray[np.float32], *draws: NDArray[np.float32]
     ) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
-        """Return the faces (n), weights b1 (n), weights b2 (n) and positions (n, 3; mm) of random points, from four draws each.
-
-        A linear density in a triangle is a mixture of three densities, each proportional to one corner's weight. The gaps between
-        sorted draws, with two gaps merged, have these densities (L. Devroye, Non-Uniform Random Variate Generation, 1986, V.2,
-        XI.4). If there are no triangles, the face is -1 and the position zero."""
+        """Return random points: their faces (n), weights b1 (n) and b2 (n), and positions (n, 3; mm). Each point uses four
+        draws. A linear density in a triangle is a mixture of three densities, each proportional to one corner's weight. The
+        gaps between sorted draws, with two gaps merged, have these densities (L. Devroye, Non-Uniform Random Variate
+        Generation, 1986, V.2, XI.4). If there are no triangles, the face is -1 and the position zero."""
         if not len(self.cumulative_area):
             return np.full(len(u), -1), np.zeros(len(u)), np.zeros(len(u)), np.zeros((len(u), 3))
         pick = np.searchsorted(self.cumulative_area, u.astype(np.float64) * self.cumulative_area[-1], side="right")
@@ -65,9 +64,8 @@ class FaceArea:
         return face, b1, b2, place
 
     def draw_footings(self, *draws: NDArray[np.float32]) -> tuple[Footing, Floats, Flags]:
-        """Return the footings of random points, the normals of their faces (n, 3), and whether an agent can stand there.
-
-        An agent can stand inside the ball and outside all solids."""
+        """Return the footings of random points, the normals of their faces (n, 3), and a mask of points where an agent can
+        stand. These must be inside the ball and outside all solids."""
         face, b1, b2, place = self.draw_points(*draws)
         if not len(self.cumulative_area):
             return Footing.create_unplaced(len(face)), np.array(np.broadcast_to(self.world.up, place.shape)), face >= 0

@@ -22,7 +22,7 @@ _BYTES_PER_LEG = 550  # bytes of a walking leg
 
 
 class WorkEstimate(NamedTuple):
-    """The work that one thing of the world needs: `part_count` parts, their plural name `unit_name`, and approximate `bytes`."""
+    """The cost of one thing of the world: the number of its parts, the plural name of these parts, and approximate bytes."""
 
     thing: str
     part_count: int
@@ -47,7 +47,7 @@ def estimate_world_work(
 
 
 def _saturate_count(count: float) -> int:
-    """Return an estimate as an integer. Very large and infinite values are limited."""
+    """Convert an estimate to an integer. Very large and infinite values are limited."""
     return int(min(count, 2.0**62)) if count > 0 else 0
 
 

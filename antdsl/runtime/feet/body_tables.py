@@ -1,8 +1,8 @@
 """Positions and axes of bodies as one table, and the conversion of points between bodies and the world.
 
-A table is float64[14, n]. Its rows are the position (mm) and the unit vectors ahead, up and aside, three rows each. Then come the
-size (mm) and the play of the trunk: 1 if it stays over its feet, 0 if the body has shifted out of the ground. Points of a body
-are in body lengths: ahead, above, aside."""
+A table is float64[14, n]. Its rows are the position (mm) and the unit vectors ahead, up and aside, three rows each. The last
+two rows are the size (mm) and whether the trunk stays over its feet: 1 if it does, 0 if the body has shifted out of the
+ground. Points of a body are in body lengths: ahead, above, aside."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def read_footed_body(bodies: Array2[F64], row: I64) -> FootedBody:
 def prefetch_columns(table: Any, rows: I64, group_size: I64, begin: I64, end: I64) -> None:
     """Prefetch the columns from `begin` to before `end` of a table (…, n) with `rows` rows, `group_size` numbers at once.
 
-    The kernels of this package read about 100 rows; a processor prefetches only a few of them itself."""
+    The kernels of this package read about 100 rows, but a processor automatically prefetches only a few."""
     for row in range(rows):
         k = begin
         while k < end:
@@ -124,7 +124,7 @@ def transform_to_world(body: FootedBody, x: F32, y: F32, z: F32) -> Vec3:
 
 @inlined
 def transform_to_body(body: FootedBody, position: Vec3) -> Vec3F32:
-    """Return a world position (mm) relative to a body, in float32 body lengths: ahead, above, aside."""
+    """Convert a world position (mm) to the axes of a body, in float32 body lengths: ahead, above, aside."""
     place, ahead, up, aside, size = body
     by = _F(1.0 / max(size, _MIN_SIZE))
     away = _to_float32(minus(position, place))

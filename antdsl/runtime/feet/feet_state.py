@@ -1,4 +1,4 @@
-"""The feet of one species as arrays, one row for each agent."""
+"""The state of the feet of one species, as arrays with one row per agent."""
 
 from __future__ import annotations
 
@@ -130,13 +130,13 @@ class FeetState:
         return self._cached_ranks
 
     def _find_id_rows(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Return the row of each id, and whether the id has a row."""
+        """Return the row of each id, and whether there is such a row."""
         order = sort_stably(self.ids)
         at, known = match_ids(ids, self.ids.take(order))
         return order.take(at, mode="clip") if order.size else at, known
 
     def copy_common_agents(self, previous_feet: FeetState) -> None:
-        """Copy the values of all agents that are also in `previous_feet` from there."""
+        """Copy from `previous_feet` the values of all agents that both have."""
         at, known = previous_feet._find_id_rows(self.ids)
         for name, array in self.get_stored_arrays().items():
             rows: tuple[Any, ...] = (slice(None),) * _find_agent_axis(name)
@@ -155,7 +155,7 @@ class FeetState:
 def _select_rows(name: str, array: Array | None, source_rows: NDArray[np.intp], new_rows: NDArray[np.intp]) -> Array | None:
     """Return the rows `source_rows` of a column, with zeros in the rows `new_rows`.
 
-    Body positions of the previous step have NaN there."""
+    In previous body positions, new rows contain NaN instead."""
     if array is None:
         return None
     axis, is_by_leg = _find_agent_axis(name), _is_by_leg(name)

@@ -1,4 +1,4 @@
-"""One step of all feet: the kernels of `stepping` run for each body, with the ground that `foothold_search` finds."""
+"""Runs one step of all feet: the kernels of `stepping` for each body, with the ground found by `foothold_search`."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ class _FeetStep:
         feet.covered = feet.stood = None
 
     def _move_feet_with_ground(self) -> None:
-        """Move feet with the ground below them, and the start points of swings with the bodies."""
+        """Move footholds with the ground below them, and the start points of swings with the bodies."""
         feet = self.feet
         if self.foot_ground.moving_numbers:
             self.foot_ground.move_positions_with_ground(self.world, feet.on, feet.face, feet.weight, feet.place)

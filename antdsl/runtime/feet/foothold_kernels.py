@@ -1,4 +1,4 @@
-"""Kernels that find ground for feet: the hits of rays from the legs, and which hits a leg can use.
+"""Kernels that find ground for feet. They cast rays from the legs, and select the hits that a leg can reach.
 
 Requests are columns: arrays (3, k) of positions (mm), and float64[k] of lengths. Rays are short and use a `TriangleGrid`."""
 
@@ -184,7 +184,7 @@ def find_nearest_on_mesh(
 
 @inlined
 def _store_nearer_hit(hits: Any, k: Any, number: Any, t: Any, a: Any, w: Any) -> None:
-    """Write a hit of ray `k` on a mesh, at `a` + `t` * `w`, unless the previous hit is nearer."""
+    """Store a hit of ray `k` on a mesh, at `a` + `t` * `w`, unless the stored hit is nearer."""
     if t < hits[0][k]:
         _store_hit_position(hits, k, number, t, (a[0] + w[0] * t, a[1] + w[1] * t, a[2] + w[2] * t))
 

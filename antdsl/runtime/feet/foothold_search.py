@@ -1,9 +1,9 @@
-"""Ground for feet: which points of surfaces, obstacles, solids and the plane a leg can reach, and on which side.
+"""Finds ground for feet: points of surfaces, obstacles, solids and the plane that a leg can reach, on the side of the body.
 
 A foot searches along the straight line from its hip to its target position, so that no leg passes through a thin mesh. The hit
 may be far from the target, for example at an edge, a wall or a step. Then the foot searches from above the target, along the
-body's up. The start of this ray must be visible from the hip. The last attempt is the nearest position on the ground. A result is
-visible from the hip, and no farther away than the leg is long."""
+body's up. The start of this ray must be visible from the hip. The last attempt is the nearest position on the ground. A result
+is visible from the hip, and no farther away than the leg is long."""
 
 from __future__ import annotations
 
@@ -37,10 +37,9 @@ _NO_RINGS = np.empty(0), np.empty(0, np.int32), np.empty(0, np.float32)  # for a
 
 @dataclass(slots=True, eq=False)
 class GroundHits:
-    """Hits of k rays on the ground.
-
-    `ray_fraction` float64[k]: the share of the ray's length before the hit; inf without a hit. `position` float64[3, k]: of the
-    hit (mm). `thing_numbers`, `face`, `weight`: the thing, the triangle and the weights of the hit, as in `Feet`."""
+    """Hits of k rays on the ground. `ray_fraction` float64[k]: the fraction of the ray's length before the hit; inf without a
+    hit. `position` float64[3, k]: the position of the hit (mm). `thing_numbers`, `face`, `weight`: the thing, the triangle and
+    the weights of the hit, as in `Feet`."""
 
     ray_fraction: NDArray[np.float64]
     position: Vectors
@@ -105,8 +104,8 @@ class FootGround:
     ) -> GroundHits:
         """Return the first hits of the straight lines from `origin` by `displacement`.
 
-        `starts`: faces near the origins, or -1. `is_hit_likely`: whether most rays hit a mesh that bodies walk on. Open3D then
-        skips the test which rays do. Neither argument changes a result."""
+        `starts`: faces near the origins, or -1. `is_hit_likely`: whether most rays hit a mesh that bodies walk on. Then Open3D
+        does not first test which rays hit. Neither argument changes a result."""
         hits, threads = GroundHits.empty(origin.shape[1]), world.options.threads
         if isinstance(world.ground, PlaneGround):
             _cast_on_plane(world, origin, displacement, hits)
@@ -321,13 +320,13 @@ def _search_with_detour_rays(
 
 
 def _find_rays_at_box(box: tuple[Vectors, Vectors], origin: Vectors, displacement: Vectors) -> Rows:
-    """Return the rays that may hit a box."""
+    """Return the numbers of the rays that may hit a box."""
     low, high = np.minimum(origin, origin + displacement), np.maximum(origin, origin + displacement)
     return np.flatnonzero(((low <= box[1][:, None]) & (high >= box[0][:, None])).all(axis=0))
 
 
 def _find_rays_near_mesh(obstacle: RayScene, rows: Rows, origin: Vectors, displacement: Vectors) -> Rows:
-    """Return the rays that may hit a mesh, by a test with the bounding sphere of each ray."""
+    """Return the rays that may hit a mesh. The test uses the bounding sphere of each ray."""
     half = displacement * 0.5
     return _find_points_near_mesh(obstacle, rows, origin + half, _compute_lengths(half))
 
@@ -338,7 +337,7 @@ def _find_points_near_mesh(obstacle: RayScene, rows: Rows, points: Vectors, reac
 
 
 def _cast_on_plane(world: World, origin: Vectors, displacement: Vectors, hits: GroundHits) -> None:
-    """Write the hits on the ground plane to `hits`."""
+    """Cast rays on the ground plane, and store the hits in `hits`."""
     up = world.up
     height = (origin[0] * up[0] + origin[1] * up[1]) + origin[2] * up[2]
     fall = -((displacement[0] * up[0] + displacement[1] * up[1]) + displacement[2] * up[2])
@@ -357,7 +356,7 @@ def _cast_on_plane(world: World, origin: Vectors, displacement: Vectors, hits: G
 def _cast_on_solid(
     k: int, obstacle: SolidProximityQueries, near_rows: Rows, origin: Vectors, displacement: Vectors, ground_hits: GroundHits
 ) -> None:
-    """Write the hits on a solid, if they are nearer than previous hits."""
+    """Cast rays on a solid, and store the hits that are nearer than previous hits."""
     a, w = origin[:, near_rows], displacement[:, near_rows]
     length = _compute_lengths(w)
     unit = w / np.maximum(length, 1e-300)

@@ -1,4 +1,4 @@
-"""Stride, duty factor, lift and phases of gaits by speed, and the measures of legs."""
+"""Tables of gaits by speed (stride, duty factor, lift and phases), and dimensions of legs."""
 
 from __future__ import annotations
 

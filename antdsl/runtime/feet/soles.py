@@ -1,4 +1,5 @@
-"""Directions of flat soles: along the normal of the ground at the foothold of each foot, and between two footholds in swing."""
+"""The directions of flat soles. On the ground, a sole faces along the ground's normal. In swing, its direction changes from
+one foothold's normal to the next."""
 
 from __future__ import annotations
 
@@ -24,8 +25,8 @@ def measure_tread_slopes(
 ) -> None:
     """Write the normals of the ground at footholds to `tread`, on the side of the bodies.
 
-    `selected_feet`: the numbers [k] of agents, and of their legs. `up` [3, k]: the up directions of their bodies. Feet without
-    ground get these."""
+    `selected_feet`: the numbers [k] of agents, and of their legs. `up` [3, k]: the up directions of their bodies. For feet
+    without ground, the result is the up direction of the body."""
     things, place, threads = feet.on[selected_feet], feet.place[:, selected_feet[0], selected_feet[1]], world.options.threads
     normals = np.array(up)
     normals[:, things == PLANE_GROUND_NUMBER] = np.asarray(world.up, np.float64)[:, None]

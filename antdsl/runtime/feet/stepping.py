@@ -272,8 +272,8 @@ def take_steps(
 ) -> None:
     """Swing feet to their new footholds, move the trunks over them, and write the positions of all feet.
 
-    `trunk_steps`: the share per frame of a change of tilt or to a lower height, the share of a change to a greater height, and
-    the largest difference from the height at rest. `last`: receives position, heading and up of bodies for the next frame."""
+    `trunk_steps`: the fraction per frame of changes of tilt and downward changes of height, the fraction of upward changes,
+    and the largest difference from the height at rest. `last`: receives position, heading and up of bodies for the next frame."""
     count = legs.shape[1]
     slower, faster, highest = trunk_steps
     place, start, current_place = feet[0]
@@ -352,7 +352,7 @@ def _wrap_phase(turns: Any) -> Any:
 
 @inlined
 def _compute_hip_position(legs: Any, leg: Any, slope: Any, rise: Any) -> Any:
-    """Return the position of a leg's hip, for a trunk that leans by `slope` and is raised."""
+    """Return the position of a leg's hip, for a trunk that leans by `slope` and is raised by `rise`."""
     x, y, z = trunk.rotate_point_by_slope(
         slope, (legs[HIP_POSITION_ROW, leg], legs[HIP_POSITION_ROW + 1, leg], legs[HIP_POSITION_ROW + 2, leg])
     )

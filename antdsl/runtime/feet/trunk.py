@@ -1,7 +1,7 @@
-"""Height and tilt of the trunk: a plane through the ground below the feet, smoothed and bounded.
+"""Height and tilt of the trunk: they follow a plane through the ground below the feet, smoothed and limited.
 
-Lengths are body lengths, float32; sums go over legs in their order. The plane is a least-squares fit with equal weights; hanging
-feet do not count."""
+Lengths are body lengths, float32; sums go over legs in their order. The plane is a least-squares fit with equal weights;
+hanging feet do not count."""
 
 from __future__ import annotations
 
@@ -62,7 +62,8 @@ def fit_plane_to_feet(points: Any, ground_numbers: Any, legs: Any, i: Any) -> An
 
 @inlined
 def compute_lowered_trunk_rise(points: Any, swing_phases: Any, legs: Any, rise: Any, slope: Any, min_rise: Any, i: Any) -> Any:
-    """Return the rise of a trunk, lowered as far as the legs of its standing feet require. The trunk leans by `slope`."""
+    """Return the rise of a trunk. It is lowered as far as necessary so that the legs reach the standing feet. The trunk leans
+    by `slope`."""
     most = _INFINITE
     for leg in range(legs.shape[1]):
         x, y, z = rotate_point_by_slope(

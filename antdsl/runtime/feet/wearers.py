@@ -1,4 +1,4 @@
-"""The agents that have the same body, called its wearers, in the form in which feet read them."""
+"""The wearers of a body: all agents that have this body, in the form that the code of feet reads."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ class BodyWearers(Protocol):
 
     @property
     def now(self) -> Mapping[str, NDArray[Any]]:
-        """Return the current values of registers by name: at least heading, up and size, and the body's shift if it exists."""
+        """Return the current values of registers by name. These include heading, up and size, and the body's shift if it
+        exists."""
 
     def __len__(self) -> int: ...
 
@@ -41,7 +42,7 @@ class BodyWearers(Protocol):
 
     @property
     def footing(self) -> Footing:
-        """Return the footings of the agents: where they stand."""
+        """Return the footings of the agents."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +80,7 @@ def get_body_wearers(world: World, key: str) -> BodyWearers:
 
 
 def compute_crouch_lowering(world: World, key: str) -> NDArray[np.float32] | None:
-    """Return by how much (mm) the bodies `key` are lowered because they crouch, in the order of ids.
+    """Return by how much (mm) crouching lowers each of the bodies `key`, in the order of ids.
 
     None for a species that does not crouch."""
     population = world.populations.get(find_species_of_key(key))

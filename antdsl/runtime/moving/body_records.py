@@ -16,7 +16,7 @@ MAX_LIFT_BODY_LENGTHS = 0.6  # body lengths; the largest shift of a body
 
 
 class BodyPoses(NamedTuple):
-    """The up directions and the headings of bodies, x, y, z each."""
+    """The up direction and the heading of each body, as x, y and z arrays."""
 
     up: VectorColumns
     heading: VectorColumns
@@ -25,11 +25,10 @@ class BodyPoses(NamedTuple):
 class BodyLimits(NamedTuple):
     """Limits of bodies in a step.
 
-    `max_tilts`: the largest tilt of each agent in this step (radians). `max_turn`: its largest turn (rad/s).
-    `size`: its size (mm). `max_speed` (mm/s). `body_numbers`: the number of its body. `dt`: the duration of the step (s).
-    `unit_shapes`: the numbers of a `BodyShape` of 1 mm, for each body of the species.
-    `voluntary_shift`: how far a body may shift even if it need not (body lengths). `max_shift`: the largest shift (body
-    lengths)."""
+    `max_tilts`: the largest tilt of each agent in this step (radians). `max_turn`: its largest turn (rad/s). `size`: its size
+    (mm). `max_speed` (mm/s). `body_numbers`: the number of its body. `dt`: the duration of the step (s). `unit_shapes`: the
+    numbers of a `BodyShape` of 1 mm, for each body of the species. `voluntary_shift`: how far a body may shift without being
+    forced to (body lengths). `max_shift`: the largest shift (body lengths)."""
 
     max_tilts: Array1[F32]
     max_turn: Array1[F32]
@@ -45,10 +44,9 @@ class BodyLimits(NamedTuple):
 class BodyRegisters(NamedTuple):
     """Values that a body retains from step to step.
 
-    `lift`: its shift from the feet (mm). `wait_share`: how strongly its feet wait for it, from 0 to 1; -1 while it retreats.
+    `lift`: its shift from the feet (mm). `wait_share`: how much its feet wait for the body, from 0 to 1; -1 while it retreats.
     `penetration_depth`: its depth inside a surface (body lengths). `outward_direction`: the direction out of the surface that
-    it touched.
-    `idle_time`: for how long (s) its feet have not moved although they should."""
+    it touched. `idle_time`: for how long (s) its feet have not moved although they should."""
 
     lift: VectorColumns
     wait_share: Array1[F32]

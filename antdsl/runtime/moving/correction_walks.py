@@ -1,4 +1,4 @@
-"""The walks by which agents make the displacements that contacts request, over their ground and along obstacles.
+"""Walks agents by the displacements that contacts request, over their ground and along obstacles.
 
 No agent moves farther than it can walk in the step's duration."""
 

@@ -1,8 +1,8 @@
-"""Bodies that crouch below low ceilings: they lower themselves before a ceiling, and where they do not fit, it acts as a wall.
+"""Bodies that crouch below low ceilings. They lower themselves before a ceiling. A ceiling that is too low acts as a wall.
 
 The registers exist for species with `crouch`. Rays up from points around each agent measure the free height. An agent lowers
-itself to the least of them, no faster than a body moves, and stands up after the ceiling. A step below a ceiling for which it is
-still too tall is taken back. Each agent is computed from its own values."""
+itself to the least of these heights, no faster than a body moves, and stands up after the ceiling. A step below a ceiling for
+which it is still too tall is taken back. Each agent is computed from its own values."""
 
 from __future__ import annotations
 
@@ -57,9 +57,8 @@ def compute_lowering(population: Population, rows: Rows | slice = slice(None)) -
 def crouch_below_ceilings(
     world: World, population: Population, start: StepStartStance, steps: Floats, dt: float
 ) -> tuple[Rows, Floats, GroundMove] | None:
-    """Lower and raise bodies after a walk. Return the rows of steps that are taken back, other steps (k, 3) mm, and their ends.
-
-    `steps` (n, 3): the steps of the walk (mm). None if no step is taken back."""
+    """Lower and raise bodies after a walk. Return the rows with undone steps, the steps (k, 3) mm that replace these, and
+    their ends. None if no step is undone. `steps` (n, 3): the steps of the walk (mm)."""
     every = np.arange(len(population))
     free = _measure_free_heights(world, population, every, population.position, steps, dt)
     least, lowering = _find_least_shares(population, every), population.now[LOWERING_REGISTER]
@@ -82,7 +81,7 @@ def crouch_below_ceilings(
 
 
 def _find_least_shares(population: Population, rows: Rows) -> Floats:
-    """Return the lowest share of their height to which bodies crouch."""
+    """Return the lowest height to which each body can crouch, as a fraction of its standing height."""
     return np.clip(population.now[CROUCH_REGISTER][rows].astype(np.float64), 0.05, 1.0)
 
 
@@ -168,8 +167,8 @@ def _walk_along_low_ceilings(
 ) -> tuple[Floats, GroundMove]:
     """Return other steps (k, 3) mm of the agents in `rows`, and their ends.
 
-    Before a wall (`is_wall`) an agent walks along it, to the side with more room. All others, and agents without room there, stay
-    where they were and wait until the body is low enough."""
+    Before a wall (`is_wall`) an agent walks along it, to the side with more room. All other agents, and those without space at
+    the side, stay and wait until their body is low enough."""
     up, result = np.asarray(world.up, np.float64), np.zeros_like(steps)
     moved = move_along_ground(world, population, start, rows, result)
     side = _compute_side_directions(ahead, up)

@@ -75,7 +75,7 @@ _ARRIVALS_PER_THREAD = 64  # fewer agents with separate arrival are not worth an
 def move_agents(world: World, population: Population, substep_index: int) -> BodyClearanceStep | None:
     """Move all agents of a species by one substep. This changes position, velocity, heading, up and footing.
 
-    If bodies stay outside their ground, return their step: contacts must correct it."""
+    If bodies stay outside their ground, return their step, because contacts must correct it."""
     if not len(population):
         return None
     dt = _F(world.dt / world.setting.substeps)

@@ -1,4 +1,4 @@
-"""The moving things of a world: their positions at a frame, and the agents that they carry or push.
+"""Moves the moving things of a world to a frame, together with the agents that they carry or push.
 
 All results are functions of the frame and of the agents' positions."""
 
@@ -24,9 +24,8 @@ _F = np.float32
 
 
 def move_geometry(world: World) -> None:
-    """Move all moving things to the next frame. Agents move with their ground, then out of obstacles that have reached them.
-
-    In a periodic world, agents that have left its box are moved into it first."""
+    """Move all moving things to the next frame. Agents move with their ground. Then they move out of obstacles that have
+    reached them. In a periodic world, agents that have left its box are moved into it first."""
     wrap_world(world)
     if not world.setting.motion:
         return

@@ -1,5 +1,5 @@
-"""Obstacles are hard: a step that would move an agent's centre into an obstacle is shortened, and the remainder slides along
-it."""
+"""Keeps agents out of obstacles. A step that would move an agent's centre into an obstacle is shortened, and the rest of the
+step slides along the obstacle."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def slide_steps(world: World, population: Population, step: VectorArrays, up: Ve
 
 
 def slide_rows(world: World, population: Population, rows: Rows, step: VectorArrays, up: VectorComponents) -> VectorArrays:
-    """Return steps as `slide_steps` does, for agents that have already moved within the step and continue from there."""
+    """Return deflected steps, like `slide_steps`, for agents that have already moved in this step."""
     names = _list_obstacle_names(world)
     if names:
         place, radius, drift = _measure_distances_from_start(population, rows)

@@ -1,8 +1,8 @@
-"""Methods that orient bodies by something else than the ground's smooth normal. If a method fails, the normal is used.
+"""Orients bodies by methods that do not use the ground's smooth normal. If a method fails, the normal is used.
 
 Both methods follow the sources (R15). `turns` (method 1 in the source) does not query the ground. Two successive directions of
-motion span the plane of flat ground, and their cross product is its normal. `probes` (method 2) finds two points on the surface,
-ahead and to the left. The body is perpendicular to the directions to these points."""
+motion span the plane of flat ground, and their cross product is its normal. `probes` (method 2) finds two points on the
+surface, ahead and to the left. The body is perpendicular to the directions to these points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Agents that move at a share of their own speed, as if their time passed more slowly.
+"""Slows agents down to a fraction of their speed, as if their time passed more slowly.
 
 Between steps, velocities are those of the motion in the scene. While agents decide and while their push acts, velocities are
 divided by the share. So a program sees the speed that its agents would have, and they reach it again afterwards."""
@@ -48,7 +48,7 @@ class SpeedShares:
         self._full_limits = {name: population.now[name][self.slowed_rows] for name in _LIMIT_NAMES if name in population.now}
 
     def prepare_substep(self, population: Population, substep: int, dt: np.float32) -> None:
-        """Set velocities and limits for the push of a substep of `dt` s: turns are slower, speeds are not."""
+        """Set velocities and limits for the push of a substep of `dt` s. Turns are slowed down, speeds are not."""
         now = population.now
         if substep:
             _undo_speed_shares(vec.get_vector_registers(now, "velocity"), self.slowed_rows, self.speed_shares)

@@ -1,7 +1,7 @@
-"""The postures of bodies: they stand between the normal of their ground and the up direction of the world.
+"""The postures of bodies: their up direction can be anywhere between the normal of their ground and the up of the world.
 
-The register exists for species that set `upright`. With 0, bodies stand along the normal of the ground; with 1, along the up of
-the world. Values between turn bodies by that share of the angle."""
+The register exists for species that set `upright`. With 0, bodies stand along the normal of the ground; with 1, along the up
+of the world. Values in between rotate bodies by this fraction of the angle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Agents that the scene guides: they walk straight ahead at one speed for a distance, without senses or decisions (P18)."""
+"""Walks of agents that the scene guides. They go straight ahead at one speed for a distance, without senses or decisions
+(P18)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Ground that is too steep for agents acts as a wall: steps onto it are deflected along it, or end where they began.
+"""Treats ground that is too steep for agents as a wall. Steps onto such ground are deflected along it or cancelled.
 
 The register exists for species with `max_slope`. A step is too steep if it leads up ground steeper than that, or from other
-ground onto it. Steps of stairs are not walls. An agent crosses a steep part if it can stand beyond it, at most a quarter of its
-height higher or lower. Only agents with such a step are computed here, each from its own values."""
+ground onto it. Steps of stairs are not walls. An agent crosses a steep part if it can stand beyond it, at most a quarter of
+its height higher or lower. Only agents with such a step are computed here, each from its own values."""
 
 from __future__ import annotations
 

@@ -75,8 +75,8 @@ def find_next_impacts(
     """Write the impacts of pairs with a row that `is_touched` to `encounters`, and the time of each row's first impact to
     `first_impact_time` (n).
 
-    Returns the number of impacts.
-    `was_touched` (n): rows that have changed since the last call. Only impacts of their pairs are computed again."""
+    Returns the number of impacts. `was_touched` (n): rows that have changed since the last call. Only the impacts of pairs
+    with these rows are updated."""
     for pair in range(encounters.first_rows.size):
         p, q = encounters.first_rows[pair], encounters.second_rows[pair]
         if (was_touched[p] | was_touched[q]) & (is_touched[p] | is_touched[q]):

@@ -1,9 +1,9 @@
-"""Bodies follow the ground below their feet smoothly, no faster than they can turn, and with the head out of walls ahead.
+"""Tilts bodies smoothly to the ground below their feet, no faster than they can turn, and so that heads stay out of walls.
 
-Feet are exact: at an edge, their footing and the normal below them (`Population.normal`) change at once, by any angle. The body's
-up and heading turn gradually towards the feet. Frames store the body's values. Programs sense and push along the axes of the
-feet. Before a wall, the body tilts ahead of the feet: by a right angle over about its own length. If it cannot tilt as fast as it
-walks, the feet slow down."""
+Feet are exact: at an edge, their footing and the normal below them (`Population.normal`) change at once, by any angle. The
+body's up and heading turn gradually towards the feet. Frames store the body's values. Programs sense and push along the axes
+of the feet. Before a wall, the body tilts ahead of the feet: by a right angle over about its own length. If it cannot tilt as
+fast as it walks, the feet slow down."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Velocities after a push, and velocities and headings after a walk, for one agent at a time in float32.
+"""Computes velocities after a push, and velocities and headings after a walk. Agents are processed one by one in float32.
 
 This module defines how fast headings follow the movement, and the states of bodies. The `state` of a body is the number of the
-wall ahead, or one of three values: the body leans, is aligned with its feet, or hastens. A body hastens if it is aligned with its
-feet but would turn too fast."""
+wall ahead, or one of three values: the body leans, is aligned with its feet, or hastens. A body hastens if it is aligned with
+its feet but would turn too fast."""
 
 from __future__ import annotations
 
@@ -197,8 +197,8 @@ def apply_push(
 def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32, min_speed: F32) -> Vec3F32:
     """Return a velocity raised to a least speed.
 
-    A slower agent gets the missing speed in its previous direction (from rest: along its heading). A sideways push turns it;
-    braking never reverses it."""
+    A slower agent is accelerated in its previous direction, or along its heading if it was at rest. A sideways push turns the
+    agent. Braking never reverses its direction."""
     square = dot(velocity, velocity)
     if not square < min_speed * min_speed:
         return velocity
@@ -215,9 +215,9 @@ def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32
 @kernel_helper
 def _limit_velocity_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, max_turn: F32, creep_speed: F32) -> Vec3F32:
     """Return the velocity turned by at most `max_turn` (radians) from the previous one. From rest it may have any direction.
-
-    It keeps only its component in that direction. So a push against the motion first brakes, and does not speed up an agent that
-    cannot turn. Below the speed `creep_speed` (mm/s) the velocity keeps its length, and the agent turns almost on the spot."""
+    It keeps only its component in that direction. So a push against the motion first brakes, and does not speed up an agent
+    that cannot turn. Below the speed `creep_speed` (mm/s), the length of the velocity does not change, so the agent turns
+    almost on the spot."""
     if not length(previous_velocity) > 0:
         max_turn = _F(4.0)
     ahead, good = _normalise(previous_velocity)
@@ -360,13 +360,13 @@ def _turn_heading_to_velocity(
 
 @inlined
 def maximum(a: F32, b: F32) -> F32:
-    """Return the greater number; NaN if the first is NaN, as in NumPy."""
+    """Return the greater number, or NaN if the first number is NaN, like NumPy."""
     return b if a <= b else a
 
 
 @inlined
 def _minimum(a: F32, b: F32) -> F32:
-    """Return the lesser number; NaN if either is NaN, as in NumPy."""
+    """Return the lesser number, or NaN if either number is NaN, like NumPy."""
     return a if a < b or a != a else b
 
 

@@ -1,4 +1,4 @@
-"""Agents that never appear, because of `without` and `thin`: they are removed at their birth, before they act.
+"""Removes agents that never appear, because of the notes `without` and `thin`. They are removed at birth, before they act.
 
 Their ids and start positions stay reserved, so all other agents are the same as without the note."""
 
@@ -37,7 +37,7 @@ def remove_absent(world: World, notes: Iterable[Note], first_rows: dict[str, int
 
 
 def _thin_out(world: World, species: str, mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
-    """Return which of the agents in a mask are absent, so that a share of them stays: those with the greatest draws."""
+    """Return which of the agents in a mask are absent. The fraction `share` of them, with the greatest random draws, stays."""
     rows = np.flatnonzero(mask)
     ids = world.populations[species].ids[rows]
     draws = draw_uniform(world.setting.seed, 0, species, _THIN_SITE, 0, ids)

@@ -20,8 +20,8 @@ Delays = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ActiveNote:
-    """A note in one step. `key`: identifies it in the memory. `rows`: the living agents for which it holds, by species; species
-    without any are left out. `delays`: by species, how many frames later it is for each of them."""
+    """A note in one step. `key`: identifies it in the memory. `rows`: the living agents for which it holds, by species;
+    species without such agents are omitted. `delays`: by species, by how many frames the note is delayed for each agent."""
 
     note: Note
     key: str
@@ -47,7 +47,7 @@ class NoteAgents:
 
     @property
     def weight(self) -> NDArray[np.float64]:
-        """The share (k,) of the note from 0 to 1: below 1 where it begins and ends."""
+        """Return the strength (k,) of the note from 0 to 1. It is below 1 in the frames in which the note begins and ends."""
         return compute_weight(self.active.note, self.delays, self.world.display_frame)
 
     @property
@@ -59,7 +59,7 @@ class NoteAgents:
         return [replace(self, population=self.world.populations[name]) for name in sorted(self.active.rows)]
 
     def select(self, chosen: NDArray[Any]) -> NoteAgents:
-        """Return some of these agents, by their indices or a mask."""
+        """Return a subset of these agents, given by indices or a mask."""
         name = self.population.name
         rows, delays = {name: self.rows[chosen]}, {name: self.delays[chosen]}
         return replace(self, active=replace(self.active, rows=rows, delays=delays))
@@ -70,14 +70,14 @@ class NoteAgents:
         return self.world.notes.memory.get(f"{self.active.key}.{self.population.name}.{name}", default)
 
     def store_memory(self, name: str, array: NDArray[Any]) -> None:
-        """Remember an array for the next step."""
+        """Store an array in the note's memory, for the next step."""
         assert self.world.notes is not None
         self.world.notes.memory[f"{self.active.key}.{self.population.name}.{name}"] = array
 
 
 def compute_weight(note: Note, delays: Delays, frame: int) -> NDArray[np.float64]:
-    """Return the share of a note in a frame for agents with delays (k,): 1 in its frames, rising and falling smoothly in the
-    frames of its ease."""
+    """Return the strength of a note in a frame, for agents with delays (k,). It is 1 in the note's frames, and changes
+    smoothly in the ease frames before and after."""
     return compute_ease_weight(np.float64(note.first_frame) + delays, find_last_frames(note, delays), note.ease_frames, frame)
 
 

@@ -34,8 +34,8 @@ _NOT_LEFT = np.iinfo(np.int64).min  # stands for the frame of a departure that h
 class Journey(NamedTuple):
     """Agents on their way to a target, at the start of a step.
 
-    `velocity` (k, 3) mm/s: takes them there in time. `share` (k,): how much of their wish that is. `urgency` (k,): how much of
-    the result of all layers it is."""
+    `velocity` (k, 3) mm/s: the velocity with which they arrive in time. `share` (k,): its weight in what states steer.
+    `urgency` (k,): its weight in the result of all layers."""
 
     velocity: Floats
     share: Floats
@@ -51,7 +51,8 @@ def lead_to_target(agents: NoteAgents, register: str, is_final: bool) -> None:
 
 
 def find_reach_goal(agents: NoteAgents, note: ReachNote) -> TargetPoints | NearestOnMesh | OwnPoints:
-    """Return the target of a `reach`. The common order of all its agents along a curve is remembered until others join."""
+    """Return the target of a `reach`. The order of its agents along a curve is stored, and computed again when other agents
+    join."""
     if note.target is not None:
         return find_goal(agents.world, note.target)
     assert note.along is not None, "it has one of both"
@@ -97,7 +98,7 @@ def lead_along_path(agents: NoteAgents, register: str, is_final: bool) -> None:
 def find_journey(agents: NoteAgents, target: TargetPoints | NearestOnMesh | OwnPoints, frames: NDArray[np.int64]) -> Journey:
     """Return the journey of agents that are to be at a target in their frames (k,).
 
-    Each leaves as late as it can without haste, and keeps away from the target before."""
+    Each agent leaves as late as it can without hurrying, and stays away from the target until then."""
     world, p, rows = agents.world, agents.population, agents.rows
     offset, distance = target.find_nearest(p.position[rows])
     direction, most = lay_on_ground(p, rows, offset), read_max_speeds(p, rows)
@@ -130,9 +131,9 @@ def _compute_urgency(speed: Floats, max_speed: Floats) -> Floats:
 
 
 def _record_departures(agents: NoteAgents, leaves: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the frame in which each agent left for its target; `_NOT_LEFT` for agents that have not.
+    """Return the frame in which each agent left for its target; `_NOT_LEFT` for agents that have not left.
 
-    `leaves`: those that leave now, if they have not left before."""
+    `leaves`: agents that leave now, unless they left earlier."""
     known = agents.read_memory("departures", np.empty((0, 2), np.int64))
     at, has_left = match_ids(agents.ids, known[:, 0])
     frames = np.where(leaves, agents.world.display_frame, _NOT_LEFT)

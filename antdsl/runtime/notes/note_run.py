@@ -64,7 +64,7 @@ class NoteRun:
         return NoteRun(notes) if notes else None
 
     def restore_memory(self, memory: Mapping[str, NDArray[Any]]) -> None:
-        """Remember copies of the arrays that belong to these notes, and nothing else."""
+        """Store copies of the arrays that belong to these notes, and no other arrays."""
         self.memory = {n: array.copy() for n, array in memory.items() if n.partition(".")[0] in {_PACE_KEY, *self.notes}}
 
     # --- stages of a step ---------------------------------------------------------------------------------------------
@@ -98,7 +98,7 @@ class NoteRun:
                 functions.values(agents)
 
     def remove_absent(self, world: World, first_rows: dict[str, int], *, is_start: bool = False) -> None:
-        """Remove agents that never appear, among those that are just born: of each species from its first row on."""
+        """Remove agents that never appear, among newborn agents. `first_rows`: by species, the row of the first newborn agent."""
         remove_absent(world, self.notes.values(), first_rows, is_start)
 
     def begin_move(self, world: World) -> None:
@@ -107,7 +107,7 @@ class NoteRun:
             paces.scale_limits(world.populations[name])
 
     def cut_steps(self, world: World, population: Population, motion: tuple[VectorArrays, VectorArrays], dt: float) -> None:
-        """Cut the steps of a species, and its velocities, where notes forbid them. `motion`: steps (mm) and velocities (mm/s) of
+        """Shorten the steps and velocities of a species where notes forbid them. `motion`: steps (mm) and velocities (mm/s) of
         a substep of `dt` s."""
         for active in self.active:
             cut = VERBS[active.note.verb].step
@@ -122,7 +122,7 @@ class NoteRun:
                 motion[1][k][rows[at]] = steps[at, k] / dt
 
     def cut_pushes(self, world: World, starts: Mapping[str, NDArray[np.float64]], dt: float) -> None:
-        """Walk agents back that contacts pushed where notes forbid it.
+        """Walk agents back that contacts pushed to positions that notes forbid.
 
         `starts`: by species, positions (n, 3) mm at the start of a substep of `dt` s."""
         cuts = [(active, cut) for active in self.active if (cut := VERBS[active.note.verb].step) is not None and active.rows]
@@ -146,7 +146,7 @@ class NoteRun:
                     )
 
     def end_move(self, world: World) -> None:
-        """Restore the limits of agents that moved at another speed, and record those that missed their target."""
+        """Restore the limits of agents that moved at another speed, and record the agents that missed their target."""
         for name, paces in self.paces.items():
             paces.restore_limits(world.populations[name])
         missed = (find_missed_target(agents) for _, agents in self._iterate_agents(world))
@@ -155,7 +155,7 @@ class NoteRun:
     # --- agents -------------------------------------------------------------------------------------------------------
 
     def _may_hold(self, world: World, key: str, note: Note) -> bool:
-        """Return whether a note may hold for any agents in this step."""
+        """Return whether a note may apply to any agent in this step."""
         most = find_greatest_delay(world, key, self.memory)
         return bool(compute_ease_weight(note.first_frame, note.last_frame + most, note.ease_frames, world.display_frame))
 
@@ -170,7 +170,8 @@ class NoteRun:
         return ActiveNote(note, key, {name: own for name, own in rows.items() if len(own)}, delays)
 
     def _find_rows(self, world: World, key: str, note: Note, frame: SelectableFrame) -> dict[str, Rows]:
-        """Return the living agents of a note, by species. Positions and states are read once, when the note begins."""
+        """Return the living agents of a note, by species. Selectors of positions and states are evaluated once, when the note
+        begins."""
         selector = note.selector
         names = {species: f"{key}.{species}.ids" for species in world.populations}
         if not needs_frame(selector):
@@ -189,7 +190,7 @@ class NoteRun:
                 yield VERBS[active.note.verb], NoteAgents(world, active, world.populations[species])
 
     def _begin_paces(self, world: World) -> None:
-        """Compute the share of its speed at which each agent moves: the product over all notes."""
+        """Compute the fraction of its speed at which each agent moves. It is the product of the fractions that all notes give."""
         shares: dict[str, NDArray[np.float32]] = {}
         for functions, agents in self._iterate_agents(world):
             if functions.pace is not None:

@@ -1,5 +1,5 @@
-"""Outlines of things, seen from above: convex polygons of meshes, circles of items and agents, points of cameras, now and in
-coming frames."""
+"""Outlines of things, as seen from above, in the current and later frames. Meshes are convex polygons, items and agents are
+circles, cameras are points."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Outline(NamedTuple):
 
 
 def find_outlines(world: World, thing: AnySelector, frame: int) -> list[Outline]:
-    """Return the outlines of a mesh, an item, items, a camera or agents at a frame. Those of agents are where their velocity
-    leads them; all others are cached: the frames ahead come later."""
+    """Return the outlines of a mesh, an item, items, a camera or agents at a frame. Outlines of agents are extrapolated from
+    their velocity. All others are cached, because later steps need the same frames."""
     assert world.notes is not None
     if find_own_agents(world, thing):
         return _predict_agents(world, thing, frame)
@@ -48,7 +48,7 @@ def find_outlines(world: World, thing: AnySelector, frame: int) -> list[Outline]
 
 
 def find_own_agents(world: World, thing: AnySelector) -> Mapping[str, NDArray[np.bool_]]:
-    """Return by species which agents a thing is; nothing for meshes, items and cameras."""
+    """Return, by species, the agents that a thing consists of; nothing for meshes, items and cameras."""
     setting, name = world.setting, thing.name if isinstance(thing, AgentName) and thing.first is None else ""
     items = (each for group, members in setting.items.items() for each in (group, *(item.name for item in members)))
     if name and (name in setting.obstacles or name in setting.surfaces or name in items or _find_camera(world, thing)):

@@ -66,7 +66,7 @@ def _find_needs(agents: NoteAgents) -> tuple[Floats, Floats]:
 
 
 def _find_excluded(agents: NoteAgents) -> NDArray[np.bool_]:
-    """Return which agents (k,) are among those that the others make way for."""
+    """Return a mask (k,) of the agents that belong to the thing that the others make way for."""
     note, p = agents.active.note, agents.population
     assert isinstance(note, PartNote)
     own = find_own_agents(agents.world, note.thing).get(p.name, np.zeros(len(p), np.bool_))
@@ -74,8 +74,8 @@ def _find_excluded(agents: NoteAgents) -> NDArray[np.bool_]:
 
 
 def _turn_aside(world: World, outward_directions: Floats, travel: Floats) -> Floats:
-    """Return directions out (k, 3) turned to the side of a thing that moves by `travel` (3,) mm, so that no agent runs
-    ahead of it."""
+    """Turn outward directions (k, 3) to the side of a thing that moves by `travel` (3,) mm, so that no agent runs in front of
+    it."""
     (distance,) = length(travel[None]).tolist()
     if distance < 1e-6:
         return outward_directions

@@ -20,8 +20,8 @@ from antdsl.scene.thing_models import convert_point
 
 
 class RegionDistances(NamedTuple):
-    """How agents are to a region. `outside` (n,): the distance (mm) to it, negative inside. `outward_directions` (n, 3): the
-    unit direction out, or away from it."""
+    """The distances of agents from a region. `outside` (n,): the distance (mm), negative inside. `outward_directions` (n, 3):
+    the unit direction out of the region, or away from it."""
 
     outside: Floats
     outward_directions: Floats
@@ -55,7 +55,7 @@ def measure_region(world: World, region: NoteRegion, agents: NoteAgents) -> Regi
 
 
 def select_inside(agents: NoteAgents) -> NoteAgents:
-    """Return the agents that are in the region in which their note holds; all of them if it holds everywhere."""
+    """Return the agents that are inside the region of their note, or all agents if the note has no region."""
     note = agents.active.note
     if not isinstance(note, PassingNote) or note.inside is None:
         return agents
@@ -63,7 +63,8 @@ def select_inside(agents: NoteAgents) -> NoteAgents:
 
 
 def _measure_tube(offset: Floats, radius: float) -> RegionDistances:
-    """Return the distances from all points within `radius` mm of a line or point, which positions are an `offset` (n, 3) from."""
+    """Return the distances from all points within `radius` mm of a line or point. `offset` (n, 3): from its nearest point to
+    each position."""
     distance = length(offset)
     return RegionDistances(distance - radius, offset / np.where(distance > 1e-9, distance, np.inf)[:, None])
 
@@ -84,7 +85,7 @@ def _measure_view(world: World, view: View, position: Floats) -> RegionDistances
 
 
 def _measure_box(world: World, box: Box, position: Floats) -> RegionDistances:
-    """Return the distances from a box. Inside, the direction leads along the ground: not to the top or bottom of the box."""
+    """Return the distances from a box. Inside it, the direction is along the ground, never to the top or bottom of the box."""
     corners = np.array([convert_point(point, world.setting.unit_mm) for point in (box.corner, box.opposite)]) - world.origin
     middle, half = corners.mean(axis=0), np.abs(corners[1] - corners[0]) / 2
     offset = position - middle
@@ -129,13 +130,13 @@ def measure_note_region(agents: NoteAgents) -> RegionDistances | None:
 
 
 def invert_distances(distances: RegionDistances) -> RegionDistances:
-    """Return the distances from all that is outside a region."""
+    """Return the distances from the outside of a region: its complement."""
     return RegionDistances(-distances.outside, -distances.outward_directions)
 
 
 def cut_inward_steps(agents: NoteAgents, distances: RegionDistances, step: Floats) -> Floats:
-    """Return steps (k, 3) mm of agents that end outside a region, or no deeper inside: they slide along its border. Steps where
-    the note begins or ends stay."""
+    """Return steps (k, 3) mm of agents that end outside a region, or no deeper inside: they slide along its border. Steps of
+    agents for which the note is just beginning or ending are not changed."""
     normal = agents.population.normal[agents.rows].astype(np.float64)
     flat = distances.outward_directions - dot(distances.outward_directions, normal)[:, None] * normal
     size = length(flat)

@@ -1,4 +1,4 @@
-"""How many frames later a note is for each of its agents."""
+"""Computes the delay, in frames, of a note for each of its agents."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _has_target(world: World, stagger: Stagger) -> bool:
 
 
 def find_greatest_delay(world: World, key: str, memory: Mapping[str, NDArray[Any]]) -> int:
-    """Return the greatest delay in frames that the memory has for a note; 0 for none."""
+    """Return the greatest delay in frames that is stored for a note; 0 if there is none."""
     known = (memory.get(_name_delays(key, name)) for name in world.populations)
     return max((int(own[:, 1].max(initial=0)) for own in known if own is not None), default=0)
 

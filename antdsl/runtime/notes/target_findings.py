@@ -1,4 +1,4 @@
-"""Findings about targets of notes: agents that cannot be there in time, before a run, and agents that were not, after it."""
+"""Findings about targets of notes: before a run, agents that cannot arrive in time; after it, agents that did not."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _HELP = "write a later frame, choose nearer agents, give them a larger `max_spee
 
 
 class MissedTarget(NamedTuple):
-    """Agents that were not at the target of a note in its frame: how many, and the one that was farthest from it."""
+    """Agents that were not at the target of a note in its frame: their number, and the agent that was farthest away."""
 
     note: Note
     species: str

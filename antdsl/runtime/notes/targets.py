@@ -47,7 +47,7 @@ class TargetPoints(NamedTuple):
 
 
 class NearestOnMesh(NamedTuple):
-    """A mesh as a target: of each position, the nearest point of it."""
+    """A target that is a mesh: the nearest point of the mesh to each position."""
 
     mesh: Obstacle
 
@@ -71,7 +71,7 @@ def find_goal(world: World, target: PointValue | AgentName) -> TargetPoints | Ne
 
 
 def drop_points(world: World, points: Floats) -> Floats:
-    """Return the points (k, 3) of the ground below or above points, from the top; the nearest ones where there are none."""
+    """Project points (k, 3) onto the ground below or above them, from the top. Without such ground, use the nearest point."""
     return world.ground.position(world.ground.place_points(points, world.up)[0])
 
 
@@ -172,7 +172,7 @@ def find_line(world: World, line: str | tuple[PointValue | AgentName, ...]) -> S
 
 
 class OwnPoints(NamedTuple):
-    """A point (n, 3) mm for each agent, or one (1, 3) for all."""
+    """A target point (n, 3) mm for each agent, or one point (1, 3) for all agents."""
 
     points: Floats
 
@@ -183,8 +183,8 @@ class OwnPoints(NamedTuple):
 
 
 def find_places(world: World, along: str | tuple[PointValue, ...], ranks: NDArray[np.int64], count: int) -> OwnPoints:
-    """Return the places (n, 3) of agents with ranks (n,) among `count` agents that are evenly distributed over a curve, on the
-    ground."""
+    """Return positions (n, 3) on the ground for agents with ranks (n,), if `count` agents are evenly distributed along a
+    curve."""
     curve = find_curve(world, along)
     return OwnPoints(drop_points(world, _interpolate_curve(curve, (ranks + 0.5) / max(count, 1) * curve.length)))
 

@@ -1,4 +1,4 @@
-"""The verb `set`: attributes have other values."""
+"""The verb `set`, which gives other values to attributes."""
 
 from __future__ import annotations
 

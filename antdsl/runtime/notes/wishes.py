@@ -16,7 +16,8 @@ Floats = NDArray[np.float64]
 
 
 def has_state_wish(population: Population) -> bool:
-    """Return whether what states steer has an effect in a species: then a wish there leaves the other layers as they are."""
+    """Return whether the result of states' steering has an effect in a species. If so, a wish there leaves the other layers
+    unchanged."""
     layers = population.plan.layers
     return f"{STATE_WISH}.x" in population.now and (
         not layers or any(layer.text.split("(")[0].split()[:1] == [_STATE_LAYER] for layer in layers)
@@ -42,7 +43,7 @@ def wish_velocities(
 
 
 def lay_on_ground(population: Population, rows: Rows, direction: Floats) -> Floats:
-    """Return directions (k, 3) along the ground below agents, of length 1; 0 where they have none."""
+    """Return directions (k, 3) along the ground below agents, of length 1; 0 for vectors without a component along the ground."""
     normal = population.normal[rows].astype(np.float64)
     flat = direction - dot(direction, normal)[:, None] * normal
     size = length(flat)

@@ -1,6 +1,6 @@
-"""Pairs of agents in a periodic world: each pair is that of an agent and the nearest image of the other.
+"""Pairs of agents in a periodic world: a pair consists of an agent and the nearest image of the other.
 
-Within less than half a width, a cell grid of all agents and their images near the box has each pair once. For wider radii, all
+For radii below half a width, pairs are found by a cell grid of all agents and their images near the box. For larger radii, all
 agents are measured."""
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _PAIRS_PER_CHUNK = 1 << 20
 
 
 def measure_offsets(world: World, theirs: Any, mine: Any) -> tuple[NDArray[Any], ...]:
-    """Return the vectors x, y, z (mm) from positions `mine` to positions `theirs` (x, y, z). In a periodic world, they lead to
-    the nearest images."""
+    """Return the vectors x, y, z (mm) from positions `mine` to positions `theirs` (x, y, z). In a periodic world, these are
+    the vectors to the nearest images."""
     if world.periodic is None:
         return tuple(other - own for other, own in zip(theirs, mine, strict=True))
     return tuple(measure_offset(*each) for each in zip(theirs, mine, world.periodic.box.widths, strict=True))
@@ -68,8 +68,8 @@ def measure_pairs_within(
 ) -> PairColumns:
     """Return the pairs within a radius (mm) and in view by measuring all agents or items, each at its nearest image.
 
-    An agent gets at most `limits.MAX_QUERY_NEIGHBOURS` neighbours, the nearest by distance and id; items are not limited. `ids`:
-    of the requesting agents, if they are of the same species."""
+    An agent gets at most `limits.MAX_QUERY_NEIGHBOURS` neighbours, the nearest by distance and id; items are not limited.
+    `ids`: the ids of the requesting agents, if these are of the same species."""
     is_agents = isinstance(others, Population)
     source = others.start if isinstance(others, Population) else others.visible_values
     theirs = [np.asarray(source[f"position.{axis}" if is_agents else axis], np.float32) for axis in AXES]

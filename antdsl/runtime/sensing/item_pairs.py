@@ -1,4 +1,4 @@
-"""Items near agents, as pairs of a requesting row and an item. A pair has an offset and a distance (mm, float32).
+"""Finds items near agents. The result is pairs of a requesting row and an item, with an offset and a distance (mm, float32).
 
 With few items, all are measured from all rows. With many items, those too far away along two axes are excluded first. Both
 methods give the same bits."""

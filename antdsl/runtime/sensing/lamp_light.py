@@ -41,7 +41,7 @@ def sense_light(world: World, population: Population, node: ir.PlanNode, rows: R
 
 
 def _find_lamps(world: World, name: str) -> Iterator[LightSphere]:
-    """Yield the items of a name that emit light and have something left, at the start of the step."""
+    """Yield the items of a name that emit light and have an amount above 0, at the start of the step."""
     items, strength = world.items[name], world.setting.lamp_strength
     for index, data in enumerate(world.setting.items.get(name, ())):
         amounts = (
@@ -56,7 +56,7 @@ def _find_lamps(world: World, name: str) -> Iterator[LightSphere]:
 
 
 def _find_hidden_share(world: World, lamp: LightSphere, start: Floats) -> Floats:
-    """Return the share (n,) of the lamp that is hidden from positions (n, 3)."""
+    """Return the fraction (n,) of the lamp that is hidden, as seen from positions (n, 3)."""
     count, hidden = _RAYS_PER_LAMP, np.zeros(len(start) * _RAYS_PER_LAMP, np.bool_)
     if not len(start) or not world.obstacles:
         return np.zeros(len(start))

@@ -1,7 +1,7 @@
 """The nearest agent of a complete species for each of many agents, found with a k-d tree.
 
-Source: J. L. Bentley, Multidimensional binary search trees, Comm. ACM 18, 1975. The tree only returns candidates, to avoid
-measuring all pairs. Float32 distances, and ids at equal distances, select among them, as when all pairs are measured."""
+Source: J. L. Bentley, Multidimensional binary search trees, Comm. ACM 18, 1975. The tree only returns candidates. Among these,
+the least float32 distance counts, then the least id. So the result is the same as if all pairs were measured."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ Rows = NDArray[np.intp]
 def compute_clear_velocity(
     world: World, population: Population, rows: Rows, wish: VectorArrays, radius: Floats, horizon: Floats, max_count: Floats
 ) -> tuple[NDArray[np.float32], ...]:
-    """Return velocities (mm/s, x y z) along the ground for the given agents, nearest to the velocity `wish`.
+    """Return velocities (mm/s, x y z) along the ground for the given agents, as near as possible to `wish`.
 
     They avoid collisions for `horizon` s with the `max_count` nearest agents of any species. Only agents within `radius` mm on
     the same side of the ground count. All agents have their state at the start of the step."""
@@ -49,10 +49,9 @@ def compute_clear_velocity(
 def find_widest_gap(
     world: World, population: Population, rows: Rows, radius: Floats, max_count: Floats
 ) -> tuple[NDArray[np.float32], ...]:
-    """Return unit directions (x y z) along the ground for the given agents, into the widest gap between neighbours.
-
-    Neighbours are the `max_count` nearest agents of any species, within `radius` mm on the same side of the ground. Without
-    neighbours the result is 0."""
+    """Return unit directions (x y z) along the ground for the given agents, towards the middle of the widest gap between
+    neighbours. Neighbours are the `max_count` nearest agents of any species, within `radius` mm on the same side of the
+    ground. Without neighbours the result is 0."""
     crowd, requesters = build_nearest_search(world, population, rows, radius, max_count)
     shape = len(rows), int(min(np.max(max_count, initial=0.0, where=max_count > 0), MAX_QUERY_NEIGHBOURS))
     x, y, is_present, axes = np.zeros(shape), np.zeros(shape), np.zeros(shape, np.bool_), np.empty((6, len(rows)))

@@ -1,4 +1,4 @@
-"""Cameras as agents sense them: a position and a field of view at each frame. They depend on the scene and the frame alone."""
+"""Cameras as agents sense them: a position and a field of view at each frame. Both depend only on the scene and the frame."""
 
 from __future__ import annotations
 
@@ -51,9 +51,8 @@ class SensedCamera:
         return ViewPyramid(eye, ahead, ((right, across), (up, across / VIEW_ASPECT)))
 
     def find_in_view(self, frame: int, place: Floats, margin: Floats | float = 0.0) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) the picture at a frame shows, or would show with `margin` (mm) more room on each side.
-
-        A margin below 0 leaves out what is near the edge."""
+        """Return which positions (n, 3) the picture at a frame shows, or would show with a margin of `margin` (mm) on each
+        side. A negative margin excludes positions near the edge."""
         eye, ahead, sides = self.find_pyramid(frame)
         offset = vec.subtract(place.T, eye)
         depth = vec.dot(offset, ahead)
@@ -65,7 +64,7 @@ class SensedCamera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraInFrame:
-    """A camera in one frame, for selectors: positions are in mm, from the scene's zero point."""
+    """A camera in one frame, for selectors: positions are in mm, relative to the scene's origin."""
 
     data: CameraData
     frame: int

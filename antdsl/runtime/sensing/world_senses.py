@@ -1,7 +1,7 @@
 """The senses of agents: one function per operation of the plan, for any number of rows at once.
 
-Both backends use it for draws, rays, fields, curves, items and other agents. Each backend finds and reduces sets with its own
-method. Arguments are arrays with one entry per row, or single values. Results are arrays with one entry per row."""
+Backends use these functions for draws, rays, fields, curves, items and other agents. For sets and reductions, each backend has
+its own method. Arguments are arrays with one entry per row, or single values. Results are arrays with one entry per row."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def _sense_touched_surface(world: World, population: Population, node: ir.PlanNo
 
 
 def _sense_agent_register(world: World, population: Population, node: ir.PlanNode, rows: Rows, ids: SenseValue) -> SenseValue:
-    """Return a register of other agents at the start of the step, by id; 0 for none and for dead agents."""
+    """Return a register of other agents, given by id, at the start of the step. It is 0 for dead agents and for no agent."""
     species, register = node.attrs
     other = world.populations[species]
     at = other.find_rows(expand_to_rows(ids, rows))
@@ -256,8 +256,7 @@ def _sense_field_ahead(
 def _pull_inside_border(world: World, move: GroundMove) -> tuple[Footing, NDArray[np.float64]]:
     """Return the footings and positions at the ends of paths. An end at an open border is moved slightly into the face.
 
-    A border may lie between two cells. Exactly on it, one side of a strip would read its own cells, the other side cells outside
-    the surface."""
+    The reason is that a border may lie between two cells: a position exactly on it could read a cell outside the surface."""
     meshes = world.ground.meshes
     if meshes is None or not move.is_blocked.any():
         return move.footing, move.position

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class WorldEntryCheck(NamedTuple):
-    """The scene's entry for a thing of the world, and the program's declaration of this thing."""
+    """A scene's entry for a thing of the world, together with the program's declaration of this thing."""
 
     scene: Scene
     program: Program
@@ -38,16 +38,16 @@ class WorldEntryCheck(NamedTuple):
         check_file(self.scene, self.report, text, "world", self.name, *path)
 
     def report_unknown_name(self, noun: str, known_names: Iterable[str], *path: PathKey) -> None:
-        """Report a value of the entry that is not one of the names in `known_names`. `noun`: what the name stands for."""
+        """Report a value of the entry that is not in `known_names`. `noun`: what the value stands for, in the message."""
         report_unknown_name(self.report, self.scene, ("world", self.name, *path), noun, known_names, key=False)
 
 
 def report_unknown_name(
     report: Report, scene: Scene, path: tuple[PathKey, ...], kind: str, known_names: Iterable[str], *, key: bool = True
 ) -> None:
-    """Report a name that is not one of the names in `known_names`.
+    """Report a name that is not in `known_names`.
 
-    `path`: the location of the name. With `key`, the name is the last key of the path, else the value."""
+    `path`: the location of the name. If `key` is true, the name is the last key of the path, else its value."""
     names = sorted(known_names)
     name = str(path[-1]) if key else scene.find_span(*path).text.strip("\"'")
     near = find_nearest_name(name, names)
@@ -88,7 +88,7 @@ def check_attributes(entry: WorldEntryCheck, quantities: Mapping[str, Quantity],
 
 
 def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dimension, name: str, *path: PathKey) -> bool:
-    """Return whether a value has a dimension; report an error otherwise."""
+    """Return whether a value has the dimension `dim`; report an error if not."""
     if value.dim == dim:
         return True
     words, unit = f"`{name}` is {describe_dimension(dim)}", choose_default_unit(dim)
@@ -116,5 +116,5 @@ def check_attribute_value(
 
 
 def convert_constant(const: Constant, scene: Scene) -> float:
-    """Return a constant of the program in base units, for this scene's length unit and frame rate."""
+    """Convert a constant of the program to base units, with this scene's length unit and frame rate."""
     return float(const.number * scene.model.unit_mm**const.unit_power * float(1 / scene.model.fps) ** const.step)

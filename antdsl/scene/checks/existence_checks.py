@@ -46,7 +46,7 @@ def check_body_files(scene: Scene, program: Program, report: Report) -> None:
 
 
 def find_body_span(scene: Scene, number: int, text: str) -> Span:
-    """Return the location at which a crowd line names a body: its key in a mapping of bodies, else the value of `body`.
+    """Return the location at which a crowd line names a body. It is the key in a mapping of bodies, or else the value of `body`.
 
     `number`: the index of the line. `text`: the name of the body."""
     if isinstance(scene.model.crowd[number].body, dict):
@@ -84,7 +84,7 @@ def check_absent_species(scene: Scene, program: Program, report: Report) -> None
 
 
 def check_dark_lamps(scene: Scene, program: Program, report: Report) -> None:
-    """Report `light(THING)` without a light source, and lamps that a strength of 0 turns off."""
+    """Report `light(THING)` if the thing has no light source, and lamps that are off because their strength is 0."""
     lamps = [name for name, thing in scene.model.world.items() if _has_lamp(thing)]
     if scene.model.light.lamps == 0 and lamps:
         message = f"`lamps: 0` makes `{lamps[0]}` dark, in pictures and for `light({lamps[0]})`"

@@ -39,7 +39,7 @@ def match_scene(scene: Scene, program: Program) -> Report:
 
 
 def _check_world_entries(scene: Scene, program: Program, report: Report) -> None:
-    """Report entries of `world` without a thing in the program, things without an entry, and wrong entries."""
+    """Report entries of `world` without a declared thing, declared things without an entry, and wrong entries."""
     program_things = {name: thing for name, thing in program.world.items() if thing.kind in SCENE_KINDS}
     placed_things = [name for name, thing in program_things.items() if KIND_BY_WORD[thing.kind].section == "world"]
     misspelt = set()
@@ -217,7 +217,7 @@ def _check_level_of_detail(scene: Scene, program: Program, report: Report) -> No
 
 
 def _check_output_attributes(scene: Scene, program: Program, report: Report) -> None:
-    """Report names below `output` that are no attributes of the program."""
+    """Report names below `output` that are not attributes of the program."""
     known = set(COLUMN_BY_ATTRIBUTE)
     for species in program.species.values():
         known |= {attribute.name for attribute in species.attributes if attribute.type.kind is TypeKind.NUMBER}

@@ -1,4 +1,4 @@
-"""Checks of placements in crowd lines: shapes that exclude each other, and directions in which agents begin."""
+"""Checks placements in crowd lines: shapes that exclude each other, and the directions in which agents start."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ _SHAPE_FIELDS = ("points", "inside", "along", "edge", "volume", "ranks")  # of w
 
 
 def list_item_names(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Return the names that `around` accepts. The value of each is the name of the items and the name of one item.
+    """Return the names that `around` accepts. The value of each is a pair: the name of the group of items, and the name of one
+    item.
 
-    The name of items stands for the first of these items."""
+    The name of a group stands for its first item."""
     names: dict[str, tuple[str, str]] = {}
     for name, value in scene.model.world.items():
         if isinstance(value, dict) and value:

@@ -76,7 +76,7 @@ def check_step_lengths(scene: Scene, program: Program, report: Report) -> None:
 
 
 def _format_limit(length: float, scene: Scene) -> str:
-    """Return the speed (text) at which a step is `length` mm long with the scene's maximum number of substeps."""
+    """Return, as text, the speed at which a step is `length` mm long with the maximum number of substeps."""
     return f"{length * float(scene.model.fps) * limits.MAX_SUBSTEPS / 1000:.3g} m/s"
 
 

@@ -87,7 +87,7 @@ def _list_unsupported_keys(scene: Scene) -> list[_Unsupported]:
 
 
 def _list_unsupported_things(scene: Scene, program: Program) -> list[_Unsupported]:
-    """Return the things of a scene that a periodic world cannot have, as `_list_unsupported_keys` does."""
+    """Return the things of a scene that a periodic world cannot have, in the form of `_list_unsupported_keys`."""
     findings: list[_Unsupported] = []
     for name, value in scene.model.world.items():
         kind = KIND_BY_WORD[program.world[name].kind] if name in program.world else None

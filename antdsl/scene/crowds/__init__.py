@@ -1,1 +1,1 @@
-"""Crowd lines of a scene: how many agents, when, where, and with which values they begin."""
+"""The crowd lines of a scene: how many agents they create, when, where, and with which values the agents start."""

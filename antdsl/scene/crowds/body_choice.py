@@ -1,8 +1,8 @@
-"""The bodies of a species that has several, and the choice of a body for each agent.
+"""The choice of a body for each agent, for species that have several bodies.
 
-A body is drawn for each agent by its id and the scene's seed, in proportion to weights, for the agent's lifetime. So rows, births
-and deaths of other agents do not change it. A species with one body has the body key `SPECIES`. A species with several bodies has
-a key for each: `SPECIES#0` and so on."""
+A body is drawn for each agent by its id and the scene's seed, in proportion to weights, for the agent's lifetime. So the choice
+does not depend on rows, or on births and deaths of other agents. A species with one body has the body key `SPECIES`. A species
+with several bodies has a key for each: `SPECIES#0` and so on."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def find_species_of_key(key: str) -> str:
 
 
 def find_number_of_key(key: str) -> int:
-    """Return the index of a body key's body among the bodies of its species."""
+    """Return the index of the body with this key among the bodies of its species."""
     return int(key.partition(_BODY_KEY_SEPARATOR)[2] or 0)
 
 

@@ -45,7 +45,7 @@ def check_crowd(scene: Scene, program: Program, report: Report) -> None:
 
 
 def _check_release(scene: Scene, report: Report, number: int) -> None:
-    """Report a rate that creates no agent, and frames in which the scene does not run."""
+    """Report a rate that creates no agents, and frames outside the range of the scene."""
     model, line = scene.model, scene.model.crowd[number]
     key = "frames" if line.frames is not None else "seconds"
     if getattr(line, key) is None:
@@ -70,7 +70,7 @@ def _check_release(scene: Scene, report: Report, number: int) -> None:
 
 
 def _check_line_name(scene: Scene, program: Program, report: Report, number: int) -> None:
-    """Report a name of a crowd line that also names something else."""
+    """Report a crowd line's name that is already the name of something else."""
     name = scene.model.crowd[number].name
     earlier = [k for k, line in enumerate(scene.model.crowd[:number]) if line.name == name]
     taken = {**dict.fromkeys(list_item_names(scene), "an item"), **dict.fromkeys(program.species, "a species")}

@@ -39,8 +39,8 @@ class VolumeData:
 
 @dataclass(frozen=True, slots=True)
 class RanksData:
-    """Ranks of agents, the first one ahead. `spacing_within`, `spacing_between`: the distances (mm) of neighbours within and
-    between ranks."""
+    """Ranks of agents; the first rank is ahead. `spacing_within`, `spacing_between`: the distance (mm) between neighbours within
+    a rank, and between ranks."""
 
     columns: int
     rows: int
@@ -171,7 +171,7 @@ class CrowdData:
     initial_values: Mapping[str, ValueDraw] = field(default_factory=dict)
 
     def count_created(self, frame: int) -> int:
-        """Return the number of agents of the line that were created up to a frame. It does not depend on the start of the run."""
+        """Return how many agents of the line were created up to a frame. The result does not depend on where the run starts."""
         if self.release is None:
             return self.count
         frames = frame + 1 - self.release.begin

@@ -48,7 +48,7 @@ def stage_initial_values(scene: Scene, program: Program, report: Report, number:
 
 
 def _find_machine(species: Species, key: str) -> Machine | None:
-    """Return the machine with the state that a key sets: `state` is that of the first machine."""
+    """Return the machine with the state that a key sets. The key `state` refers to the first machine."""
     if key == "state":
         return species.machines[0] if species.machines else None
     name, _, word = key.partition(".")
@@ -56,7 +56,7 @@ def _find_machine(species: Species, key: str) -> Machine | None:
 
 
 def is_settable(attribute: AttributeDecl) -> bool:
-    """Return whether scenes may set an attribute: it has one number or truth value per agent."""
+    """Return whether scenes may set an attribute, which is so if it is one number or truth value per agent."""
     return attribute.pair_species is None and attribute.type.kind in (TypeKind.NUMBER, TypeKind.BOOL)
 
 
@@ -162,7 +162,8 @@ def _convert_text(line: _CrowdLineValues, text: str, target: AttributeDecl | Mac
 def _find_number_for_word(
     line: _CrowdLineValues, text: str, number_by_word: Mapping[str, float], words: str, *path: PathKey
 ) -> float | None:
-    """Return the number of a word; None, with an error, for an unknown word. `words`: the message before the word."""
+    """Return the number that a word stands for. For an unknown word, report an error and return None. `words`: the message
+    before the word."""
     if text not in number_by_word:
         near = find_nearest_name(text, number_by_word)
         listed = "known: " + ", ".join(f"`{each}`" for each in number_by_word)

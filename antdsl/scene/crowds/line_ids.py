@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class CrowdLineIds:
-    """The ids of one crowd line's agents, dead ones included. `ranges`: the first id and the number of ids of each range."""
+    """The ids of a crowd line's agents, including dead ones. `ranges`: the first id and the number of ids of each range."""
 
     species: str
     ranges: tuple[tuple[int, int], ...] = ()
@@ -28,7 +28,7 @@ class CrowdLineIds:
         return np.concatenate(ids)[first : None if last is None else last + 1]
 
     def find_positions_in_line(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the number of each agent in this line; -1 for ids of other agents."""
+        """Return, for each id, the number of the agent in this line; -1 for ids of other agents."""
         numbers, offset = np.full(len(ids), -1, np.int64), 0
         for start, count in self.ranges:
             is_inside = (ids >= start) & (ids < start + count)
@@ -37,7 +37,7 @@ class CrowdLineIds:
         return numbers
 
     def resize(self, count: int, next_id: int) -> CrowdLineIds:
-        """Return the line with `count` agents: its first agents, and if these are too few, new ids from `next_id` on."""
+        """Return this line resized to `count` agents. The first ids are retained; missing ones are numbered from `next_id`."""
         ranges, left = [], count
         for start, size in self.ranges:
             ranges.append((start, min(size, left)))
@@ -46,7 +46,7 @@ class CrowdLineIds:
 
 
 def _join_ranges(ranges: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """Return ranges with adjacent ones joined and empty ones left out."""
+    """Return ranges without empty ones, in which adjacent ranges are joined."""
     joined: list[tuple[int, int]] = []
     for start, count in ranges:
         if joined and joined[-1][0] + joined[-1][1] == start:

@@ -1,7 +1,7 @@
-"""Arrays of files: values as float64, and NPZ files from bytes or an open archive.
+"""Reads arrays from files: values as float64, and NPZ files from bytes or an open archive.
 
-No content of a file is trusted: no pickle, no compression, and all sizes are compared with the size of the file. The layout is
-NumPy's own (NEP 1 inside an uncompressed zip), so files of `numpy.savez` can be read."""
+No content of a file is trusted: pickle and compression are errors, and all sizes are compared with the size of the file. The
+layout is NumPy's own (NEP 1 inside an uncompressed zip), so files of `numpy.savez` can be read."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _MEMBER_NAME_PATTERN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-#>|~/]*", re.ASCII
 
 
 class ArrayFileError(Exception):
-    """Error for a file that is incomplete or not in the expected format. The message is the reason, and fits after the file's
-    name."""
+    """Error for a file that is incomplete or not in the expected format. The message gives the reason, worded to follow the
+    file's name."""
 
 
 def read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
@@ -82,6 +82,6 @@ def parse_npy(data: bytes, name: str) -> NDArray[Any]:
 
 
 def convert_to_float64(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Return a copy as float64, without NumPy's warning for signalling NaNs. Readers check that values are finite."""
+    """Return a copy as float64, suppressing NumPy's warning for signalling NaNs. Readers check that values are finite."""
     with np.errstate(invalid="ignore"):
         return values.astype(np.float64)

@@ -35,7 +35,8 @@ def round_to_voxels(corners: Floats) -> tuple[Index, int]:
 
 
 def count_open_edges_and_sides(corners: Index) -> tuple[int, bool]:
-    """Return the number of edges with an odd number of triangles, and whether each edge is traversed equally often both ways.
+    """Return how many edges have an odd number of triangles. Also return whether each edge is traversed equally often in both
+    directions.
 
     `corners` int64[n, 3, 3]: corners of triangles as integers. Corners at equal positions are one corner."""
     _, direction, first, count = _group_edges(corners)
@@ -75,7 +76,8 @@ def count_inward_pieces(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int
 
 
 def _find_components(node_count: int, first_nodes: Index, second_nodes: Index) -> Index:
-    """Return, for each of n nodes, the least node that edges connect it to. `first_nodes`, `second_nodes`: the ends of the edges.
+    """Return, for each node, the smallest node that is connected to it by edges. `first_nodes`, `second_nodes`: the ends of the
+    edges.
 
     S. Zhang et al., FastSV, SIAM PP 2020."""
     label = np.arange(node_count)

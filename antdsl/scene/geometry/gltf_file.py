@@ -1,4 +1,4 @@
-"""Reader of glTF 2.0 files (.gltf, .glb): the JSON, and the accessors as arrays.
+"""Reads glTF 2.0 files (.gltf, .glb): the JSON, and accessors as arrays.
 
 Counts, offsets and sizes are compared with the buffers and the limits before anything is allocated. Khronos Group, glTF 2.0
 Specification, 2021, sections 3.6 and 4."""
@@ -43,7 +43,7 @@ _IGNORED_EXTENSIONS = (
 
 
 class GltfError(Exception):
-    """Error for a file that cannot be used. The message is the reason, and fits after the file's name.
+    """Error for a file that cannot be used. The message gives the reason, worded to follow the file's name.
 
     `code`: the diagnostic's code, if it is not the reader's usual one. `help`: what to do instead."""
 
@@ -101,11 +101,11 @@ class GltfDocument:
         return items
 
     def get_index(self, holder: dict[str, Any], key: str, count: int) -> int | None:
-        """Return the index at a key, below `count`. Return None if the key is absent."""
+        """Return the index at a key, checked to be below `count`. Return None if the key is absent."""
         return None if key not in holder else self.check_index(holder[key], key, count)
 
     def check_index(self, value: Any, kind: str, count: int) -> int:
-        """Return a value as an index below `count`. `kind`: its kind, for messages."""
+        """Return a value as an index, checked to be below `count`. `kind`: the kind of index, for messages."""
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
             raise GltfError(f"names `{kind}` {str(value)[:20]}, but has only {count:,}", _EXPORT_AGAIN_HELP)
         return value
@@ -328,7 +328,7 @@ def find_scene_roots(file: GltfDocument) -> list[int]:
 
 
 def find_nodes_below(file: GltfDocument, roots: Iterable[int]) -> list[int]:
-    """Return `roots` and all their descendants: parents first, children in the order of the file."""
+    """Return `roots` and all their descendants. Parents come before children; children are in the order of the file."""
     nodes, ordered_nodes = file.get_top_list("nodes"), []
     visited: set[int] = set()
     waiting = list(reversed(list(roots)))

@@ -1,4 +1,4 @@
-"""Surfaces of triangles from heights in rows and columns, which come from 16-bit grey images and arrays.
+"""Makes surfaces of triangles from heights in rows and columns. Heights are read from 16-bit grey images and from arrays.
 
 Sizes are compared with the limits before anything is unpacked."""
 

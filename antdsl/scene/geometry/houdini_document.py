@@ -81,7 +81,8 @@ class _BinaryParser:
         return self._data[start : self._offset]
 
     def _read_length(self) -> int:
-        """Return a length or the number of a token: a byte below 0xf1, or an integer of 2, 4 or 8 bytes after its mark."""
+        """Read a length or the number of a token. It is one byte below 0xf1, or an integer of 2, 4 or 8 bytes after a marker
+        byte."""
         first = self.read_byte()
         if first < 0xF1:
             return first
@@ -110,7 +111,7 @@ class _BinaryParser:
         return token
 
     def read_value(self, token: int, depth: int) -> Any:
-        """Return the value that begins with `token`, which is already read. `depth`: the number of values around it."""
+        """Return the value that begins with `token`, which is already read. `depth`: how many values enclose it."""
         token, start = self._skip_definitions(token), self._offset - 1
         if depth > _MAX_DEPTH:
             raise MeshError(f"has more than {_MAX_DEPTH} nested lists at byte {start:,}", _SAVE_AGAIN_HELP)

@@ -27,10 +27,10 @@ _CONVERT_HELP = "convert it to polygons in Houdini, and unpack files on disk"
 
 
 def read_houdini(data: bytes, notes: ImportNotes, group: str | None = None) -> PolygonMesh:
-    """Return the polygons of a file, those of packed primitives included. Raises MeshError with the reason.
+    """Return the polygons of a file, including those of packed primitives. Raises MeshError with the reason.
 
-    `group`: the only value of the primitive attribute `name` to read. `notes`: receives the primitives that are left out, each
-    with its byte."""
+    `group`: read only primitives for which the attribute `name` has this value. `notes`: receives the primitives that are left
+    out, each with its byte offset."""
     notes.form = ".bgeo" if data[:1] == b"\x7f" else ".geo"
     document = HoudiniDocument(data)
     detail = _HoudiniGeometry(document, document.root, notes)
@@ -240,7 +240,7 @@ class _HoudiniGeometry:
 
 
 def _transform_row_vectors(vectors: Floats, matrix: Floats) -> Floats:
-    """Return vectors (n, 3) times the first three rows of a matrix (4, 4), with the same bits on every processor."""
+    """Return vectors (n, 3) multiplied by the first three rows of a matrix (4, 4). The bits are equal on every processor."""
     return vectors[:, :1] * matrix[0, :3] + vectors[:, 1:2] * matrix[1, :3] + vectors[:, 2:3] * matrix[2, :3]
 
 
@@ -325,7 +325,7 @@ def _unpack_pages(values: dict[str, Any], count: int, size: int, subject: str) -
 
 
 def _get_long_or_short_key(fields: dict[str, Any], name: str, short_name: str, default: Any) -> Any:
-    """Return a field that has a name, and a short name in newer files."""
+    """Return a field under its name or, as in newer files, under its short name."""
     return fields.get(name, fields.get(short_name, default))
 
 

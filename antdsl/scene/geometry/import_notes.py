@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 
 @dataclass(slots=True)
 class SkippedElement:
-    """An element of a file that is not read. `count`: how often it occurs; `line`: its first line, if the file has lines."""
+    """An element of a file that is not read. `count`: how often it occurs. `line`: the line of the first one, if the file has
+    lines."""
 
     description: str
     count: int = 0

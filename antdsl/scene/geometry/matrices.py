@@ -49,7 +49,8 @@ def multiply_matrices(a: Floats, b: Floats) -> Floats:
 
 
 def compute_determinant(transform: Floats) -> float:
-    """Return the determinant of a transform (3, 4): the factor by which volumes grow, negative if it mirrors."""
+    """Return the determinant of a transform (3, 4), which is the factor by which it scales volumes. It is negative if the
+    transform mirrors."""
     return float(compute_determinants(transform))
 
 
@@ -68,7 +69,8 @@ def find_uniform_scale(transform: Floats) -> float:
 
 
 def compute_cosine_and_sine(angle: float) -> tuple[float, float]:
-    """Return cosine and sine of an angle in radians, correct to the last bit, by their series in decimal numbers."""
+    """Return the cosine and sine of an angle in radians, correct to the last bit. They are computed from their series in decimal
+    arithmetic."""
     with localcontext(prec=60):
         x = Decimal(angle) % _FULL_TURN
         term, sums, k = Decimal(1), [Decimal(0), Decimal(0)], 0

@@ -1,6 +1,7 @@
-"""Readers of mesh files to `MeshData`. Counts are compared with the file's size before anything is allocated.
+"""Reads mesh files to `MeshData`. Counts are compared with the file's size before anything is allocated.
 
-This module also checks the results of all mesh readers: indices out of range, values that are not finite, faces without area."""
+This module also checks the results of all mesh readers: indices out of range, values that are not finite, and faces without
+area."""
 
 from __future__ import annotations
 
@@ -202,7 +203,7 @@ def check_mesh(vertices: Floats, faces: Faces, notes: ImportNotes | None = None)
 def _find_first_rows(rows: Faces, bound: int) -> NDArray[np.int64]:
     """Return the index of the first occurrence of each distinct row of three numbers.
 
-    Numbers are below `bound`. For speed, each row is combined into one number."""
+    `bound`: all numbers are below this. For speed, each row is combined into one number."""
     if bound > 2**21:
         _, first = np.unique(rows, axis=0, return_index=True)
     else:

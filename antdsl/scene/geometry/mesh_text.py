@@ -1,4 +1,4 @@
-"""The tokenizer of text meshes: .obj, .ply and .stl files to blocks of words with their lines.
+"""Splits text meshes (.obj, .ply and .stl files) into blocks of words with their line numbers.
 
 Only this module handles line ends of all systems, byte order marks, indentation, comments and continued lines. NumPy finds the
 words of a block, so a reader gets columns of numbers from thousands of lines at once."""
@@ -40,8 +40,8 @@ _NAME_KEYWORDS = [[word] for word in b"mtllib usemtl o g maplib usemap".split()]
 
 
 class MeshError(Exception):
-    """Error for a file that is not a usable mesh. The message is the reason, and fits after the file's name. `help`: what to
-    do."""
+    """Error for a file that is not a usable mesh. The message gives the reason, worded to follow the file's name. `help`: what
+    to do."""
 
     def __init__(self, message: str, help: str | None = _EXPORT_AGAIN_HELP) -> None:
         super().__init__(message)

@@ -18,8 +18,8 @@ _COMPONENT_NAME_PATTERNS = (("{}_x", "{}_y", "{}_z"), ("{}.x", "{}.y", "{}.z"), 
 
 
 class PaintError(Exception):
-    """Error for a file without the requested data. The message is the reason, and fits after the file's name. `help`: what to
-    write."""
+    """Error for a file without the requested data. The message gives the reason, worded to follow the file's name. `help`: what
+    to write."""
 
     def __init__(self, message: str, help: str | None = None) -> None:
         super().__init__(message)

@@ -1,5 +1,5 @@
-"""Reader of the bodies of .ply files, text or binary: the elements as columns. Each count is compared with the rest of the
-file."""
+"""Reads the bodies of .ply files, text or binary, as one column per property. Each count is compared with the size of the
+remaining file."""
 
 from __future__ import annotations
 

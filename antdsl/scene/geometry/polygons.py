@@ -67,7 +67,8 @@ def triangulate_polygons(points: Floats, counts: Integers, indices: Integers) ->
 
 
 def _find_repeated_corners(points: Floats, counts: Integers) -> NDArray[np.bool_]:
-    """Return whether each corner coincides with the previous one. A last corner may also coincide with the first one.
+    """Return whether each corner coincides with the previous one. For a last corner, also check whether it coincides with the
+    first.
 
     Only polygons with at least four corners are examined."""
     large = counts > 3

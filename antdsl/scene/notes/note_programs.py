@@ -34,7 +34,7 @@ _NOTE_STATE_COLOUR = (0.6, 0.6, 0.6)
 
 
 def format_event_name(machine: str, state: str) -> str:
-    """Return the name of the event that brings a machine into a state. Names of a program have no `#`."""
+    """Return the name of the event that brings a machine into a state. The name contains `#`, which no name in a program does."""
     return f"note#{machine}.{state}"
 
 

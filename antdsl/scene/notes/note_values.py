@@ -20,7 +20,7 @@ ShareValue = Annotated[float, BeforeValidator(parse_share)]
 
 
 def _parse_share_up_to_all(excess: str, advice: str) -> Callable[[Any], float]:
-    """Return a parser of shares up to 100 %. `excess`: what is wrong with a greater one. `advice`: what to write instead."""
+    """Return a parser of percentages up to 100 %. `excess`: the message for a greater one. `advice`: what to write instead."""
 
     def parse(value: Any) -> float:
         quantity = parse_any_quantity(value)

@@ -31,7 +31,7 @@ class StateColumn(NamedTuple):
 class SelectableAgents:
     """The living agents of one species in one frame.
 
-    `ids` int64 (n,). `position` float64 (n, 3): in mm, from the scene's zero point. `states`: by machine."""
+    `ids` int64 (n,). `position` float64 (n, 3): in mm, relative to the scene's coordinate origin. `states`: by machine."""
 
     ids: NDArray[np.int64]
     position: Floats
@@ -39,7 +39,7 @@ class SelectableAgents:
 
 
 class SelectableCamera(Protocol):
-    """A camera in one frame. Positions are in mm, from the scene's zero point."""
+    """A camera in one frame. Positions are in mm, relative to the scene's coordinate origin."""
 
     def find_position(self) -> Floats:
         """Return its position (3,)."""
@@ -127,8 +127,8 @@ def _select_by_conditions(conditions: AgentConditions, frame: SelectableFrame) -
 def _select_nearest(
     masks: RowMasksBySpecies, frame: SelectableFrame, targets: Floats, sign: float, count: int
 ) -> RowMasksBySpecies:
-    """Return a mask of the `count` selected agents with the least distance times `sign` from targets. Equal distances are ordered
-    by species and id."""
+    """Return a mask of the `count` selected agents for which the distance to the targets times `sign` is smallest. Ties are
+    ordered by species and id."""
     names = sorted(masks)
     rows = {name: np.flatnonzero(masks[name]) for name in names}
     distance = np.concatenate([_measure_nearest(frame.agents[name].position[rows[name]], targets) for name in names])

@@ -101,7 +101,8 @@ def check_crowds(staging: SceneStaging, crowds: Sequence[setting_data.CrowdData]
 def is_away_from_surfaces(
     placement: setting_data.PlacementData, things: SceneStaging | setting_data.WorldSetting, up: str
 ) -> bool:
-    """Return whether no surface is above or below the disc in which a crowd starts. A start by area uses a ball instead."""
+    """Return whether no surface is above or below the disc in which a crowd starts. For a start by area, a ball is tested
+    instead."""
     if placement.disc_centre is None or placement.radius is None:
         return False
     grounds = {**things.surfaces, **{name: solid.mesh for name, solid in things.solids.items()}}

@@ -1,4 +1,4 @@
-"""Cache of results about small meshes that are staged repeatedly, as in a preview."""
+"""Caches results about small meshes that are staged repeatedly, for example in a preview."""
 
 from __future__ import annotations
 

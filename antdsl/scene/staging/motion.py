@@ -1,6 +1,6 @@
-"""Motion of the world's things: the vertices of a mesh, the items, or the points of a curve at each frame.
+"""The motion of the world's things: the vertices of a mesh, the items, or the points of a curve at each frame.
 
-All of it is in memory from the start, so a position depends on the frame only."""
+The complete motion is in memory from the start, so a position depends only on the frame."""
 
 from __future__ import annotations
 

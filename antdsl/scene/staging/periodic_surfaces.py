@@ -1,4 +1,4 @@
-"""The surfaces of a periodic world: they must reach the sides of its box, and continue on the opposite side."""
+"""The surfaces of a periodic world. They must reach the sides of its box, and continue on the opposite side."""
 
 from __future__ import annotations
 

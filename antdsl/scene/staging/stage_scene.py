@@ -1,6 +1,6 @@
 """Conversion of a matched scene to a `Setting`. Meshes and points are read; values become millimetres in the scene's axes.
 
-The memory that binding would need is computed first. So a request for a billion cells is rejected before any allocation."""
+The memory that binding needs is computed first, so that a request for a billion cells is rejected before any allocation."""
 
 from __future__ import annotations
 

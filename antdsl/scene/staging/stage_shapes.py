@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def convert_length(scene: Scene, value: Quantity | None) -> float | None:
-    """Return a length of the scene in mm; None for None."""
+    """Return a length of the scene in mm, or None if `value` is None."""
     return None if value is None else value.to_millimetres(scene.model.unit_mm)
 
 

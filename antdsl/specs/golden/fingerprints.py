@@ -1,8 +1,9 @@
-"""A compact fingerprint of a state: for each attribute a sum and a weighted sum of its bits, and its mean.
+"""Compact fingerprints of a state. For each attribute, a fingerprint has a sum and a weighted sum of the values' bits, and a
+summary such as the mean.
 
-Two sums over all agents suffice to find the one agent that differs and its former value. With bits b and ids k, the sums of b and
-(k + 1) b change by d and (k + 1) d. These are the checksums of J. Fletcher, IEEE Trans. Comm. 30, 1982, modulo 2^64. If several
-agents differ, the sums show that they do, and a digest of a few agents identifies some of them."""
+If only one agent differs, these two sums identify the agent and its former value. With bits b and ids k, the sums of b and (k +
+1) b change by d and (k + 1) d. These are the checksums of J. Fletcher, IEEE Trans. Comm. 30, 1982, modulo 2^64. If several
+agents differ, the sums show only that they do. A digest of a few agents then identifies some of them."""
 
 from __future__ import annotations
 
@@ -31,9 +32,10 @@ _HASH_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingerprintColumn:
-    """One attribute of all agents of a species, of all items of a name or of all cells of a field. Agents are sorted by id.
+    """One attribute of all agents of a species, all items of a name or all cells of a field. Agents are sorted by id.
 
-    `report_rank`: the order in reports. `is_opaque`: the values mean nothing to a reader. `item_names`: of items, by number."""
+    `report_rank`: the position in reports. `is_opaque`: whether the values are meaningless to a reader. `item_names`: the names
+    of items by number."""
 
     owner: str
     attribute: str
@@ -64,7 +66,8 @@ class FingerprintColumn:
         return int(bits.sum(dtype=np.uint64)), int(((self.ids + 1).astype(np.uint64) * bits).sum(dtype=np.uint64))
 
     def find_only_change(self, old_sums: tuple[int, int]) -> tuple[int, Any] | None:
-        """Return the row of the only value that differs from the recorded run, and its recorded value; None if several differ.
+        """If exactly one value differs from the recorded run, return its row and its recorded value. Return None if several
+        differ.
 
         `old_sums`: the sum and the weighted sum of the recorded values."""
         new_sums = self.compute_sums()
@@ -80,12 +83,12 @@ class FingerprintColumn:
         return row, np.frombuffer(previous_bits.to_bytes(size, "little"), self.values.dtype.newbyteorder("<"))[0]
 
     def format_value(self, world: World, value: Any) -> str:
-        """Return a value of the column in the author's spelling."""
+        """Return a value of the column as an author would write it."""
         return format_value(world, value, self.type, self.unit)
 
     def summarise_values(self, world: World) -> str:
         """Return the values if there are few. Otherwise return the number of agents in each state, the number for which a
-        truth holds, or the mean."""
+        condition holds, or the mean."""
         if self.is_opaque or not len(self.values):
             return ""
         if len(self.values) <= _MAX_LISTED_VALUES:
@@ -101,7 +104,7 @@ class FingerprintColumn:
 
 
 def build_columns(world: World, program: Program) -> dict[str, FingerprintColumn]:
-    """Return all columns of a state by key."""
+    """Return all columns of a state, by key."""
     column_list: list[FingerprintColumn] = []
     for name in sorted(world.populations):
         column_list += _make_agent_columns(world, program, world.populations[name])
@@ -135,7 +138,7 @@ def _compute_part_digests(world: World) -> dict[str, bytes]:
 
 
 def _make_agent_columns(world: World, program: Program, population: Population) -> list[FingerprintColumn]:
-    """Return one column for each value that the author names. Memories and footings are combined in one column."""
+    """Return one column for each value that the author names. All memories and footings together are one column."""
     rows = population.rows_by_id()
     ids, name = population.ids[rows], population.name
     species = program.species[name]
@@ -187,7 +190,7 @@ def _make_column(
 
 
 def digest_agents(world: World, population: Population, program: Program) -> str:
-    """Return four hexadecimal digits for each of the agents that `choose_sample_indices` names."""
+    """Return a digest with four hexadecimal digits for each agent that `choose_sample_indices` selects."""
     mixed = np.zeros(len(population), np.uint64)
     for column in _make_agent_columns(world, program, population):
         mixed = (mixed ^ column.convert_to_bits()) * _HASH_MULTIPLIER
@@ -196,7 +199,7 @@ def digest_agents(world: World, population: Population, program: Program) -> str
 
 
 def choose_sample_indices(count: int) -> NDArray[np.int64]:
-    """Return the indices, in the order of ids, of the agents among `count` agents that a digest distinguishes."""
+    """Return the indices of the agents in a digest, in the order of ids. `count`: the number of all agents."""
     return np.unique(np.arange(MAX_SAMPLED_AGENTS) * count // MAX_SAMPLED_AGENTS) if count else np.zeros(0, np.int64)
 
 
@@ -204,8 +207,8 @@ def choose_sample_indices(count: int) -> NDArray[np.int64]:
 class StateDifference:
     """An attribute with values that differ from those of the golden run.
 
-    `member`: the agent, item or cell that differs, or some of the agents that differ; "" if none is known. `current_value`,
-    `old_value`: the value in this run and in the golden run, as an author would write it; "" if it is unknown."""
+    `member`: the agent, item or cell that differs, or some of the differing agents; "" if unknown. `current_value`, `old_value`:
+    the value in this run and in the golden run, as an author would write it; "" if it is unknown."""
 
     owner: str
     attribute: str
@@ -226,8 +229,8 @@ def find_differences(
 ) -> list[StateDifference]:
     """Return all attributes that differ, the most informative first.
 
-    `recorded_sums`: by the key of a column, the recorded sum, weighted sum and summary. `recorded_digests`: the recorded digests
-    of agents, by species."""
+    `recorded_sums`: for each column key, the recorded sum, weighted sum and summary. `recorded_digests`: the recorded digests of
+    agents, by species."""
     columns = build_columns(world, program)
     differing_agents = {
         name: _find_differing_agents(world, program, name, text)
@@ -257,7 +260,7 @@ def find_differences(
 def _has_other_agents(
     current_columns: Mapping[str, FingerprintColumn], recorded_sums: Mapping[str, tuple[str, str, str]], species: str
 ) -> bool:
-    """Return whether the agents differ from the recorded ones; their values cannot be compared then."""
+    """Return whether a species has other agents than in the recording. If so, their values cannot be compared."""
     key = f"{species}.id"
     return (
         key in current_columns
@@ -296,7 +299,7 @@ def _find_member_name(column: FingerprintColumn, row: int) -> str:
 
 
 def _find_differing_agents(world: World, program: Program, name: str, recorded_digest: str) -> str:
-    """Return the names of the agents with differing digits in a digest; "" if the digest is about other agents."""
+    """Return the names of the agents for which the digits in the digest differ. Return "" if the digest covers other agents."""
     population = world.populations[name]
     rows, digest = choose_sample_indices(len(population)), digest_agents(world, population, program)
     if len(digest) != len(recorded_digest):

@@ -1,4 +1,4 @@
-"""The golden runs of one `antdsl test`: which run is compared with which, and what `--update` rewrites."""
+"""Decides, for one call of `antdsl test`, which run is compared with which golden run, and what `--update` rewrites."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ GoldenKey = tuple[Path, tuple[tuple[str, str], ...]]
 
 @dataclass(slots=True)
 class GoldenComparison:
-    """The comparison of the runs of one `antdsl test` with golden runs, or the recording of new golden runs.
+    """Compares the runs of one `antdsl test` with golden runs, or records new golden runs.
 
-    - `update`: whether the first seed of each scene and each set of changed params becomes a golden run. Otherwise these runs are
-      compared with the stored ones.
+    - `update`: whether runs are recorded instead of compared. This concerns the first seed of each scene and each set of changed
+      params.
     - `report`: the problems of golden files. `files`: the contents of golden files, by path; None for a missing file."""
 
     update: bool = False
@@ -27,8 +27,8 @@ class GoldenComparison:
     recorder_by_key: dict[GoldenKey, tuple[SpecRun, golden_runs.GoldenRecorder]] = field(default_factory=dict)
 
     def make_watch(self, run: SpecRun, frame_count: int) -> golden_runs.GoldenFrameObserver | None:
-        """Return the recorder or comparer for a run of about `frame_count` frames; None if it is neither recorded nor
-        compared."""
+        """Return an object that records or compares a run of about `frame_count` frames. Return None if the run is neither
+        recorded nor compared."""
         scene = run.cases[0].scene
         changes = {change.name: "".join(change.value.span.text.split()) for change in run.cases[0].spec.changes}
         result = golden_runs.GoldenResult(scene, dict(sorted(changes.items())), run.seed)
@@ -57,8 +57,8 @@ class GoldenComparison:
         return self.files[path]
 
     def write_golden_files(self) -> None:
-        """With `update`, write what was recorded. A run that failed its specs does not become golden. Other runs of a file
-        stay."""
+        """Write the recorded runs if `update` is set. A run that failed its specs does not become golden. Other runs in a file
+        are unchanged."""
         new: dict[Path, list[golden_runs.GoldenRun]] = {}
         for run, recorder in self.recorder_by_key.values():
             if any(case.outcome == "failed" for case in run.cases):

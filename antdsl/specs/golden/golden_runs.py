@@ -1,7 +1,7 @@
-"""Golden runs: the results of a run, stored as text beside its scene; a later run is compared with it frame by frame.
+"""Golden runs: the results of a run, stored as text beside its scene. A later run is compared with them frame by frame.
 
-`scene.golden.json` has a hash for every frame. At most MAX_RECORDED_FRAMES times, at regular intervals, it also has the content
-of `fingerprints`. Thus the first frame that differs is always known. The first of those frames after a difference shows which
+`scene.golden.json` has a hash for every frame. In at most MAX_RECORDED_FRAMES frames, at regular intervals, it also has the
+content of `fingerprints`. Thus the first frame that differs is always known. The next frame with fingerprints shows which
 attribute of which agent differs."""
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ ValueSums = tuple[GoldenText, GoldenText, GoldenText]  # sum and weighted sum of
 
 
 class GoldenModel(BaseModel):
-    """The base of the stored models."""
+    """The base class of the stored models."""
 
     model_config = ConfigDict(extra="forbid", hide_input_in_errors=True)
 
@@ -42,8 +42,8 @@ class GoldenModel(BaseModel):
 class GoldenFrame(GoldenModel):
     """A frame of a golden run.
 
-    `parts`: by the key of a column, its sum, weighted sum and summary. Columns that equal those of the last frame with `parts`
-    are left out. `agents`: the digests of agents, by species."""
+    `parts`: for each column key, its sum, weighted sum and summary. Columns that have not changed since the last frame with
+    `parts` are left out. `agents`: the digests of agents, by species."""
 
     frame: int
     hash: GoldenText
@@ -52,7 +52,7 @@ class GoldenFrame(GoldenModel):
 
 
 class GoldenRun(GoldenModel):
-    """A run by its changed params and its seed, with a readable `summary` of the last frame."""
+    """A recorded run, identified by its changed params and its seed. `summary`: a readable summary of the last frame."""
 
     set: dict[GoldenText, GoldenText]
     seed: int
@@ -69,14 +69,14 @@ class GoldenFile(GoldenModel):
 
 
 class GoldenError(Exception):
-    """Error for a file that is no golden file. The message is self-contained."""
+    """Error for a file that is not a golden file. The message is understandable without context."""
 
 
 @dataclass(slots=True)
 class GoldenResult:
     """The result of comparing a run with its golden run, or of recording it.
 
-    - `outcome`: same, differs, written or waiting. `message`: the reason in words, if there is one.
+    - `outcome`: "same", "differs", "written" or "waiting". `message`: the reason as text, if there is one.
     - `frame`: the first frame that differs. `detail_frame`: the frame in which `differences` were determined.
     - `origin`: the environment in which the golden run was recorded, if it is not the current one.
     - `frames`: the number of compared frames."""
@@ -99,7 +99,7 @@ class GoldenResult:
 
 
 class GoldenFrameObserver(Protocol):
-    """Receives each frame of a run. The run continues at least until `is_over` is true."""
+    """Receives each frame of a run. The run continues at least until `is_over` is true for this observer."""
 
     @property
     def is_over(self) -> bool: ...
@@ -108,7 +108,7 @@ class GoldenFrameObserver(Protocol):
 
 
 def find_golden_path(scene: Path) -> Path:
-    """Return the path of a scene's golden runs."""
+    """Return the path of the file with a scene's golden runs."""
     return scene.with_name(f"{scene.stem}.golden.json")
 
 
@@ -121,7 +121,7 @@ def describe_environment() -> dict[str, str]:
 
 
 def read_golden(path: Path) -> GoldenFile | None:
-    """Return the golden runs of a file, None if there is no file. Raises GoldenError if it is not valid."""
+    """Return the golden runs of a file, or None if there is no file. Raises GoldenError if the file is not valid."""
     try:
         data = read_size_limited(path, _MAX_FILE_BYTES)
         if _FIRST_FORMAT_PATTERN.match(data):
@@ -138,7 +138,7 @@ def read_golden(path: Path) -> GoldenFile | None:
 
 
 def write_golden(path: Path, runs: Iterable[GoldenRun]) -> None:
-    """Write golden runs, one line per frame, so that a text comparison shows what changed."""
+    """Write golden runs, one line per frame, so that a text diff shows what changed."""
     lines = [f'{{"golden": 2,\n"made": {json.dumps(describe_environment())},\n"runs": [']
     ordered = sorted(runs, key=lambda run: (sorted(run.set.items()), run.seed))
     for number, run in enumerate(ordered):
@@ -152,7 +152,7 @@ def write_golden(path: Path, runs: Iterable[GoldenRun]) -> None:
 
 
 class GoldenRecorder:
-    """Records a golden run from a run of about `frames` frames. It does not prolong the run."""
+    """Records a golden run while a run of about `frames` frames is simulated. It does not prolong the run."""
 
     is_over = True
 
@@ -184,7 +184,7 @@ class GoldenRecorder:
 
 
 class GoldenComparer:
-    """Compares a run with a golden one; `result` has the outcome."""
+    """Compares a run with a golden run. `result`: the outcome."""
 
     def __init__(self, run: SpecRun, result: GoldenResult, golden: GoldenRun, environment: Mapping[str, str]) -> None:
         self.program, self.result, self.golden = run.shot.program, result, golden
@@ -195,7 +195,7 @@ class GoldenComparer:
         self.is_over = False
 
     def observe_frame(self, world: World) -> None:
-        """Compare this frame with the golden one."""
+        """Compare this frame with the golden run."""
         if self.is_over:
             return
         golden_frame = self.golden.frames[self.result.frames]

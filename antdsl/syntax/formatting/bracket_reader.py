@@ -1,6 +1,7 @@
-"""Tokens → words with the blank before each, and brackets with the slots between their commas.
+"""Converts tokens to words, each with the blank before it, and to brackets with slots between their commas.
 
-A comment inside brackets stands behind a slot or on separate lines before it; one from the middle of a slot moves before it."""
+A comment inside brackets is placed after a slot or on separate lines before it. A comment in the middle of a slot moves before
+the slot."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ _PRECEDENCE_LEVELS = (("..",), ("then", "else"), ("or",), ("and",), ("<", ">", "
 
 @dataclass(slots=True)
 class TokenLeaf:
-    """One token as in the source, and whether a blank precedes it. `is_infix`: true for a sign between two values."""
+    """A token as in the source. It records whether a blank precedes it. `is_infix`: true for a sign between two values."""
 
     text: str
     has_blank_before: bool
@@ -31,13 +32,13 @@ class TokenLeaf:
 
 @dataclass(slots=True)
 class BracketSlot:
-    """The content between two commas, with the second comma.
+    """The content between two commas of a bracket, including the second comma.
 
     - `leading_comments`: the comments on the lines before the content. `trailing_comment`: the comment after the content.
-    - `inner_comments`: each comment in the middle as the index of the next node, the comment, and whether the previous token is
-      on the same line.
+    - `inner_comments`: for each comment in the middle, the index of the next node, the comment, and whether the previous token
+      is on the same line.
     - `operands`: the content split at its operators, if there are comments between them.
-    - `is_indented`: whether the content is indented once more, as the body after `n in SET:`."""
+    - `is_indented`: whether the content is indented one level more, as for the body after `n in SET:`."""
 
     nodes: list[LayoutNode] = field(default_factory=list)
     leading_comments: list[n.Comment] = field(default_factory=list)
@@ -61,7 +62,7 @@ class BracketSlot:
 class BracketGroup:
     """A pair of parentheses or square brackets with its content. `end_comments`: the comments before the closing bracket.
 
-    `is_forced_open`: whether a comment requires that the content is on separate lines."""
+    `is_forced_open`: whether a comment forces the content onto separate lines."""
 
     opening: TokenLeaf
     slots: list[BracketSlot]
@@ -95,7 +96,7 @@ class BracketReader:
         self.last: ScannedToken | None = None
 
     def skip_comments_before(self, token: ScannedToken) -> None:
-        """Continue after a block that ended with this token."""
+        """Continue reading comments after a block that ended with this token."""
         self.last = token
 
     def read_node(self, tokens: Sequence[ScannedToken], index: int) -> tuple[LayoutNode, int]:
@@ -182,7 +183,7 @@ def _is_comprehension(slot: BracketSlot) -> bool:
 
 
 def split_operands(slot: BracketSlot) -> list[BracketSlot]:
-    """Split the slot before its operators of lowest precedence; return it alone if there are none."""
+    """Return a slot's content, split before its operators of lowest precedence. Without operators, the result has one part."""
     for level in _PRECEDENCE_LEVELS:
         cuts = [
             k for k, node in enumerate(slot.nodes) if k and isinstance(node, TokenLeaf) and node.is_infix and node.text in level
@@ -255,7 +256,7 @@ def _collect_slot_comments(slot: BracketSlot) -> list[n.Comment]:
 
 
 def _set_flat_text(bracket: BracketGroup) -> BracketGroup:
-    """Record a bracket's flat text and whether it must be broken, so that no later call descends into it again."""
+    """Store the text of a bracket on one line, and whether the bracket must be broken. Later calls then need not look inside."""
     bracket.is_forced_open = bool(bracket.end_comments) or any(slot.is_broken for slot in bracket.slots)
     bracket.flat_text = (
         bracket.opening.flat_text + " ".join(slot.flat_text for slot in bracket.slots) + bracket.closing_leaf.flat_text

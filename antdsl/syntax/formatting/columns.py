@@ -1,4 +1,4 @@
-"""Aligns successive lines of one kind in columns: at `->`, at `=`, at values, at help texts, and at comments.
+"""Aligns successive lines of one kind in columns: at `->`, `=`, values, help texts and comments.
 
 A mark is the word, sign or position at which a line is cut into cells."""
 
@@ -19,7 +19,7 @@ _MIN_COMMENT_BLANKS = 2  # minimum blanks before a comment
 class LayoutRow:
     """A statement or a comment before alignment.
 
-    - `kind`: successive rows of one kind are aligned.
+    - `kind`: successive rows of the same kind are aligned.
     - `cells`: the texts of the first line between its marks. `following_lines`: the other lines.
     - `is_separate`: whether the row is left out of the alignment of its neighbours."""
 
@@ -65,7 +65,8 @@ def _find_second_part(parts: Sequence[LayoutNode | LayoutBlock]) -> int | None:
 
 
 def _find_alignment(rule: str, words: Sequence[str]) -> tuple[str, AlignmentPointFinder | None]:
-    """Return the kind of a line, and the function that finds its mark (None: no mark), from its rule and its first words."""
+    """Return the kind of a line and the function that finds its mark, from the line's rule and first words. The function is None
+    if there is no mark."""
     first = words[0] if words else ""
     if rule in ("world_item", "setting"):
         return rule, _find_second_part
@@ -91,7 +92,7 @@ def _find_member_alignment(words: Sequence[str]) -> tuple[str, AlignmentPointFin
 
 
 def align_rows(rows: Sequence[LayoutRow], indent: int) -> list[str]:
-    """Return the lines of a block. Lines are aligned with each other up to the next blank line or comment line."""
+    """Return the lines of a block. A blank line or a comment line ends a group of aligned lines."""
     lines: list[str] = []
     for run in _iterate_row_runs(rows):
         if run[0].has_blank_before:
@@ -109,7 +110,7 @@ def align_rows(rows: Sequence[LayoutRow], indent: int) -> list[str]:
 
 
 def _iterate_row_runs(rows: Sequence[LayoutRow]) -> Iterator[list[LayoutRow]]:
-    """Yield runs of rows on consecutive lines; a comment line, or a statement of several lines, is a separate run."""
+    """Yield groups of rows on consecutive lines. A comment line, or a statement of several lines, is a separate group."""
     run: list[LayoutRow] = []
     for row in rows:
         if run and (row.has_blank_before or row.is_separate or run[-1].is_separate):
@@ -121,7 +122,7 @@ def _iterate_row_runs(rows: Sequence[LayoutRow]) -> Iterator[list[LayoutRow]]:
 
 
 def _align_row_run(rows: Sequence[LayoutRow]) -> list[str]:
-    """Return the texts of rows of one kind with aligned cells."""
+    """Return the texts of rows of one kind, with aligned cells."""
     texts = [row.cells[0] for row in rows]
     for k in range(1, max(len(row.cells) for row in rows)):
         has_cell = [len(row.cells) > k and row.cells[k] != "" for row in rows]
@@ -134,7 +135,7 @@ def _align_row_run(rows: Sequence[LayoutRow]) -> list[str]:
 
 
 def _compute_next_column(texts: Sequence[str], gap: int) -> int:
-    """Return the column after the longest text and the gap; texts longer than `MAX_ALIGNED_CHARACTERS` do not count."""
+    """Return the column after the longest text and the gap. Texts longer than `MAX_ALIGNED_CHARACTERS` are ignored."""
     return max((len(text) + gap for text in texts if len(text) <= MAX_ALIGNED_CHARACTERS), default=0)
 
 

@@ -1,7 +1,7 @@
 """Converts a parsed file to the items of its layout: statements with their blocks, and comments with their positions.
 
-Tokens and lines are those of the parser. The tree is only used to find which brackets follow a function, and which minus signs
-have nothing on their left."""
+Tokens and lines come from the parser. The tree is only used to find which brackets follow a function, and which minus signs have
+nothing on their left."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class LayoutStatement:
 
     @property
     def first_words(self) -> list[str]:
-        """Return the first words, up to the first bracket or block."""
+        """Return the words of the statement before its first bracket or block."""
         found: list[str] = []
         for part in self.parts:
             if not isinstance(part, TokenLeaf):
@@ -62,7 +62,7 @@ LayoutItem = LayoutStatement | CommentItem
 
 
 def needs_own_lines(part: LayoutNode | LayoutBlock) -> bool:
-    """Return whether a part of a statement cannot be on one line with the rest."""
+    """Return whether a part of a statement cannot share a line with the other parts."""
     return part.is_forced_open if isinstance(part, BracketGroup) else isinstance(part, LayoutBlock) and not part.is_one_line
 
 
@@ -77,7 +77,7 @@ def read_items(file: n.File) -> list[LayoutItem]:
 
 
 def _find_call_ends_and_minus_signs(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
-    """Return the end offsets of called function names, and the offsets of unary minus signs."""
+    """Return the end offsets of names of called functions, and the offsets of unary minus signs."""
     calls: set[int] = set()
     minus: set[int] = set()
     stack: list[Any] = [file.items]
@@ -97,7 +97,7 @@ def _find_call_ends_and_minus_signs(file: n.File) -> tuple[frozenset[int], froze
 
 
 def _find_called_name(part: object) -> n.Name | None:
-    """Return the function or verb that a node names, after which arguments in brackets may follow; None if there is none."""
+    """Return the function or verb that a node names, if arguments in brackets may follow it; otherwise None."""
     if isinstance(part, n.VerbLine):
         return part.name if part.amount is None else None
     return part.event if isinstance(part, n.On) else part.name if isinstance(part, n.Behaviour) else None
@@ -139,12 +139,12 @@ class _ItemReader:
         return item_list
 
     def has_blank_line(self, item_list: list[LayoutItem], last: int, start: int) -> bool:
-        """Return whether a blank line is between the end `last` of the previous item and the offset `start`."""
+        """Return whether there is a blank line between the end `last` of the previous item and the offset `start`."""
         return bool(item_list) and self.count_line_ends(last, start) > 1
 
     def add_comments(self, item_list: list[LayoutItem], last: int, end: int) -> int:
-        """Add the comments before the offset `end` to the last statement, or as separate lines. Return the end of the last
-        one."""
+        """Add the comments before the offset `end` to the last statement, or as separate lines. Return the end offset of the
+        last comment."""
         while (comment := self.pop_comment_before(end)) is not None:
             text = comment.text.rstrip()
             previous_item = item_list[-1] if item_list else None
@@ -194,7 +194,8 @@ class _ItemReader:
         return LayoutBlock(item_list, self.is_one_line(group, item_list, head), head)
 
     def is_one_line(self, group: BraceGroup, item_list: list[LayoutItem], opening_comment: str | None) -> bool:
-        """Return whether a block may be on one line: it has no line ends or comments, and no part of it needs separate lines."""
+        """Return whether a block may be on one line. It must have no line ends or comments, and no part that needs a separate
+        line."""
         if not item_list and opening_comment is None:
             return True
         for item in item_list:

@@ -16,14 +16,15 @@ from antdsl.syntax.parser import parse
 
 
 class LayoutError(RuntimeError):
-    """The layout changed the meaning of a text, or lost a comment. Only a bug in this package can cause it."""
+    """Error for a layout that changed the meaning of a text, or lost a comment. Only a bug in this package can cause it."""
 
 
 def format(source: Source) -> tuple[str | None, Report]:
     """Return the text in the standard layout, and the report of parsing.
 
-    Returns None if the text has errors, because text that was not understood is not moved, or if it would exceed the limits of a
-    text. Formatting the result gives the same text again. Raises LayoutError if the result would have another meaning."""
+    Returns None if the text has errors, because text that was not understood is not moved. Also returns None if the result would
+    exceed the limits of a file. Formatting the result gives the same text again. Raises LayoutError if the result would have
+    another meaning."""
     file, report = parse(source)
     if not report.ok:
         return None, report
@@ -53,8 +54,8 @@ def report_too_long(source: Source, text: str, report: Report) -> bool:
 
 
 def find_first_difference(first: n.File, second: n.File) -> str | None:
-    """Return the first difference between two files, except locations, in a few words. None if they are the same program with the
-    same comments."""
+    """Return a short description of the first difference between two files, or None. Locations are ignored. Comments must be
+    equal."""
     first_comments, second_comments = ([comment.text.rstrip() for comment in file.comments] for file in (first, second))
     if first_comments != second_comments:
         return next(
@@ -70,8 +71,8 @@ def find_first_difference(first: n.File, second: n.File) -> str | None:
 
 
 def iterate_tree_texts(node: Any) -> Iterator[str]:
-    """Yield a tree as a flat list of words: each node's kind, and the content of its leaves. Locations and comments are left
-    out."""
+    """Yield a tree as a flat sequence of texts: the kind of each node, and the content of its leaves. Locations and comments are
+    left out."""
     stack = [node]
     while stack:
         part = stack.pop()

@@ -37,7 +37,7 @@ def _make_row(item: LayoutItem, indent: int) -> LayoutRow:
 
 
 def _format_flat(parts: Sequence[LayoutPart]) -> str:
-    """Return parts as text on one line."""
+    """Return parts as text on a single line."""
     return "".join(_format_flat_block(part) if isinstance(part, LayoutBlock) else part.flat_text for part in parts)
 
 
@@ -48,7 +48,7 @@ def _format_flat_block(block: LayoutBlock) -> str:
 
 
 def _format_statement(parts: Sequence[LayoutPart], indent: int) -> list[str]:
-    """Return the lines of a statement; the first has no indent."""
+    """Return the lines of a statement. The first line has no indent."""
     blocks = [k for k, part in enumerate(parts) if isinstance(part, LayoutBlock)]
     opened = [k for k in blocks if needs_own_lines(parts[k])]
     for start, end in zip([-1, *opened], [*opened, len(parts)], strict=True):
@@ -70,14 +70,14 @@ def _format_statement(parts: Sequence[LayoutPart], indent: int) -> list[str]:
 
 
 def _format_piece(parts: Sequence[LayoutPart], start: int, end: int) -> str:
-    """Return the line between two broken blocks, with the braces before and after it."""
+    """Return the line between two blocks that are broken over lines, including the braces at its start and end."""
     text = _format_flat(parts[start + 1 : end])
     return ("}" if start >= 0 else "") + text + (" {" if end < len(parts) and isinstance(parts[end], LayoutBlock) else "")
 
 
 def _format_sequence(parts: Sequence[LayoutPart], indent: int, column: int, suffix: int = 0) -> list[str]:
-    """Lay out successive parts from a column on. A bracket is broken if it does not fit together with what follows up to the next
-    bracket. `suffix` characters follow the last part."""
+    """Lay out successive parts from a column on. A bracket is broken if it and the text up to the next bracket do not fit.
+    `suffix`: the number of characters after the last part."""
     lines = [""]
     for k, part in enumerate(parts):
         if isinstance(part, BracketGroup) and (
@@ -95,8 +95,7 @@ def _format_sequence(parts: Sequence[LayoutPart], indent: int, column: int, suff
 
 
 def _compute_required_width(parts: Sequence[LayoutPart], start: int, suffix: int) -> int:
-    """Return the number of characters that must fit on the line if a bracket is not broken. A help text at its end does not
-    count."""
+    """Return how many characters must fit on the line if a bracket is not broken. A help text at the end does not count."""
     count = len(_format_flat([parts[start]]))
     for part in parts[start + 1 :]:
         if isinstance(part, BracketGroup):
@@ -123,7 +122,7 @@ def _format_bracket(bracket: BracketGroup, indent: int) -> list[str]:
 
 
 def _format_slot(slot: BracketSlot, indent: int, operand_indent: int) -> list[str]:
-    """Return the lines of a slot; its operands after the first are indented by `operand_indent`."""
+    """Return the lines of a slot. All operands except the first are indented by `operand_indent`."""
     lines = [" " * indent + comment.text.rstrip() for comment in slot.leading_comments]
     parts = slot.operands or split_operands(slot)
     flat = slot.flat_text

@@ -1,5 +1,5 @@
-"""Mistakes in programs, with the text to write instead.
+"""Explains mistakes in programs, and suggests the text to write instead.
 
-`number_slips` has mistakes in numbers and units. `stray_text` has characters from other keyboards and pasted text, such as marks
-of a merge or fences of Markdown. `continued_lines` has lines that continue without a bracket. `unexpected_tokens` makes one
-message from what the parser found and what it could have accepted."""
+`number_slips` is about numbers and units. `stray_text` is about characters from other keyboards and pasted text, such as merge
+conflict markers or Markdown fences. `continued_lines` is about lines that continue without a bracket. `unexpected_tokens` makes
+one message from the token that the parser found and the tokens that it expected."""

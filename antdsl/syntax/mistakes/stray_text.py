@@ -1,7 +1,7 @@
-"""Checks a complete text for invisible characters, marks of a merge, fences of Markdown, and lines without end.
+"""Checks a complete text for invisible characters, merge conflict markers, Markdown fences and lines without end.
 
 Each is reported and replaced by blanks, so that the words around it can be read. The module also lists letters, digits, quotes
-and signs that people type or paste instead of those of the language."""
+and signs that people type or paste in place of those of the language."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _report_forbidden(scan: TokenScan) -> None:
 
 
 def _report_invisible(scan: TokenScan) -> None:
-    """Report invisible characters in comments and texts, except characters that join or separate letters in some languages."""
+    """Report invisible characters in comments and texts, except those that join or separate letters in some languages."""
     text = scan.source.text
     for passage in _TEXT_OR_COMMENT_PATTERN.finditer(text) if not text.isascii() else ():
         for match in _INVISIBLE_CHARACTERS.finditer(text, passage.start(), passage.end()):
@@ -95,9 +95,9 @@ def _report_invisible(scan: TokenScan) -> None:
 
 
 def _report_conflicts_and_fences(scan: TokenScan) -> None:
-    """Report lines of a merge conflict and of Markdown fences, and replace them by blanks.
+    """Report lines of merge conflicts and Markdown fences, and replace them by blanks.
 
-    The first version in a conflict stays and the second becomes blank, so that the rest of the file can be checked."""
+    The first version in a conflict remains and the second is replaced by blanks, so that the rest of the file can be checked."""
     if "<<<<<<<" in scan.source.text or ">>>>>>>" in scan.source.text:
         drop_from = -1
         for match in _MERGE_CONFLICT_PATTERN.finditer(scan.source.text):
@@ -120,7 +120,7 @@ def _report_conflicts_and_fences(scan: TokenScan) -> None:
 
 
 def replace_text_by_blanks(scan: TokenScan, start: int, end: int) -> None:
-    """Replace text by blanks, but keep the line ends."""
+    """Replace text by blanks, but leave line ends unchanged."""
     for offset in range(start, end):
         if scan.clean_characters[offset] != "\n":
             scan.clean_characters[offset] = " "
@@ -140,8 +140,8 @@ def _report_long_lines(scan: TokenScan) -> None:
 
 
 def find_ascii_lookalike(character: str) -> str | None:
-    """Return the ASCII letter, digit or `_` that a character looks like, or None. Accented letters are not look-alikes: they are
-    intended."""
+    """Return the ASCII letter, digit or `_` that a character looks like, or None. Accented letters do not count, because authors
+    use them on purpose."""
     if character < "\x80":
         return character
     digit = unicodedata.decimal(character, None)
@@ -158,7 +158,7 @@ _SUGGESTED_WORD_PATTERN = re.compile("write `([a-z]+)`")
 
 
 def make_replacement_word(help: str, previous_character: str, next_character: str) -> str | None:
-    """Return the word to write instead of a sign, with a blank where the adjacent character is part of a word."""
+    """Return the word to write instead of a sign. It has a blank on each side where the adjacent character is part of a word."""
     match = _SUGGESTED_WORD_PATTERN.fullmatch(help)
     if match is None:
         return None

@@ -1,4 +1,4 @@
-"""Explains an unexpected token in one message, in an artist's words."""
+"""Explains an unexpected token in one message, in words that an artist understands."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ _COMPARISON_SIGNS = {"==", "!=", "<", ">", "<=", ">=", "is"}
 
 
 def make_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
-    """Return the error about a line that cannot be read, with the explanation of the first kind of mistake that matches."""
+    """Return the error about a line that cannot be read. It explains the first kind of mistake that matches."""
     for kind in (
         _explain_quoted_library, _explain_inner_after, _explain_misspelling, _explain_misplaced, _explain_comma,
         _explain_no_line, _explain_label, _explain_unit, _explain_equals, _explain_double_comparison,
@@ -130,7 +130,7 @@ def _explain_quoted_library(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _find_misspelt_word(unexpected: UnexpectedToken) -> str | None:
-    """Return the allowed word that the unexpected token misspells; None if there is none."""
+    """Return the allowed word of which the unexpected token is a misspelling. Return None if there is none."""
     if unexpected.token_kind != "word" or len(unexpected.token_text) < 3 or "NAME" in unexpected.expected_terminals:
         return None
     words = [
@@ -146,8 +146,7 @@ def _has_missing_arrow(unexpected: UnexpectedToken) -> bool:
 
 
 def has_missing_brackets(unexpected: UnexpectedToken) -> bool:
-    """Return whether brackets are missing, as in `touching nest`: two names in a row, of which the first could be a
-    function."""
+    """Return whether brackets are missing, as in `touching nest`: two names in a row, of which the first may be a function."""
     names = unexpected.previous_kind == unexpected.token_kind == "word" and unexpected.following_text not in ("(", ".", "[", ":")
     return (
         names
@@ -172,7 +171,7 @@ def make_plain_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
 
 
 def suggest_first_word(unexpected: UnexpectedToken) -> str | None:
-    """Return the word that a line's first word is a misspelling of, if the line has no other valid meaning; else None."""
+    """Return the correct spelling of a line's first word if it is misspelt and the line has no other valid meaning; else None."""
     words = LINE_WORDS_BY_RULE[unexpected.rule]
     other = FOREIGN_FIRST_WORDS.get(unexpected.first_word)
     if other in words and unexpected.token_text not in _ASSIGNMENT_OPERATORS:
@@ -208,7 +207,7 @@ def _explain_misplaced(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def make_misplaced_diagnostic(word: str, span: Span) -> Diagnostic:
-    """Return the error about a line that begins with a word which belongs elsewhere."""
+    """Return the error about a line that begins with a word that is only allowed elsewhere."""
     return Diagnostic("misplaced-line", f"`{word}` is not allowed here", span, help=f"it belongs {LINE_CONTEXT_BY_WORD[word]}")
 
 
@@ -317,19 +316,19 @@ def _explain_line_end(unexpected: UnexpectedToken) -> Diagnostic:
 
 
 def _make_fix_before_token(unexpected: UnexpectedToken, text: str) -> Fix:
-    """Return a fix that inserts text between what was read and the unexpected token."""
+    """Return a fix that inserts text directly before the unexpected token."""
     return Fix(Span(unexpected.span.source, unexpected.span.start, unexpected.span.start), text)
 
 
 def _make_fix_after_previous(unexpected: UnexpectedToken, text: str) -> Fix:
-    """Return a fix that inserts text directly after what was read, before the blanks."""
+    """Return a fix that inserts text directly after the previous token, before the blanks."""
     source, start = unexpected.span.source, unexpected.span.start
     end = len(source.text[:start].rstrip())
     return Fix(Span(source, end, end), text)
 
 
 def is_line_start(unexpected: UnexpectedToken) -> bool:
-    """Return whether the unexpected token is a word that begins a line, after something that could end one."""
+    """Return whether the unexpected token is a word that begins a line, following something that may end a line."""
     words = LINE_WORDS_BY_RULE[unexpected.rule]
     assigns = bool(words) and unexpected.token_kind == "word" and unexpected.following_text in _SIGNS_AFTER_TARGET
     return (unexpected.token_text in words or assigns) and "$END" in unexpected.expected_terminals

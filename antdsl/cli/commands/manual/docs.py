@@ -45,7 +45,7 @@ def run_docs_command(
 
 
 def _choose_cached_site() -> Path:
-    """Return the folder of the user's own site of the installed pages. Its name follows from their content."""
+    """Return the folder of this user's copy of the site. Its name depends on the content of the installed pages."""
     root = documentation_folder()
     digest = blake2b(__version__.encode(), digest_size=8)
     for path in sorted([root / "docs" / "conf.py", *root.glob("docs/**/*.md"), *root.glob("*.md"), *root.glob("grammar/*.md")]):
@@ -58,7 +58,7 @@ def _choose_cached_site() -> Path:
 
 
 def _require_sphinx() -> None:
-    """End the command if a package of the extra is missing."""
+    """End the command if a package of the extra `[docs]` is missing."""
     missing = [name for name in _PACKAGES if find_spec(name) is None]
     if missing:
         message = f"error[missing-extra]: the site needs the packages {', '.join(missing)}"
@@ -66,7 +66,7 @@ def _require_sphinx() -> None:
 
 
 def _build_site(site: Path) -> None:
-    """Build the site and move it into its folder when it is complete."""
+    """Build the site, and move it to its folder once it is complete."""
     import socket
     from io import StringIO
 

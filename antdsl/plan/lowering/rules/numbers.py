@@ -90,7 +90,8 @@ def _lower_clamp(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def compute_share(w: PlanWriter, x: PlanNode, low: PlanNode, high: PlanNode) -> PlanNode:
-    """Return the position of x between low and high, from 0 to 1. If low equals high, the result steps from 0 to 1 there."""
+    """Return the position of x between low and high, as a fraction from 0 to 1. If low equals high, the result steps from 0 to 1
+    at this value."""
     b = w.b
     wide = b("sub", high, low)
     between = b("min", b("max", b("div", b("sub", x, low), wide), b.add_number(0)), b.add_number(1))
@@ -188,7 +189,7 @@ def _lower_angle(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_unit_direction(w: PlanWriter, e: model.Expr) -> VectorNodes:
-    """Return a direction of length 1. `up` and `heading` already have this length."""
+    """Return a direction scaled to length 1. `up` and `heading` already have this length."""
     if isinstance(e, model.AttributeRef) and e.owner is None and e.name in ("up", "heading"):
         return lower_vector(w, e)
     return values.normalise_vector(w.b, lower_vector(w, e))

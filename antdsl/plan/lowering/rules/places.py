@@ -14,7 +14,7 @@ from antdsl.program import model
 
 
 def locate_point(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNode, VectorNodes]:
-    """Return whether the point exists, and its position (mm). In a periodic world, that is its image nearest to the agent."""
+    """Return whether the point exists, and its position (mm). In a periodic world, this is the image nearest to the agent."""
     b = w.b
     if isinstance(value, VectorNodes):
         return b.true, value
@@ -80,7 +80,7 @@ def compute_distance(w: PlanWriter, value: LoweredValue, e: model.Expr) -> PlanN
 
 
 def _find_nearest_member(w: PlanWriter, value: LoweredValue) -> LoweredValue:
-    """Return the nearest item or agent for a group of items or a species; return any other value unchanged."""
+    """Return the nearest item or agent if the value is a group of items or a species. Return any other value unchanged."""
     if isinstance(value, NamedThing) and value.row.nearest_op == "set.items":
         every = w.b(value.row.nearest_op, w.b.add_number(inf), attrs=(value.name,))
         return EntityRef(model.TypeKind.ITEM, value.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))

@@ -44,7 +44,7 @@ def _make_sense_rule(sense: SenseRow, word: BuiltinRow) -> Callable[[PlanWriter,
 
 
 def _list_operands(value: LoweredValue, e: model.Expr) -> tuple[PlanNode, ...]:
-    """Return a number as one operand, a vector as three."""
+    """Return the operands for a value: one for a number, three for a vector."""
     if isinstance(value, PlanNode):
         return (value,)
     if isinstance(value, VectorNodes):
@@ -81,7 +81,7 @@ def _lower_slope(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_uphill(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return the world's up minus its component along the agent's up. The length is the sine of the slope."""
+    """Return the world's up direction without its component along the agent's up. Its length is the sine of the slope."""
     up, sky = w.read_vector("up"), _read_world_up(w)
     return values.subtract_vectors(w.b, sky, values.scale_vector(w.b, up, values.compute_dot_product(w.b, up, sky)))
 
@@ -91,7 +91,7 @@ def _read_world_up(w: PlanWriter) -> VectorNodes:
 
 
 def _lower_flow_value(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return the vector of a flow here. That of a field of vectors is projected onto the ground that the agent stands on."""
+    """Return the vector of a flow at the agent. The vector of a field is projected onto the ground on which the agent stands."""
     name = _get_thing_name(w, e)
     if not _is_vector_field(w, name):
         return _READ_FLOW(w, e)

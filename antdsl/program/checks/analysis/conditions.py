@@ -23,7 +23,7 @@ class ConditionCase:
     """One of the cases in which a condition holds. The case applies if all of its entries hold.
 
     - `intervals`: by the key of a number's expression, the interval that contains the number.
-    - `truth_by_test`: by the key of a test that is no comparison with a constant, whether the test is true."""
+    - `truth_by_test`: by the key of a test that is not a comparison with a constant, whether the test is true."""
 
     intervals: dict[str, Interval] = field(default_factory=dict)
     truth_by_test: dict[str, bool] = field(default_factory=dict)
@@ -58,7 +58,8 @@ class ConditionReader:
 
     - `range_by_key`: by the key of an expression, a range that always contains its number.
     - `key_by_id`, `range_by_expr_id`, `cached_cases`: caches by the `id()` of an expression or binding.
-    - `retained_parts`: the objects with these ids. They must not be freed, because another object could get the same id."""
+    - `retained_parts`: the objects with these ids. They are stored here, because a new object could get the id of a freed one.
+    """
 
     params: Mapping[str, Param]
     range_by_key: dict[str, Interval] = field(default_factory=dict)

@@ -20,9 +20,9 @@ UpdateTarget = str | Binding  # the attribute that an update sets, or the memory
 
 
 class StepInfluence(IntEnum):
-    """How the value before an update influences the value after it, for a short step. NONE: not at all. VANISHING: less and less
-    as the step gets shorter. SAME: the value stays the same, so the number of updates does not matter. UNSURE: unknown. CHANGED:
-    the update changes the value even in a very short step."""
+    """How the value before an update influences the value after it, for a short step. NONE: not at all. VANISHING: less as the
+    step gets shorter. SAME: the value stays the same, so the number of updates does not matter. UNSURE: unknown. CHANGED:
+    even a very short step changes the value."""
 
     NONE = 0
     VANISHING = 1
@@ -138,7 +138,7 @@ def _analyse_value(value: Expr, target: UpdateTarget, has_other_change: bool) ->
 
 
 def _iterate_dependencies(value: Expr, target: UpdateTarget) -> Iterator[Expr]:
-    """Yield the parts of an expression that contribute to its value, each once. Operands come before the operation."""
+    """Yield the parts of an expression that contribute to its value, without duplicates. Operands come before the operation."""
     stack: list[tuple[Expr, bool]] = [(value, False)]
     visited: set[int] = set()
     while stack:

@@ -1,4 +1,4 @@
-"""The native backend: a block's vectorised instructions become machine code, eight agents at a time."""
+"""The native backend: compiles a block's vectorised instructions to machine code that processes eight agents at a time."""
 
 from antdsl.runtime.backends.native.native_backend import NativeBackend
 

@@ -1,6 +1,6 @@
-"""Accumulators of reductions over pairs, as machine code: for eight requesting agents, or for one agent in eight parts.
-
-Terms of sums are multiples of one quantum and add without rounding, so their order does not matter (`numerics.exact_sums`)."""
+"""Machine code for the accumulators of reductions over pairs. The eight lanes are eight requesting agents, or one agent's
+pairs in eight parts. Terms of sums are multiples of one quantum and add without rounding, so their order does not matter
+(`numerics.exact_sums`)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ class RunningReduction:
                 self._write_part(k, self.builder.make_constant(row[1], row[0]))
 
     def add_term(self, mask: Lanes, body: Lanes | None, label: Lanes | None) -> None:
-        """Emit code that adds a term to the running values of each lane in the mask: `body`, or `label` with key `body`."""
+        """Emit code that adds a term to each lane in the mask. The term is `body`, or `label` if the reduction selects a label
+        by `body`."""
         e = self.builder
         match self.node.op:
             case "reduce.sum":
@@ -79,7 +80,7 @@ class RunningReduction:
         self.builder.store_number(self._stack_slots[part][0], value)
 
     def _round_term(self, body: Lanes) -> Lanes:
-        """Return a term rounded to a multiple of the reduction's quantum, as `exact_sums.quantise` does."""
+        """Round a term to a multiple of the reduction's quantum. Same as `exact_sums.quantise`."""
         quantum = int(self.node.attrs[0])
         bound, magic = float(np.ldexp(1.0, quantum + exact_sums.MAX_TERM_EXPONENT)), float(np.ldexp(1.5, quantum + 52))
         if float(np.float32(bound)) == bound:  # then clamping before the conversion gives the same result

@@ -1,6 +1,5 @@
-"""Layout of the tables of addresses and numbers: machine code contains only indices into these tables.
-
-So the code contains no addresses and no values, and all worlds and param values of a program share it."""
+"""The layout of the tables of addresses and numbers that machine code reads. Code contains only indices into these tables, no
+addresses or values. So all worlds and param values of a program share the same code."""
 
 from __future__ import annotations
 
@@ -27,11 +26,11 @@ class AddressLayout:
     array_kinds: dict[tuple[int, int], str] = field(default_factory=dict)
 
     def find_pointer_index(self, *key: Hashable) -> int:
-        """Return the index of the address with this key; for a new key, a new index."""
+        """Return the table index of the address with this key. A new key gets a new index."""
         return self.pointer_indices.setdefault(key, len(self.pointer_indices))
 
     def find_number_index(self, *key: Hashable) -> int:
-        """Return the index of the number with this key; for a new key, a new index."""
+        """Return the table index of the number with this key. A new key gets a new index."""
         return self.number_indices.setdefault(key, len(self.number_indices))
 
     def find_array_index(self, slot: int, part: int, kind: str) -> int:

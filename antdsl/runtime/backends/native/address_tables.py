@@ -2,8 +2,8 @@
 
 Machine code reads eight rows at once, so every array is padded by eight rows (`padded_arrays`). Tables are reused from step to
 step, and only entries that may have changed are written again. These are addresses of named arrays that were replaced, copies
-made in each step, and changed numbers. Births, reordered rows and reloads create new arrays, so they are noticed in the same
-manner."""
+made in each step, and changed numbers. Births, reordered rows and reloads also create new arrays, so they need no separate
+check."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ TableWords = NDArray[np.int64]
 
 
 class WatchedArrays:
-    """Arrays of one world object. Machine code needs their current addresses.
+    """Arrays of one object of the world, for which machine code needs the current addresses.
 
     `find_holder`: returns the object. `get_arrays`: returns its arrays, or an object that changes when they change.
     `write_addresses`: writes the addresses, and may replace arrays by padded ones. It is called if the result of `get_arrays`
@@ -55,9 +55,8 @@ class WatchedArrays:
 
 
 class AddressTables:
-    """The inputs of the machine code of one block.
-
-    They are the tables of addresses and numbers, which all threads read, and `lanes`, the memories of the block's parts."""
+    """The inputs of one block's machine code: the tables of addresses and numbers, which all threads read, and `lanes`, the
+    memory of each part of the block."""
 
     def __init__(self, code: BlockCode, padded_arrays: PaddedArrays) -> None:
         self.code, self._padded_arrays = code, padded_arrays
@@ -109,10 +108,9 @@ class AddressTables:
         stored_senses: Any,
         grids: Any,
     ) -> None:
-        """Write all entries of both tables, except those that differ between the lanes.
-
-        `values`: by node, the values that are equal for all agents. Those of the run stay valid while `run_values` is the same
-        object. `stored_senses`: the arrays of senses that are stored for the step. `grids`: a cell grid for each search."""
+        """Write all entries of both tables, except those that differ between the lanes. `values`: by node, the values that are
+        equal for all agents. Values that are constant in a run stay valid while `run_values` is the same object.
+        `stored_senses`: the arrays of senses that are stored for the step. `grids`: a cell grid for each search."""
         self._update_numbers(world, values, run_values)
         words, changed = self.pointers, False
         for held in self._watched_arrays:
@@ -212,7 +210,7 @@ class AddressTables:
         return self._watch_mapping(lambda world, population: population.cells, names)
 
     def _watch_registers(self, names: NamedIndices, *, start: bool) -> WatchedArrays:
-        """Return the watched registers `names`: their values at the start of the step if `start`, else their current values."""
+        """Return the watched registers `names`: with `start`, the values at the start of the step, else the current values."""
 
         def write_addresses(world: World, population: Population, holder: Any, words: TableWords) -> None:
             for name, place in names:
@@ -280,7 +278,8 @@ class AddressTables:
         return find_clip_table
 
     def _make_threshold_finder(self, key: AddressKey) -> AddressFinder:
-        """Return a function that finds the address of the counts that tell near which cells a field reaches a threshold."""
+        """Return a function that finds the address of a table of counts. The counts show near which cells a field reaches a
+        threshold."""
         _, name, count, bound = key
         numbers, place = self._views[np.dtype(np.float32)], 2 * self.code.layout.find_number_index("node", bound)
         reached: CellsNearThreshold | None = None
@@ -306,8 +305,8 @@ def _make_array_getter(names: NamedIndices) -> Callable[[Any], Iterable[NDArray[
 
 
 def _watch_field(field_name: str, names: list[tuple[AddressKey, int]]) -> WatchedArrays:
-    """Return the watched arrays `names` of a field. They change with the field's version, have entries for cells, and need no
-    padding."""
+    """Return the watched arrays `names` of a field. They change with the field's version. They have one entry per cell, so
+    they need no padding."""
 
     def get_version(field: PheromoneField) -> tuple[Any, ...]:
         return field, field.version

@@ -1,7 +1,7 @@
-"""The run of one block as machine code. Its rows are divided into parts, which run through its stages, possibly in several
-threads.
+"""Runs one block as machine code.
 
-Between stages, calls without machine code run. At the end, requests to the world are collected."""
+Rows are divided into parts. Each part runs through all stages, possibly in several threads. Operations without machine code
+are called between stages. At the end, requests to the world are collected."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class BlockRunner:
 
 
 def _is_batched_sense(instruction: BlockInstruction) -> bool:
-    """Return whether an instruction is a sense that runs for all parts in one call, and reads and writes their arrays."""
+    """Return whether an instruction is a sense that one call computes for all parts, directly in their arrays."""
     return (
         instruction.kind is InstructionKind.VALUE
         and isinstance(instruction.subject, ir.PlanNode)
@@ -139,7 +139,7 @@ def _choose_part_size(count: int, chunk: int, threads: int) -> int:
 class PartGroup:
     """Consecutive parts of a block's rows that run through its stages together.
 
-    All parts pass one stage without the interpreter, then the calls at its end, then the next stage."""
+    All parts run a stage without the interpreter, then the calls at its end, and then the next stage."""
 
     def __init__(self, block: BlockRunner, chunks: list[RowChunk], bounds: list[tuple[int, int]], threads: int) -> None:
         self._block, self._threads, self._bounds = block, threads, bounds
@@ -179,7 +179,7 @@ class PartGroup:
     def _run_needed_calls(
         self, world: World, population: Population, values: dict[ir.PlanNode, Any], stage_calls: StageCalls
     ) -> None:
-        """Run those calls at the end of a stage that at least one agent needs."""
+        """Run the calls at the end of a stage that at least one agent needs."""
         needs = [max(each) for each in zip(*[chunk.lane.needed_calls.tolist() for chunk in self.chunks], strict=True)]
         others = []
         for in_place, group in stage_calls:
@@ -213,7 +213,7 @@ class PartGroup:
 
 
 class RowChunk:
-    """Rows of a block that one thread runs through its stages. If `line_times` is set, it collects times."""
+    """Rows of a block that one thread runs through all stages. If `line_times` is set, times are recorded there."""
 
     world: World
     population: Population
@@ -308,7 +308,7 @@ class RowChunk:
         return rows
 
     def _read_operand_values(self, slot: int, rows: NDArray[np.intp]) -> Any:
-        """Return the value of a slot for the given rows, as a stage stored it; one number if it is equal for all agents."""
+        """Return the stored value of a slot for the given rows, or a single number if it is equal for all agents."""
         source = self.runner.code.schedule.resolve_slot(slot)
         array = self.lane.arrays.get((source, 0))
         if array is not None:
@@ -333,7 +333,7 @@ class RowChunk:
                     self._run_call_group(needed)
 
     def _run_call_group(self, instructions: list[BlockInstruction]) -> None:
-        """Run one call, or several calls of one sense with one name. A row appears once for each of its requests."""
+        """Run one call, or several calls of one sense with one name. A row occurs once for each of its requests."""
         code, began = self.runner.code, perf_counter()
         if len(instructions) == 1 and instructions[0] not in code.mask_slot_by_call:
             rows = self._find_scope_rows(instructions[0].scope)

@@ -1,4 +1,4 @@
-"""Machine code of a block: one function per stage, which runs eight rows at a time through all instructions of the stage."""
+"""Writes the machine code of a block: one function per stage, which runs all its instructions for eight rows at a time."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class FunctionWriter:
         return lanes
 
     def apply_operation(self, op: str, *args: Lanes) -> Any:
-        """Apply an elementwise operation to lanes, with the function that NumPy also uses."""
+        """Apply an elementwise operation to lanes. The operation is the same function as in the NumPy backend."""
         formula = FUNCTION_BY_NAME[op]
         if op not in _OUT_OF_LINE_FUNCTIONS:
             return formula(*args)
@@ -78,7 +78,7 @@ class FunctionWriter:
 @dataclass(slots=True, eq=False)
 class NeighbourSearch:
     """One search for neighbours of a species, which several reductions share. `sets`: the sets that they reduce.
-    `extra_registers`: registers of the others, needed in the order of the cell grid; each text names up to four."""
+    `extra_registers`: registers of the others, needed in the order of the cell grid. Each text contains up to four names."""
 
     species: str
     sets: list[ir.PlanNode]
@@ -177,7 +177,7 @@ class BlockWriter(FunctionWriter):
     # --- instructions --------------------------------------------------------------------------------------------------
 
     def _timed_instruction(self, instruction: BlockInstruction) -> AbstractContextManager[None]:
-        """Return a context. If lines are timed, the time of code written in it counts for the instruction."""
+        """Return a context that assigns the time of the code written in it to the instruction, if lines are timed."""
         return nullcontext() if (c := self.code.line_counters) is None else self._time_with_counter(c.find_counter(instruction))
 
     @contextmanager
@@ -211,7 +211,7 @@ class BlockWriter(FunctionWriter):
         e.store_number(place, e.load(place, I8) | e.mask_to_i8(mask))
 
     def _write_guard(self, instruction: BlockInstruction) -> None:
-        """Emit code that records which agents need a call, if that is known, and stores the result for the others."""
+        """Emit code that records which agents need a call, if this can be decided, and stores the result of all other agents."""
         assert isinstance(instruction.subject, ir.PlanNode)
         guard = self.guards.get(instruction.subject.op)
         if guard is None:
@@ -336,8 +336,8 @@ class BlockWriter(FunctionWriter):
                 self.builder.store_lanes(self.stage_array_address(slot, part, each.kind), self.offset, each)
 
     def find_joint_reductions(self, first: BlockInstruction) -> list[BlockInstruction]:
-        """Return other reductions over the same species or items that one search can compute with `first`.
-        They must not depend on its result. Reductions over agents may be in other scopes."""
+        """Return other reductions over the same species or items that the search for `first` can also compute. They must not
+        depend on the result of `first`. Reductions over agents may be in other scopes."""
         assert isinstance(first.subject, ir.PlanNode)
         reductions, of = [], first.subject.args[0]
         for each in self._reductions:
@@ -386,8 +386,8 @@ class BlockWriter(FunctionWriter):
         self.builder.store_masked(mask, self.array_address("now", store.register), self.row, value)
 
     def write_fault_record(self, is_bad: Lanes, value_name: str, instruction: BlockInstruction) -> None:
-        """Emit code that records eight rows with a value that is not finite: the first row, and a mask of the faulty rows.
-        The number of the rejected value is stored above the bits of the mask."""
+        """Emit code that records non-finite values among eight rows: the number of the first row, and a mask of the faulty
+        rows. The bits above the mask contain the number of the rejected value."""
         e, faults = self.builder, self.code.fault_sources
         with e.write_if(e.any_lane(is_bad)):
             faults.append((value_name, instruction))  # one entry per place; its notes have space for one of each eight rows

@@ -1,6 +1,5 @@
-"""The queue that compiles the blocks of plans to machine code: their text, their loaded code, and the calls between stages.
-
-Each function that is called from outside is compiled separately, in a thread parallel to the run. Code is cached by its text:
+"""The queue that compiles the blocks of plans to machine code. It writes their text, loads their code, and prepares the calls
+between stages. Each function with external callers is compiled separately, in a background thread. Code is cached by its text:
 in memory, and in a folder for later runs (`object_cache`). The numbers of a program are not part of the text, so changing a
 number compiles nothing. An edit compiles only the stages that it changes."""
 
@@ -30,7 +29,7 @@ _requests_lock = Lock()
 
 
 class CodeUnavailable(Exception):
-    """Error if machine code cannot be made on this machine. The message gives the reason and a remedy."""
+    """Error: machine code cannot be compiled on this machine. The message gives the reason and a remedy."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +50,7 @@ class ReadyCode:
     call_groups: Mapping[tuple[str, str, int], list[list[BlockInstruction]]]
 
     def function(self, name: str) -> Any:
-        """Return a function of the program by name, as `llvm_compiler.LoadedCode.function` does."""
+        """Return a function of the program by name. Same as `llvm_compiler.LoadedCode.function`."""
         return self.loaded_code[name].function(name)
 
 
@@ -64,9 +63,8 @@ def find_ready_code(plan: ir.Plan, facts: WorldFacts) -> ReadyCode | None:
 def _build_ready(
     plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, stored: stored_blocks.StoredBlocks | None
 ) -> Generator[None, None, ReadyCode]:
-    """Compile a plan's blocks for this processor, and return the code. Each `next` does one piece of the work.
-
-    Raises CodeUnavailable."""
+    """Compile a plan's blocks for this processor, and return the code. This is a generator: each `next` does a part of the
+    work. Raises CodeUnavailable."""
     if why := llvm_compiler.find_unavailability_reason():
         raise CodeUnavailable(why)
     host = llvm_compiler.find_host_target()
@@ -100,7 +98,8 @@ def _get_unit_text(text: Callable[[], NativeProgram], name: str) -> str:
 
 
 def find_stored_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> stored_blocks.StoredBlocks | None:
-    """Return the compiled blocks of a plan that an earlier run stored, or None. They make it unnecessary to write the text."""
+    """Return the compiled blocks of a plan that an earlier run stored, or None. With them, the text does not have to be
+    written."""
     subject = (
         stored_blocks.number_plan(plan, blocks, facts, llvm_compiler.find_host_target()) if llvm_compiler.is_available() else None
     )
@@ -151,7 +150,7 @@ def _finish_request(future_reference: ReferenceType[Future[ReadyCode]], set_outc
 
 
 def release_code() -> None:
-    """Drop all code in memory that no backend uses, as in a new process. Stored code is unchanged."""
+    """Discard all code in memory that no backend uses, so that memory is as in a new process. Stored code is unchanged."""
     with _requests_lock:
         _code_by_plan.clear()
     code_cache.release_unused_code()

@@ -1,4 +1,5 @@
-"""Scents that are only compared with a threshold. If no nearby cell reaches the threshold, no cell is read."""
+"""Faster reads of field values that are only compared with a threshold. If no nearby cell reaches the threshold, no cell is
+read."""
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ def may_reach_threshold(w: Any, node: ir.PlanNode, bound: ir.PlanNode) -> Lanes:
 def limit_strength(w: Any, node: ir.PlanNode, bound: ir.PlanNode, stored_strength: Lanes) -> Lanes:
     """Return `stored_strength` for agents near a cell that may reach the threshold, and 0 for other agents.
 
-    For the other agents, the true strength is also below the threshold."""
+    This is correct because their true strength is also below the threshold."""
     bounded_strength: Lanes = w.builder.select_lanes(
         may_reach_threshold(w, node, bound), stored_strength, w.builder.make_constant(0.0, stored_strength.kind)
     )
@@ -46,9 +47,9 @@ def limit_strength(w: Any, node: ir.PlanNode, bound: ir.PlanNode, stored_strengt
 
 
 def find_scent_thresholds(compiler: BlockCompiler, schedule: StageSchedule) -> dict[int, ir.PlanNode]:
-    """Return, by the slot of a scent, the node of the threshold that the scent is compared with.
+    """Return, by the slot of each scent, the node of the threshold that it is compared with.
 
-    Only scents count that are stored for the step and compared with a single number, which must be equal for all agents."""
+    Only scents that are stored for the step are included, and only if the threshold is one number, equal for all agents."""
     uniform = {slot: node for node, slot in compiler.uniform_slots.items()}
     readers: dict[int, list[BlockInstruction]] = {}
     scents: list[int] = []

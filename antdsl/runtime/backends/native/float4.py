@@ -1,4 +1,4 @@
-"""Loads of four adjacent floats for each of eight lanes."""
+"""Code that loads four adjacent floats for each of eight lanes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The data of each part of a block while machine code runs: values passed between stages, lists, recorded faults, counters."""
+"""The memory of each part of a block while machine code runs: values passed between stages, lists, recorded faults and
+counters."""
 
 from __future__ import annotations
 
@@ -25,12 +26,10 @@ _LANE_KEY_KINDS = ("array", "laid", "notes", "counts", "needs", "ticks", "candid
 class LaneMemory:
     """The memory that machine code uses for one part of a block's rows.
 
-    `counts`: entry 0 is above 0 if an agent has too many neighbours; then the length of each list of requests.
-    `needed_calls`: for each optional call, above 0 if an agent needs it.
-    `list_columns`: for each list of requests, the rows, and the values stored for them.
-    `ticks`: the time counters by source line, for timed code.
-    `deposit_flags`: by field, whether anything was deposited.
-    `max_radii`: the greatest radius (mm) of each search, for eight agents at a time."""
+    `counts`: entry 0 is above 0 if an agent has too many neighbours; the other entries are the lengths of the lists of
+    requests. `needed_calls`: for each optional call, above 0 if an agent needs it. `list_columns`: for each list of requests,
+    the rows, and the values stored for them. `ticks`: the time counters by source line, for timed code. `deposit_flags`: by
+    field, whether anything was deposited. `max_radii`: the greatest radius (mm) of each search, for eight agents at a time."""
 
     def __init__(self, code: BlockCode, pointers: NDArray[np.int64]) -> None:
         self.code, self.pointers = code, np.zeros_like(pointers)
@@ -55,7 +54,7 @@ class LaneMemory:
         self._lane_addresses = np.zeros(len(self._keys), np.int64)
 
     def copy_pointers(self, pointers: NDArray[np.int64]) -> None:
-        """Copy the addresses that are common to all parts from the table `pointers`."""
+        """Copy the addresses that all parts share from the table `pointers`."""
         self.pointers[:] = pointers
         self.pointers[self._lane_entries] = self._lane_addresses
 

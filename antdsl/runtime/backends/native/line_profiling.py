@@ -1,8 +1,7 @@
-"""The time of machine code by source line. Where the line changes, a mark in the code reads the processor's time counter.
-
-Only code compiled for timing has marks (`programs.WorldFacts.timed`). The time between two marks is added to the counter of
-the line before the second mark. The total duration of the functions converts counters to seconds. A call, such as a search
-shared by several lines, counts for the line at which it occurs in the code."""
+"""Measures the time of machine code by source line. Wherever the source line changes, a mark in the code reads the processor's
+time counter. Only code compiled for timing has marks (`programs.WorldFacts.timed`). The time between two marks is added to the
+counter of the line before the second mark. The total duration of the functions converts counters to seconds. The time of a
+call is assigned to the line at which it occurs in the code, even if several lines share the call."""
 
 from __future__ import annotations
 
@@ -83,9 +82,8 @@ class _MarkWriter:
         self._add_barrier(now)
 
     def _read_counter(self) -> Lanes:
-        """Emit code that reads the processor's time counter. Return its value.
-
-        The code first waits for earlier instructions. Otherwise divisions and roots of a line would count for a later one."""
+        """Emit code that reads the processor's time counter. Return its value. The code first waits for earlier instructions.
+        Otherwise slow operations of one line (divisions, roots) would be timed as part of a later line."""
         if self._needs_fence:
             self.builder.emit_void("wait")
         return self.builder.op("ticks", I64, lanes=1)
@@ -106,7 +104,7 @@ class _MarkWriter:
         """Prevent LLVM from moving later operations before this point.
 
         LLVM reorders instructions within a basic block. A branch that it cannot prove to be always taken starts a new block.
-        `count` is never 0, which LLVM does not know."""
+        `count` is never 0, but LLVM cannot know this."""
         e, never, following = self.builder, self.builder.make_label("never"), self.builder.make_label("marked")
         e.branch(count != 0, following, never)
         e.begin_block(never)

@@ -1,5 +1,5 @@
-"""Runs a plan's blocks as machine code. NumPy runs blocks until their code is ready, and if no code can be made. The results have
-the same bits."""
+"""The backend that runs a plan's blocks as machine code. NumPy runs blocks until their code is ready, or always if no code can
+be compiled. Results are bit-identical."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _DEFAULT_AGENTS_PER_CELL = 8  # agents per cell if no radius is known
 
 
 class NativeBackend(NumpyBackend):
-    """Runs a plan in one world. A thread compiles the code from the first step on."""
+    """The native backend of one world. From the first step on, a thread compiles the code of the plan."""
 
     spare_rows = LANE_COUNT
 
@@ -78,7 +78,8 @@ class NativeBackend(NumpyBackend):
         super().set_timing(enabled)
 
     def begin(self, world: World) -> None:
-        """Begin a step: compute values that are equal for all agents, clear cached senses, and use code that has become ready."""
+        """Begin a step: compute values that are equal for all agents, clear cached senses, and switch to code that has become
+        ready."""
         self._request_code(world, world.options.wait_for_code)
         self._has_begun = True
         versions = [population.version for population in world.populations.values()]
@@ -95,7 +96,7 @@ class NativeBackend(NumpyBackend):
         return sentences + code_cache.take_messages()
 
     def wait_for_code(self, world: World) -> None:
-        """Wait until all blocks can run as machine code from the next step on, or until this has failed."""
+        """Wait until all blocks are ready to run as machine code in the next step, or until compilation has failed."""
         self._request_code(world, True)
 
     def count_instructions_by_function(self) -> dict[str, int]:
@@ -109,10 +110,10 @@ class NativeBackend(NumpyBackend):
         }
 
     def _request_code(self, world: World, must_wait: bool) -> None:
-        """Request machine code that is missing, if the remaining steps are worth it.
+        """Request missing machine code, if enough steps remain to make this worthwhile.
 
-        Code that an earlier run has stored is loaded before the first step. Other code is requested after the first step, so that
-        the user sees its result soon. With `must_wait`, return when the code is ready."""
+        Code that an earlier run has stored is loaded before the first step. Other code is requested after the first step, so
+        that the user sees its result soon. With `must_wait`, return when the code is ready."""
         if self.ready_code is not None or self._unavailable_reason is not None:
             return
         if self._is_timed and llvm_compiler.is_available() and not llvm_compiler.find_host_target().is_x86:
@@ -177,9 +178,8 @@ class NativeBackend(NumpyBackend):
         return native_block
 
     def _find_search_grid(self, world: World, population: Population, block: str, search: NeighbourSearch, number: int) -> Arrays:
-        """Return the arrays of the cell grid for a search.
-
-        Its cells suit the greatest radius of the previous step, or in the first step the result of `_estimate_radius`."""
+        """Return the arrays of the cell grid for a search. The cell size is chosen by the greatest radius of the previous
+        step. In the first step, it is chosen by `_estimate_radius`."""
         key = (population.name, block, number)
         other = world.populations[search.species]
         if key not in self._search_radii:
@@ -192,8 +192,8 @@ class NativeBackend(NumpyBackend):
 def _estimate_radius(world: World, population: Population, other: Population, radii: list[ir.PlanNode]) -> float:
     """Return the greatest radius (mm) of a search, computed by the reference backend for a sample of agents.
 
-    A radius that itself depends on a search would take too long. It is replaced by a radius that contains about
-    `_DEFAULT_AGENTS_PER_CELL` of the others."""
+    If the radius itself depends on a search, computing it would take too long. Then the result is a radius that contains about
+    `_DEFAULT_AGENTS_PER_CELL` other agents."""
     cheap = [
         radius for radius in radii if not any(each.op in ("set.agents", "set.every") for each in collect_required_nodes([radius]))
     ]

@@ -1,4 +1,5 @@
-"""Senses as machine code: the operations of `runtime.sensing` that only read arrays. Others are called between two stages."""
+"""Machine code for senses: those operations of `runtime.sensing` that only read arrays. All other senses are called between
+two stages."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ _CELL_STRIDE = 4  # neighbour cells are sorted: about this many share a cache li
 
 
 def _emit_register(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    """Return a register of the agent itself: its value at the start of the step, or its current value."""
+    """Return a register of the agent itself, either at the start of the step or at present."""
     value: Lanes = w.builder.load_lanes(
         w.array_address("start" if node.op == "snap" else "now", node.attrs[0]), w.row, LANE_TYPE_BY_KIND[node.kind]
     )
@@ -52,7 +53,7 @@ def _emit_age_from_birth(w: Any, birth_frames: Lanes) -> Lanes:
 
 
 def _emit_random_words(w: Any, site: str, block: int) -> list[Lanes]:
-    """Return the four random words of each agent for a site of the program, from its id. `block`: the number of the words."""
+    """Return four random words for each agent, from its id and a site of the program. `block`: the number of the words."""
 
     def emit_words() -> list[Lanes]:
         e, wide = w.builder, format_llvm_type(I64, LANE_COUNT)
@@ -116,7 +117,7 @@ def _emit_touched_surface(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> L
 
 
 def _emit_rows_of_ids(w: Any, species: str, ids: Lanes) -> Lanes:
-    """Return the row of each id, -1 for no agent and for dead agents. Bisect the sorted ids in all lanes at once."""
+    """Return the row of each id, -1 for no agent and for dead agents. The sorted ids are bisected in all lanes at once."""
     e: LaneBuilder = w.builder
 
     def emit_rows() -> Lanes:
@@ -194,7 +195,7 @@ def _emit_field_value(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes
 
 
 def _load_later_cells(w: Any, field: str, eights: int) -> Lanes:
-    """Return the cells of the eight agents that the loop processes `eights` iterations later; near its end, the current cells."""
+    """Return the cells of the agents processed `eights` iterations later, or the current cells near the end of the loop."""
     e: LaneBuilder = w.builder
     later = w.row + LANE_COUNT * eights
     return e.load_lanes(w.array_address("cell", field), e.select_lanes(later < w.end, later, w.row), I32)
@@ -287,7 +288,7 @@ def _emit_field_strongest(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> A
 
 
 def _emit_clip_value(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    """Return a value from the table of the clips of each agent's body. A body's last entry is for unknown clips."""
+    """Return a value from the table of the clips of each agent's body. The last entry of each body is for unknown clips."""
     e: LaneBuilder = w.builder
     last = e.make_constant(len(w.code.species.clips), I32)
     number = e.select_lanes((args[0] >= 0) & (args[0] < last), args[0], last)

@@ -1,6 +1,5 @@
-"""Arrays with eight spare rows at the end, because machine code reads eight rows at once.
-
-Registers and other named arrays of the world are moved into such arrays. Arrays of other owners are copied."""
+"""Arrays with eight spare rows at the end, because machine code reads eight rows at once. Registers and other named arrays of
+the world are moved into padded arrays. Arrays that other parts of the program own are copied."""
 
 from __future__ import annotations
 
@@ -46,8 +45,8 @@ class PaddedArrays:
     def move_register(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
         """Move a register into a padded array if it is not in one. Return the array and its address.
 
-        `start`: whether to move the values at the start of the step, instead of the current ones. If both shared the old array,
-        they share the new one. Otherwise it would be copied at the end of each step."""
+        `start`: whether to move the values at the start of the step, instead of the current ones. If both used the same array,
+        both use the new one. Otherwise the array would be copied at the end of each step."""
         holders = population.start, population.now
         array = holders[not start][name]
         located_array = self.pad_array(array)
@@ -69,7 +68,7 @@ class PaddedArrays:
         self._padded_by_id.clear()
 
     def copy(self, *key: Hashable) -> PaddedCopy:
-        """Return the padded copy for a key. All blocks that use the key share it."""
+        """Return the padded copy for a key. It is shared by all blocks that use the key."""
         return self._copies.setdefault(key, PaddedCopy(self))
 
 
@@ -95,7 +94,7 @@ class PaddedCopy:
         return self._address
 
     def update_derived_copy(self, source: Any, make: Callable[[], NDArray[Any]]) -> int:
-        """Return the address of the padded result of `make`. It is made again when `source` is another object."""
+        """Return the address of the padded result of `make`. `make` is called again when `source` is another object."""
         if source is not self._source_stamp:
             self._source_stamp, self._padded = source, make()
             self._address = get_array_address(self._padded)

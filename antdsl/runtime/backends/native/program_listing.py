@@ -17,7 +17,7 @@ STATIC_WORLD = WorldFacts(has_moving_ground=False, has_detail_levels=False)
 
 
 def build_program(plan: ir.Plan, target: Target, facts: WorldFacts = STATIC_WORLD) -> NativeProgram:
-    """Return the program of a plan as it is compiled for a world with these `facts`."""
+    """Return the compiled program of a plan, for a world with these `facts`."""
     return write_program(plan, NumpyBackend(plan).blocks, facts, target)
 
 

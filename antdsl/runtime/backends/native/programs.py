@@ -1,4 +1,4 @@
-"""The conversion of a plan's blocks to LLVM text: the functions that are compiled separately, and the data to run them."""
+"""Converts a plan's blocks to LLVM text: the separately compiled functions, and the data needed to run them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _STEP_BLOCKS = ("decide", "act", "blend")
 
 
 def _emit_reduction(b: BlockWriter, instruction: BlockInstruction) -> None:
-    """Emit a reduction, and all others that the same search computes."""
+    """Emit a reduction, together with all other reductions that the same search can compute."""
     assert isinstance(instruction.subject, ir.PlanNode)
     (search.emit_neighbour_reduction if instruction.subject.args[0].op == "set.agents" else reduction_loops.emit_member_loop)(
         b, instruction
@@ -71,9 +71,9 @@ class WorldFacts:
 
 
 def schedule_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> dict[tuple[str, str], BlockCode]:
-    """Return the code of each block, by species and block: without functions, but with instructions assigned to stages.
+    """Assign the instructions of each block to stages.
 
-    Blocks of births are left out, because births are few."""
+    Return block codes without functions yet, by species and block. Blocks of births are omitted, because births are few."""
     senses = _find_native_senses(facts)
 
     def has_machine_code(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:

@@ -1,6 +1,5 @@
-"""Reductions as machine code. Items and `every` are visited one by one for eight requesting agents at a time.
-
-`search` finds neighbours; `accumulators` has the accumulators."""
+"""Machine code for reductions. Reductions over items and over `every` visit all members one by one, for eight requesting
+agents at a time. `search` finds neighbours; `accumulators` has the accumulators."""
 
 from __future__ import annotations
 
@@ -35,7 +34,8 @@ def has_machine_code(node: ir.PlanNode, leaves: frozenset[str]) -> bool:
 
 
 class PairValues:
-    """The values of nodes for eight pairs. `own_value`: returns a value of the requesting agents; `leaf_value`: of the pairs."""
+    """The values of nodes for eight pairs. `own_value`: returns a value of the requesting agents. `leaf_value`: returns a
+    value of the pairs."""
 
     def __init__(
         self,
@@ -127,7 +127,7 @@ def emit_member_loop(b: BlockWriter, first: BlockInstruction) -> None:
 
 
 def evaluate_pairs(node: ir.PlanNode, pairs: PairValues, near_mask: Lanes) -> tuple[Lanes, Lanes | None]:
-    """Return the mask of pairs that count in a reduction, and the value of its body for them; None without a body.
+    """Return the mask of the pairs that a reduction includes, and the value of its body for these pairs (None without a body).
 
     `near_mask`: the pairs that are in the set."""
     condition = node.args[1]
@@ -139,7 +139,7 @@ def evaluate_pairs(node: ir.PlanNode, pairs: PairValues, near_mask: Lanes) -> tu
 def accumulate_pairs(
     reduction: RunningReduction, node: ir.PlanNode, pairs: PairValues, near_mask: Lanes, label: Callable[[], Lanes]
 ) -> None:
-    """Emit code that adds the pairs that count to the running values of a reduction. `near_mask`: the pairs in the set."""
+    """Emit code that adds the included pairs to the running values of a reduction. `near_mask`: the pairs in the set."""
     reduction.add_term(*evaluate_pairs(node, pairs, near_mask), label() if node.op in ("reduce.agent", "reduce.item") else None)
 
 
@@ -155,7 +155,7 @@ def find_reduction_sets(instructions: list[BlockInstruction]) -> dict[ir.PlanNod
 
 
 def find_own_values(b: BlockWriter, instructions: list[BlockInstruction]) -> dict[ir.PlanNode, Callable[[], Any]]:
-    """Return, for each value of the requesting agents that the reductions need, a function that returns it."""
+    """Return functions for the values of the requesting agents that the reductions need: each function returns one value."""
     makers = {each.slot: each for each in instructions[0].scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
     value_makers: dict[ir.PlanNode, Callable[[], Any]] = {}
     for instruction in instructions:

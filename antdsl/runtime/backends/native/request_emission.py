@@ -82,14 +82,14 @@ def _emit_list_append(b: BlockWriter, instruction: BlockInstruction, mask: Lanes
 
 
 def _emit_finite_check(b: BlockWriter, mask: Lanes, amount: Lanes, value_name: str, instruction: BlockInstruction) -> Lanes:
-    """Return the mask of agents with a finite amount; record a fault for the others."""
+    """Return the mask of agents with a finite amount. Record a fault for all other agents."""
     good: Lanes = np.isfinite(amount)
     b.write_fault_record(mask & ~good, value_name, instruction)
     return mask & good
 
 
 def _emit_world_request(b: BlockWriter, instruction: BlockInstruction, statement: ir.Request) -> None:
-    """Emit code that lists a request, with the same result as in `numpy_statements`."""
+    """Emit code that lists a request. The result is the same as in `numpy_statements`."""
     row, slots = EFFECT_BY_OPERATION[statement.op], iter(instruction.inputs)
     args: list[Lanes] = [b.find_slot_value(next(slots)) for node in statement.args if node is not None]
     mask = b.mask[-1]
@@ -106,7 +106,7 @@ def _emit_world_request(b: BlockWriter, instruction: BlockInstruction, statement
 
 
 def _emit_claim(b: BlockWriter, instruction: BlockInstruction, statement: ir.Claim) -> None:
-    """Emit code that lists a claim, with the same result as in `numpy_statements`."""
+    """Emit code that lists a claim. The result is the same as in `numpy_statements`."""
     e, mask, slots = b.builder, b.mask[-1], iter(instruction.inputs)
     item: Lanes = (
         e.load_lanes(b.array_address("cell", statement.target), b.row, I32)
@@ -121,7 +121,7 @@ def _emit_claim(b: BlockWriter, instruction: BlockInstruction, statement: ir.Cla
 
 
 def _emit_gift(b: BlockWriter, instruction: BlockInstruction, statement: ir.Give) -> None:
-    """Emit code that lists a gift, with the same result as in `numpy_statements`."""
+    """Emit code that lists a gift. The result is the same as in `numpy_statements`."""
     e, mask, own = b.builder, b.mask[-1], b.array_address("now", statement.register)
     item: Lanes = b.find_slot_value(instruction.inputs[0])
     had = e.load_lanes(own, b.row, F32)
@@ -152,7 +152,8 @@ def emit_request(b: BlockWriter, instruction: BlockInstruction) -> None:
 
 
 def record_request(instruction: BlockInstruction, columns: Sequence[NDArray[Any]], effects: EffectRequests) -> None:
-    """Add the contents of a statement's list to the effects of a step. `columns`: rows, then the values stored for them."""
+    """Add the contents of a statement's list to the effects of a step. `columns`: the rows, then the values stored for these
+    rows."""
     what = instruction.subject
     match what:
         case ir.Claim():

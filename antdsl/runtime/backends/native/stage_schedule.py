@@ -1,4 +1,4 @@
-"""The stage of each instruction of a block, and the values that one stage stores for the next.
+"""Assigns each instruction of a block to a stage, and determines the values that one stage stores for later ones.
 
 Operations without machine code (rays, curves, flows) are called between two stages. All rows run through stage 0, then the
 calls at its end run, then all rows run through stage 1. A statement runs in the first stage in which its operands are known,
@@ -76,8 +76,8 @@ def make_schedule(
 ) -> StageSchedule:
     """Return the stages of a block.
 
-    `has_machine_code`: whether a node has machine code.
-    `is_costly`: whether machine code must store a node that is cached for the step, because computing it again takes too long."""
+    `has_machine_code`: whether a node has machine code. `is_costly`: whether computing a cached node again takes so long that
+    machine code must store it."""
     maker = _ScheduleBuilder(compiler, has_machine_code, is_costly, frozenset(compiler.uniform_slots.values()))
     for instruction in _iterate_instructions(compiler.root_scope):
         what = instruction.subject

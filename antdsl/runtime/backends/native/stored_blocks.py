@@ -1,4 +1,4 @@
-"""Stored results of compiling a plan, for other runs: where its functions find their inputs, and the keys of their texts.
+"""Stores the results of compiling a plan for later runs: the inputs of its functions, and the keys of their texts.
 
 With these, a run loads the code of a plan without writing its text, which takes longer than all other parts. The key is a hash
 of the plan, of all modules of antdsl, and of everything else that the text depends on. Files belong to `object_cache` and are
@@ -29,7 +29,7 @@ StoredBlocks = tuple[Mapping[str, str], Mapping[_BlockKey, BlockCode]]  # keys o
 
 
 class _UnsupportedValue(Exception):
-    """Error for a value that cannot be stored in a file, or that may differ in another run."""
+    """Error: a value cannot be stored in a file, or may differ in another run."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +47,7 @@ class NumberedPlan:
 
 
 def number_plan(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target: Target) -> NumberedPlan | None:
-    """Return a plan with the numbers and the key with which its file is read and written; None if it cannot be stored."""
+    """Return a plan with its numbers, and with the key of its file. None if the plan cannot be stored."""
     written = _PlanWriter()
     instructions = {place: list_instructions(compiler.root_scope) for place, compiler in blocks.items()}
     if not has_module_sources():
@@ -84,7 +84,7 @@ def read_blocks(stored_subject: NumberedPlan) -> StoredBlocks | None:
 
 
 def write_blocks(stored_subject: NumberedPlan, program: NativeProgram) -> None:
-    """Store the results of compiling a plan, if all of them can be stored."""
+    """Store the results of compiling a plan, unless one of them cannot be stored."""
     with suppress(_UnsupportedValue, KeyError):
         blocks = {
             " ".join(place): _block_to_json(code, stored_subject.nodes, stored_subject.instructions[place])
@@ -151,7 +151,7 @@ def _key_from_json(form: list[Any], nodes: list[ir.PlanNode]) -> tuple[Any, ...]
 
 
 class _PlanWriter:
-    """A writer of values as text that is equal for equal values. Positions in the source are left out.
+    """A writer that converts values to text, so that equal values give equal text. Positions in the source are omitted.
 
     `numbers`: the number of each node, in the order of first use."""
 

@@ -1,4 +1,4 @@
-"""Bodies stay outside the ground, obstacles and solids.
+"""Keeps bodies outside the ground, obstacles and solids.
 
 `clear_steps` runs the stages of a substep, `body_tables` has its inputs, and `clearance_kernels` its loops. `body_paths`,
 `body_lifts` and `walls_ahead` measure the ground along the path. `obstacle_clearance` bounds the distance from obstacles and

@@ -20,9 +20,9 @@ _VISIBLE_DEPTH = _F(0.01)  # body lengths; a shallower overlap counts as contact
 
 
 def find_sampled_bodies_inside(world: World, population: Population) -> NDArray[np.bool_]:
-    """Return which sampled bodies are inside the ground or a solid, bool[k].
+    """Return a mask, bool[k], of sampled bodies that are inside the ground or a solid.
 
-    The sample has up to about 250 agents: those with an id that is a multiple of one number."""
+    The sample has up to about 250 agents, with ids that are multiples of the same number."""
     rows = np.flatnonzero(population.ids % (1 + len(population) // _MAX_BODIES_MEASURED_AT_ONCE) == 0)
     return find_bodies_inside(world, population, rows)
 
@@ -73,5 +73,6 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
 
 
 def _measure_room_below(shapes: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return how far (body lengths) the trunks of `shapes` (k, 4) are above level ground. A body that crouches stays above it."""
+    """Return how far (body lengths) the trunks of `shapes` (k, 4) are above level ground. A crouching body is lowered by at
+    most this."""
     return np.maximum(shapes[:, 2] - shapes[:, 1], 0).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The bodies that cannot simply follow their feet, and the lift of bodies on wide faces over the ground beyond the edges."""
+"""Finds bodies that cannot simply follow their feet, and lifts bodies on wide faces above the ground beyond the edges."""
 
 from __future__ import annotations
 
@@ -94,8 +94,8 @@ def list_bodies_to_lift(
 ) -> tuple[I64, I64, I64]:
     """List the bodies from `begin` to before `end` that stand on ground that bends, or are shifted, waiting or deep inside.
 
-    Returns `begin`, the number of these rows, and the number of climbers. Climbers are other bodies on faces that bend. The
-    `state` of the rows becomes that of a body aligned with its feet."""
+    Returns `begin`, the number of these rows, and the number of climbers. Climbers are all other bodies on faces that bend.
+    The `state` of the rows becomes that of a body aligned with its feet."""
     first, (rows, row_levels, climbers, kind) = surface.first_faces, lists
     for row in simd_range(begin, end):
         climbs = False

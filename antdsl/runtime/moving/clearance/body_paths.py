@@ -1,8 +1,8 @@
-"""The path of a body over the triangles below it: how the ground turns along the path, and its height profile.
+"""Measures the path of a body over the triangles below it: how the ground turns along the path, and its height profile.
 
-A path is a straight line over the triangles, ahead of the feet and behind them. At each edge that it crosses, the ground turns by
-a rotation vector along the edge. The mean of these rotations over the path orients the body. So a body begins to turn one path
-length before an edge, is half turned on the edge, and completes the turn at the same distance beyond it."""
+A path is a straight line over the triangles, ahead of the feet and behind them. At each edge that it crosses, the ground turns
+by a rotation vector along the edge. The mean of these rotations over the path orients the body. So a body begins to turn one
+path length before an edge, is half turned on the edge, and completes the turn at the same distance beyond it."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def write_path_point(points: Array1[F64], index: I64, position: Vec3, normal: Ve
 
 
 class FacesNearby(NamedTuple):
-    """The first `face_count` faces of the list `faces`, which are near a body. The other fields are as in `FaceSearch`."""
+    """The faces near a body: the first `face_count` faces of the list `faces`. The other fields are as in `FaceSearch`."""
 
     box_tree: FaceBoxTree
     faces: FaceList
@@ -79,7 +79,8 @@ class FacesNearby(NamedTuple):
 
 @inlined
 def may_faces_cross(nearby_faces: FacesNearby, face: I64, other_face: I64) -> BOOL:
-    """Return whether face `other_face` may cross face `face`: it is of another mesh piece, or faces of their piece cut both."""
+    """Return whether `other_face` may cross `face`. This is so if they belong to different mesh pieces, or if both are cut by
+    faces of their piece."""
     pieces, cuts = nearby_faces.piece_numbers, nearby_faces.cut_starts
     return pieces[face] != pieces[other_face] or (
         cuts[face + 1] > cuts[face] and cuts[other_face + 1] > cuts[other_face] and face != other_face
@@ -172,7 +173,7 @@ def measure_ground_bend(
 def compute_lift_over_profile(
     points: Array1[F64], count: I64, shape: BodyShape, position: Vec3, up: Vec3, heading: Vec3, max_rise: F64
 ) -> F64:
-    """Return how far (mm) a body must rise along its up to clear the profile below it, at most `max_rise`.
+    """Return how far (mm) a body must rise along its up direction to be above the profile below it, at most `max_rise`.
 
     The body stands at `position`. The capsule must clear each point of the profile. Its ends must also clear the lines between
     the points."""

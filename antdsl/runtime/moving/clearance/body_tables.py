@@ -1,4 +1,4 @@
-"""What a step of bodies that stay outside their ground reads and writes: their capsules, their registers and rows of stances."""
+"""Builds the tables for a step of bodies that stay outside their ground: capsules, registers and stances."""
 
 from __future__ import annotations
 
@@ -80,9 +80,8 @@ def read_lifts(population: Population, rows: Rows) -> VectorArrays:
 def update_idle_times(
     population: Population, rows: Rows, start_positions: NDArray[np.float64], dt: np.float32
 ) -> NDArray[np.float32]:
-    """Add `dt` seconds to the times for which the feet of `rows` have not moved although they should. Return these times.
-
-    `start_positions` (n, 3) mm: positions of all agents before the step."""
+    """For each of `rows`, update how long the feet have not moved although they should, after a step of `dt` seconds. Return
+    these times. `start_positions` (n, 3) mm: positions of all agents before the step."""
     now, position = population.now, population.position
     walks = vec.length(vec.take_rows(vec.get_vector_registers(now, "velocity"), rows)) != 0
     walks &= (position[rows] == start_positions[rows]).all(axis=1)

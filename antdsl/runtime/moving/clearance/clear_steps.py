@@ -1,7 +1,6 @@
-"""A substep of bodies that stay outside their ground. Feet slow down before the walk; bodies turn, lift and shift after it.
-
-A step is undone if it would bring the body deeper into a surface. The body then turns on the spot. If it cannot turn either, it
-keeps its pose. A body deep inside a surface, for example after a birth in a gap, moves freely until it is outside."""
+"""Runs a substep of bodies that stay outside their ground. Before the walk, feet slow down. After it, bodies turn, rise and
+shift. A step is undone if it would bring the body deeper into a surface. The body then turns on the spot. If it cannot turn
+either, it keeps its pose. A body deep inside a surface, for example after a birth in a gap, moves freely until it is outside."""
 
 from __future__ import annotations
 
@@ -202,8 +201,8 @@ class BodyClearanceStep:
         """Step back or aside with bodies that can neither walk nor turn. Return their remaining depths.
 
         A body that cannot do that either keeps its pose. `subset`: indices among `rows`. `previous_depths`: depths before the
-        step. `turned_depths`: depths of the bodies where they stand. `previous_poses`: poses before the step. `start_stances`:
-        footings, positions and normals before it."""
+        step. `turned_depths`: depths of the bodies at their current positions. `previous_poses`: poses before the step.
+        `start_stances`: footings, positions and normals before it."""
         p, now, most = self.population, self.population.now, np.maximum(previous_depths, _MAX_DEPTH)
         depths = np.where(turned_depths > most, np.minimum(most + _YIELD_DEPTH, _MAX_YIELD_DISTANCE), turned_depths)
         depths[previous_depths > _MAX_YIELD_DISTANCE] = _STRANDED_DEPTH
@@ -245,7 +244,7 @@ class BodyClearanceStep:
             self.population.now[name][rows] = values[selection]
 
     def record_stances(self) -> None:
-        """Record positions and poses before contacts move agents."""
+        """Record positions and poses, before contacts move agents."""
         p, rows = self.population, self.rows
         self.climber_positions = p.position.take(self.climbers, axis=0)
         columns = [p.now[name].take(rows) for name in (*_POSE_REGISTERS, "~wait", "~depth")]
@@ -281,7 +280,7 @@ class BodyClearanceStep:
             now[name][back] = values[at]
 
     def _stand_up(self, subset: Rows) -> None:
-        """Set some bodies to the poses of their feet, so that they can be turned again."""
+        """Give some bodies the poses of their feet, so that they can be turned again."""
         p, rows = self.population, self.rows[subset]
         for k, axis in enumerate(AXES):
             p.now[f"up.{axis}"][rows] = p.normal[rows, k]

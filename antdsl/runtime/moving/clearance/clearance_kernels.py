@@ -1,4 +1,4 @@
-"""Kernels that hold bodies outside their ground. They shorten steps, turn bodies over the path below them, and shift bodies.
+"""Kernels that keep bodies outside their ground. They shorten steps, turn bodies over the path below them, and shift bodies.
 
 A body follows the mean turn of the ground along its path (`body_paths`), no faster than it can turn. Its angle to the ground's
 normal is limited. So a step ends before an edge until the body can stand beyond the edge."""
@@ -91,9 +91,8 @@ def _get_face_list(buffers: FaceBuffers, box_tree: FaceBoxTree, begin: I64) -> I
 def _list_crossing_faces(
     search: FaceSearch, face: I64, weights: TriangleWeights, position: Vec3, reach: F64, faces: FaceList
 ) -> I64:
-    """Write the faces that a path of length `reach` (mm) from `position` on face `face` may meet to `faces`. Return their number.
-
-    No path meets the piece of face f, unless faces cut their own piece."""
+    """Write the faces that a path of length `reach` (mm) from `position` on face `face` may meet to `faces`. Return their
+    number. Faces of the agent's own piece are included only if the piece cuts itself."""
     if not search.has_several_pieces or get_face_part_clearance(search.clearances, face, weights) > reach * (
         1 + _PROBE_HEIGHT_BODY_LENGTHS
     ):
@@ -125,7 +124,7 @@ def _find_largest_lean(ground_turn: F64, max_angle: F64) -> F64:
     """Return how far (radians) a body leans before an edge at which the ground turns by `ground_turn`, if it tilts by
     `max_angle` in a step.
 
-    It leans no farther than it must, so that it is seldom far from the ground on either side."""
+    It leans only as far as necessary, so that it stays close to the ground on both sides."""
     return max(_MAX_LEAN, 0.5 * ground_turn - max_angle - _SHARP_EDGE_SLACK)
 
 
@@ -337,7 +336,7 @@ def _shift_outside_all(
 ) -> BodyShift:
     """Return the shift that brings a body outside the ground and obstacles, and the greatest remaining depth.
 
-    A body that touches an obstacle then leaves the ground again."""
+    If the body touches an obstacle, it is afterwards moved out of the ground again."""
     table, pieces, boxes, buffers = ground
     faces = FaceList(buffers.face_numbers, _get_face_list(buffers, boxes, begin))
     result = shift_body_outside_faces(table, pieces, boxes, faces, shape, stance, shift, max_angle, max_rounds)
@@ -374,10 +373,9 @@ def shift_bodies(
 
     `ground`: the faces of the ground. `obstacles`: the faces of obstacles.
 
-    `previous_lift`: the shift of each of `rows` before the step, less the step of its feet. A body that would move too far
-    counts as deep inside.
-    `max_rounds`: as in `shift_body_outside_faces`. `depths`, `outward_directions` (3, k): receive the remaining depth of each
-    of `rows` (body lengths), and the direction out."""
+    `previous_lift`: the shift of each of `rows` before the step, less the step of its feet. A body that would have to move too
+    far is treated as deep inside. `max_rounds`: as in `shift_body_outside_faces`. `depths`, `outward_directions` (3, k):
+    receive the remaining depth of each of `rows` (body lengths), and the direction out."""
     place, normals, pose = stances
     for j in range(begin, end):
         i = rows[j]

@@ -1,6 +1,5 @@
-"""A lower bound of each agent's distance from an obstacle at the start of the step, and the faces of all obstacles.
-
-With the bound, most agents need no ray."""
+"""Computes a lower bound of each agent's distance from an obstacle at the start of the step, and collects the faces of all
+obstacles. Thanks to the bound, most agents need no ray."""
 
 from __future__ import annotations
 
@@ -46,9 +45,7 @@ def mark_near_obstacles(
 
 
 def find_obstacle_faces(world: World) -> tuple[NDArray[np.float64], NDArray[np.int32], FaceBoxTree]:
-    """Return the faces of all obstacles in the form that kernels read.
-
-    They are computed again after an obstacle has moved."""
+    """Return the faces of all obstacles in the form that kernels read. They are updated after an obstacle has moved."""
     scenes = tuple(world.obstacles[name] for name in _list_obstacles(world))
     if world.obstacle_faces is None or world.obstacle_faces[0] != scenes:
         corners = np.concatenate([np.empty((0, 3, 3)), *(each.corners for each in scenes if isinstance(each, RayScene))])

@@ -1,7 +1,7 @@
 """Shifts of bodies that would be inside a solid: in narrow tunnels, at rims, and where the ground was just dug.
 
-Bodies on a solid follow the smooth normal of its surface, so heads and abdomens enter walls where it curves. Here, each capsule
-leaves the solid along the gradient of the distance to it. Each agent is computed from its own values."""
+Bodies on a solid follow the smooth normal of its surface, so heads and abdomens enter walls where it curves. Here, each
+capsule leaves the solid along the gradient of the distance to it. The result for an agent does not depend on other agents."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def has_solid_clearance(world: World, population: Population) -> bool:
 
 
 def shift_bodies_outside_solids(world: World, population: Population, start: Floats, dt: float) -> None:
-    """Write the shifts of bodies that leave solids, in place. `start` (n, 3): the positions before the walk (mm).
+    """Shift bodies out of solids: change their shifts in place. `start` (n, 3): the positions before the walk (mm).
 
     Step and shift together are hardly longer than the longest step of the agent."""
     now = population.now
@@ -89,7 +89,7 @@ def _find_shifts(world: World, population: Population, size: Floats) -> Floats:
 
 
 def _find_free_shares(walked: Floats, change: Floats, longest: Floats) -> Floats:
-    """Return the shares (n) of `change` by which bodies may shift, from 0 to 1.
+    """Return the fraction (n) of `change` by which each body may shift, from 0 to 1.
 
     With `walked` (n, 3) mm, they then move by at most `longest` mm, or no farther than they have walked."""
     a, b, c = dot(change, change), dot(walked, change), dot(walked, walked) - longest * longest

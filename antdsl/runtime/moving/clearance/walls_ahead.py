@@ -1,7 +1,7 @@
-"""Walls ahead of agents: parts of the ground that the next steps reach, and how far a body tilts before it reaches them.
+"""Finds walls ahead of agents, which are parts of the ground in reach of the next steps, and how far a body tilts before them.
 
-A body of length L tilts linearly over a distance of L before a wall. Its head is L/2 ahead of its feet, so it stays out of a wall
-of up to a right angle. For an overhanging wall, the distance is longer by the factor angle / sine."""
+A body of length L tilts linearly over a distance of L before a wall. Its head is L/2 ahead of its feet, so it stays out of a
+wall of up to a right angle. For an overhanging wall, the distance is longer by the factor angle / sine."""
 
 from __future__ import annotations
 

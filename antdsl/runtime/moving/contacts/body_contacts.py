@@ -1,4 +1,4 @@
-"""Contacts of bodies with the triangles around them: the shift that moves a body outside, and the depth that remains."""
+"""Contacts of bodies with triangles around them. Computes the shift that moves a body outside, and the remaining depth."""
 
 from __future__ import annotations
 

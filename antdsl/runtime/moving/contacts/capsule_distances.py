@@ -33,11 +33,10 @@ NO_PERIOD = np.zeros(6)
 
 
 class CapsuleArrays(NamedTuple):
-    """Capsules of some rows.
-
-    `middle`, `axis_direction`, `up` (3, k): middle of the axis (mm), and unit vectors. `half_length`, `radius` (k): half length
-        and radius (mm). `period` (6): widths (mm) of a periodic world, and their inverses; 0 along axes that do not wrap.
-    `tilted_cosine`: the cosine between up directions below which the nearest points of a pair are found in space."""
+    """Capsules of some rows. `middle`, `axis_direction`, `up` (3, k): middle of the axis (mm), and unit vectors.
+    `half_length`, `radius` (k): half length and radius (mm). `period` (6): widths (mm) of a periodic world, and their
+    inverses; 0 along axes that do not wrap. `tilted_cosine`: if the cosine between the up directions of a pair is below this,
+    the nearest points are searched in space instead of in a plane."""
 
     middle: Strided2[F64]
     axis_direction: Strided2[F64]
@@ -181,10 +180,10 @@ def find_separation_axis(
 ) -> tuple[Vec3, F64, Vec3]:
     """Return the separation of two capsule axes: the vector between their nearest points, perpendicular to `normal`.
 
-    Also returns the height of that vector along `normal`, and the vector between both middles, perpendicular to `normal`. The
-    nearest points of two
-    segments are computed as in C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. `offset`: from the second
-    middle to the first. `first_axis`, `second_axis`: unit vectors along the axes. `reach`, `length`: their half lengths."""
+    Also returns the height difference of these points along `normal`, and the vector between both middles, perpendicular to
+    `normal`. The nearest points of two segments are computed as in C. Ericson, Real-Time Collision Detection, 2005, 5.1.9.
+    `offset`: from the second middle to the first. `first_axis`, `second_axis`: unit vectors along the axes. `reach`, `length`:
+    their half lengths."""
     flat = minus(offset, times(normal, dot(offset, normal)))
     one, other = (
         minus(first_axis, times(normal, dot(first_axis, normal))),
@@ -207,7 +206,7 @@ def _measure_capsule_gap(
     offset: Vec3, first_axis: Vec3, second_axis: Vec3, first_up: Vec3, second_up: Vec3, reach: F64, length: F64, radius_sum: F64,
     tilted_cosine: F64,
 ) -> tuple[F64, Vec3, BOOL]:  # fmt: skip
-    """Return the gap (mm) and separation axis of a pair, and whether the pair has no axis because both positions are equal.
+    """Return the gap (mm) and separation axis of a pair, and whether the axis is missing because both positions are equal.
 
     If the capsule axes cross, the separation axis is the direction between the middles. `tilted_cosine`: as in
     `CapsuleArrays`."""
@@ -231,7 +230,7 @@ def _measure_capsule_gap(
 
 @inlined
 def wrap_offset(offset: Vec3, period: Array1[F64]) -> Vec3:
-    """Return the nearest image of an offset. Without a period, it keeps its bits."""
+    """Return the nearest image of an offset. Without a period, it is unchanged."""
     return (
         offset[0] - period[0] * np.floor(offset[0] * period[3] + 0.5),
         offset[1] - period[1] * np.floor(offset[1] * period[4] + 0.5),
@@ -241,7 +240,7 @@ def wrap_offset(offset: Vec3, period: Array1[F64]) -> Vec3:
 
 @inlined
 def _measure_row_gap(bodies: CapsuleArrays, offset: Vec3, p: I64, q: I64) -> tuple[F64, Vec3, BOOL]:
-    """Return what `_measure_capsule_gap` does, for rows p and q with an `offset` of their middles."""
+    """Measure the gap of rows p and q, with an `offset` of their middles, and return the result of `_measure_capsule_gap`."""
     _, ahead, up, half, radius, period, tilted = bodies
     a, b, u, v = get_column(ahead, p), get_column(ahead, q), get_column(up, p), get_column(up, q)
     return _measure_capsule_gap(wrap_offset(offset, period), a, b, u, v, half[p], half[q], radius[p] + radius[q], tilted)

@@ -1,8 +1,8 @@
 """Bodies as capsules: the trunks of all agents, and the distance between any two.
 
 A capsule is a segment along the heading with a radius, at the height of the trunk above the feet. The distance of two capsules
-is measured in the plane between their up directions, and separately across it. So neither a slope nor bodies above each other
-count as an overlap."""
+is measured in the plane between their up directions, and separately across it. So neither slopes nor bodies above each other
+produce an overlap."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def _find_load_front(world: World, species: str) -> float | None:
 class CapsuleCrowd:
     """The capsules of all agents of a world, species by species.
 
-    Each property is read on access as one array, from the current values, or from those at the `start` of the step."""
+    Each property is read on access, as one array: from current values, or from values at the `start` of the step."""
 
     def __init__(self, world: World, start: bool = False) -> None:
         self.world, self._start = world, start
@@ -231,7 +231,7 @@ class NearbyCapsulePairs:
         )
 
     def measure_before_step(self, travel: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return gaps and separation axes of all pairs before the rows `travel` (3, k) mm, with current headings.
+        """Return gaps and separation axes of all pairs before the rows move by `travel` (3, k) mm, with current headings.
 
         Also returns the greatest overlap (k) mm of each row."""
         pairs, rows = len(self.first_indices), len(self.rows)
@@ -243,7 +243,7 @@ class NearbyCapsulePairs:
         return gap, direction, depth
 
     def measure_gaps(self, displacement: Floats, changed_rows: Flags) -> None:
-        """Measure all pairs with a row that has `changed_rows` (k), after displacements of the rows by (3, k) mm."""
+        """Measure all pairs that have a row in `changed_rows` (k), after the rows are displaced by (3, k) mm."""
         pair_numbers, lost = np.empty((2, len(self.first_indices)), np.intp)
         count = measure_pairs_of_changed_rows(
             self.capsules,

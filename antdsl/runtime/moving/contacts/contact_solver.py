@@ -68,7 +68,7 @@ SOLVER_ITERATIONS_BY_EFFORT: Mapping[str, SolverIterations] = {
 class StartStances(StartPositions):
     """Positions and ground normals of agents at the start of a substep, by species; with hard contacts also their headings.
 
-    `stances`: complete stances, if steps may be taken back: a species has whole bodies that follow the ground."""
+    `stances`: complete stances, if steps can be undone. This needs a species with complete bodies that follow the ground."""
 
     heading_by_species: Mapping[str, VectorArrays]
     stances: Mapping[str, Stances] | None
@@ -160,9 +160,9 @@ def _record_pushes(
 ) -> None:
     """Add the distance that each row was pushed in this step, for species with a program that reads it.
 
-    Only displacements by other agents count. The correction `own_corrections` (3, k) of the row's own step does not.
-    `rows`: ascending rows of the crowd. `moved_rows`: indices of moved rows among these.
-    `requested_moves` (3, k) mm: the requested displacements. `reached_moves`: the actual displacements; only these count."""
+    Only displacements by other agents are added, not the correction `own_corrections` (3, k) of the row's own step. `rows`:
+    ascending rows of the crowd. `moved_rows`: indices of moved rows among these. `requested_moves` (3, k) mm: the requested
+    displacements. `reached_moves`: the actual displacements; only these count."""
     if not any(PUSHED_REGISTER in population.now for population in crowd.species):
         return
     pushed = requested_moves - own_corrections.take(moved_rows, axis=1)

@@ -1,4 +1,4 @@
-"""Kernels for bodies that move far in a substep: which pairs meet on straight paths, and when.
+"""Kernels for bodies that move far in a substep. They find which pairs meet on straight paths, and when.
 
 The clearance of two capsules with constant orientation is a convex function of time on straight paths. So Newton's method from
 the left never passes the first impact (conservative advancement, C. Ericson, Real-Time Collision Detection, 2005, 5.5.3)."""
@@ -150,9 +150,9 @@ def find_impact(
 ) -> tuple[F64, Vec3]:
     """Return the time at which two bodies meet (a share of the substep), and the direction from the second to the first.
 
-    The time is `NEVER` if they do not meet. The direction is along the ground.
-    `relative_displacement` (mm): the relative displacement. `share`: the share of both radii that counts as contact. On curved
-    ground, heights count less. So two arcs over one hill meet although their chords do not."""
+    The time is `NEVER` if they do not meet. The direction is along the ground. `relative_displacement` (mm): the relative
+    displacement. `share`: the share of both radii that counts as contact. On curved ground, heights are given less weight. So
+    two paths over a hill meet even if their chords do not."""
     wide = (paths.radius[first_row] + paths.radius[second_row]) * share
     sag = paths.path_sag[first_row] + paths.path_sag[second_row]
     between, part = (

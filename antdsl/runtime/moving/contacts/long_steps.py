@@ -1,9 +1,9 @@
 """Long steps: agents with steps longer than a body do not pass through each other (continuous contacts).
 
-After all agents have walked, pairs are listed by their distance at the end. This list lacks bodies that met during the step and
-separated again. This module finds them along the straight lines between start and end. Each such body continues from the impact
-along the other one. Then changed paths are shortened until no two bodies meet on these lines. Agents with short steps cannot pass
-each other, so a step without long ones costs one loop over all agents."""
+After all agents have walked, pairs are listed by their distance at the end. That list does not contain bodies that met during
+the step and separated again. This module finds such bodies along the straight lines between start and end. Each such body
+continues from the impact along the other one. Then changed paths are shortened until no two bodies meet on these lines. Agents
+with short steps cannot pass each other, so a step without long ones costs one loop over all agents."""
 
 from __future__ import annotations
 

@@ -123,9 +123,9 @@ def _distribute_overlap(
     A lighter agent and a less locked agent move more. Only the first `pair_count` pairs of `buffers`, among the first `count`
     rows, are used.
 
-    An agent is locked if it deeply overlaps others that deeply overlap others. The measure repeatedly adds up overlaps along
-    contacts: power iteration to the first eigenvector of the contact graph. It decreases from the middle of a dense cluster to
-    its rim."""
+    An agent is locked if it deeply overlaps agents that also deeply overlap others. The measure is the first eigenvector of
+    the contact graph, computed by power iteration: overlaps are repeatedly added up along contacts. It decreases from the
+    middle of a dense cluster to its rim."""
     locked, spread = buffers[2][_DENSITY_BUFFER_ROW], buffers[2][_SPREAD_BUFFER_ROW]
     numbers, first, second = buffers[5], buffers[7][_FIRST_AGENT_ROW], buffers[7][_SECOND_AGENT_ROW]
     depth = numbers[_DEPTH_ROW]
@@ -227,7 +227,7 @@ def separate_pairs(
 
 @inlined
 def _compute_dead_zone_gap(radius: Array1[F64], first_indices: Array1[I64], second_indices: Array1[I64], pair: I64) -> F64:
-    """Return the gap (mm) below which the pair `pair` is separated: a small overlap is left."""
+    """Return the gap (mm) below which the pair `pair` is separated. It allows a small overlap."""
     return -((radius[first_indices[pair]] + radius[second_indices[pair]]) * DEAD_ZONE_SHARE)
 
 

@@ -1,5 +1,5 @@
-"""Steps into other agents: they are deflected along these agents, then shortened. No agent walks farther than half of the free
-gap."""
+"""Limits steps into other agents. Such steps are first deflected along the other agent, then shortened. No agent walks farther
+than half of the free gap."""
 
 from __future__ import annotations
 
@@ -25,12 +25,11 @@ _MAX_DEFLECTIONS = 3  # deflections of a step along agents ahead, before it is s
 def clamp_approaching_steps(
     nearby_pairs: NearbyCapsulePairs, approach: Floats, mass: Floats, displacement: Floats, gap: Floats, direction: Floats
 ) -> tuple[Floats, Rows, Flags]:
-    """Cut and deflect the steps of rows that `displacement` (3, k) mm, so that no agent enters another.
+    """Cut and deflect the steps `displacement` (3, k) mm of rows, so that no agent enters another.
 
     Returns the corrections (3, k) mm, the stopped rows, and flags (k) of rows that are cut or stopped. An agent is stopped if
-    less than half of its step remains.
-    `approach` (3, k) mm: displacements in the previous period of equal length.
-    `gap` (m), `direction` (3, m): gaps and separation axes of pairs before the steps.
+    less than half of its step remains. `approach` (3, k) mm: displacements in the previous period of equal length. `gap` (m),
+    `direction` (3, m): gaps and separation axes of pairs before the steps.
 
     As in J. van den Berg et al., Reciprocal n-Body Collision Avoidance, 2011, each agent observes half-planes independently.
     Towards a neighbour it walks at most half of the gap, plus the neighbour's withdrawal if that continues its previous

@@ -1,9 +1,9 @@
-"""Steps after which bodies still overlap are taken back: the agents of such a pair stay where the substep began.
+"""Undoes steps after which bodies still overlap: agents of such a pair return to where they were when the substep began.
 
-Contacts bring most bodies apart. Some cannot move far enough: in corners, on ground that was dug, or when clearance shifts their
-bodies after contacts. If both agents of a pair overlapped no other at the start of the substep, one of them returns to its stance
-there, and the other one too if they still overlap. They stand still for one substep, so they neither jump nor turn. Others that
-have moved into their places return too. Both take turns from frame to frame, so that none waits for ever."""
+Contacts bring most bodies apart. Some cannot move far enough: in corners, on ground that was dug, or when clearance shifts
+their bodies after contacts. If both agents of a pair overlapped no other at the start of the substep, one of them returns to
+its stance there. If they still overlap, the other one returns too. They stand still for one substep, so they neither jump nor
+turn. Others that have moved into their places return too. Both take turns from frame to frame, so that none waits for ever."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ class Stances:
 def take_back_overlapping_steps(world: World, start: Mapping[str, Stances], near: NearbyCapsulePairs) -> None:
     """Return pairs of agents that overlap to their stances at the start of a substep.
 
-    Agents that overlapped others at the start do not return: dense clusters must be able to separate. `near`: the pairs that
-    could touch before contacts moved agents."""
+    Agents that overlapped others at the start do not return, because dense clusters must be able to separate. `near`: the
+    pairs that could touch before contacts moved agents."""
     crowd = CapsuleCrowd(world)
     if not _has_moved_far(near.crowd, crowd) and not (_measure_depths(crowd, near) > _MAX_DEPTH).any():
         return
@@ -89,13 +89,13 @@ def take_back_overlapping_steps(world: World, start: Mapping[str, Stances], near
 
 
 def _has_moved_far(previous_crowd: CapsuleCrowd, crowd: CapsuleCrowd) -> bool:
-    """Return whether a body has moved so far that it may touch one with which it is in no pair."""
+    """Return whether a body has moved so far that it may touch a body with which it forms no pair."""
     displacement = crowd.middle - previous_crowd.middle
     return bool((vec.dot(displacement, displacement) > (_LISTED_RADII * crowd.radius) ** 2).any())
 
 
 def _find_clear_agents(world: World, start: Mapping[str, Stances]) -> Flags:
-    """Return which agents (n) overlapped no others at the start of the substep."""
+    """Return a mask (n) of agents that overlapped no other agent at the start of the substep."""
     rows = {name: np.arange(len(population)) for name, population in world.populations.items()}
     ends = {name: Stances(population, rows[name]) for name, population in world.populations.items()}
     for name, population in world.populations.items():

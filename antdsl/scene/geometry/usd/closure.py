@@ -224,7 +224,8 @@ class UsdFileClosure:
         raise UsdError("bad-path", message, help, "usd")
 
     def _find_scene_name(self, path: str) -> str | None:
-        """Return the name that a scene has for a file; None for a file outside all roots. The disk is not accessed."""
+        """Return the name by which a scene would refer to a file. Return None for a file outside all roots. The disk is not
+        accessed."""
         for name, folder in self._folders.items():
             if path.startswith(folder.rstrip(os.sep) + os.sep):
                 below = Path(path).relative_to(folder).as_posix()

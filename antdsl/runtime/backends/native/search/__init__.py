@@ -1,9 +1,9 @@
-"""Reductions over neighbours as machine code: one search of the cell grid for all reductions over one species.
+"""Machine code for reductions over neighbours. One search of the cell grid serves all reductions over a species.
 
 Eight agents are processed at a time. The cells within their radii are computed in SIMD lanes. The distances of agents in these
 cells (candidates) are measured, eight at a time. Candidates that are near enough and in view are listed, one list per agent.
-Then all lists are traversed in SIMD lanes: one pair of each of the eight agents is tested, weighted and added to its sums.
-`dense_neighbours` handles agents with very many candidates.
+Then all lists are traversed in SIMD lanes. At a time, one pair of each of the eight agents is tested, weighted and added to
+the agent's sums. `dense_neighbours` handles agents with very many candidates.
 
 Reductions of several regions share one search if its inputs are known. The first region runs the search for its agents, later
 regions only for agents without results yet. Results that no region reads are computed but have no effect."""
@@ -236,8 +236,8 @@ def _read_lists(e: LaneBuilder, buffer: Lanes, k: Lanes) -> Lanes:
 class _CandidateTest:
     """A test whether a candidate may be in any set of a search.
 
-    It compares squared distances with some slack. So no square root is needed for candidates that are too far away or out of
-    view. The limits of eight requesting agents are stored in memory, and loaded for one agent at a time."""
+    It compares squared distances, with some tolerance. So candidates that are too far away or out of view need no square root.
+    The limits of eight requesting agents are stored in memory, and loaded for one agent at a time."""
 
     def __init__(
         self,
@@ -304,7 +304,7 @@ def _list_candidates(
     set_test: _CandidateTest,
     own_row: Lanes | None,
 ) -> tuple[Lanes, Lanes, Lanes]:
-    """Emit code that lists the possible members of any set for each of eight agents.
+    """List the candidates that may belong to any set, for each of eight agents.
 
     Returns the address of the lists, their lengths, and the mask of agents with too many candidates for a list."""
     e = w.builder

@@ -36,7 +36,7 @@ class SearchCells:
     def find_cell_range(self, axis: int, q: Lanes, half: Lanes) -> tuple[Lanes, Lanes]:
         """Return the first and the last cell along an axis that intersect [`q` - `half`, `q` + `half`], i32.
 
-        If no cell intersects, the last is below the first."""
+        If no cell intersects, the last cell number is below the first."""
         e = self.writer.builder
         most = self.max_index[axis]
         first = e.emit_clamp((q - half - self.low[axis]) * self.inverse_width[axis], e.make_constant(0.0, F64), most)
@@ -68,7 +68,7 @@ class SearchCells:
         return start, e.select_lanes(is_within, e.load(end, I32, LANE_COUNT) - start, none)
 
     def _bisection_function(self) -> str:
-        """Return the name of a function that counts how many sorted keys are below each of eight keys, i64."""
+        """Return the name of a function that counts, by bisection, how many sorted keys are below each of eight keys, i64."""
         name = "grid.before"
         if name in self.writer.module.functions:
             return name
@@ -130,7 +130,8 @@ class CellRows:
         e.store_lanes(place, 0, e.apply_function(np.fmax, e.load_lanes(place, 0, F32), widest))
 
     def count_rows(self) -> Lanes:
-        """Return the number of rows that `read_next_row` returns in total, i64. Emit code that restarts it at the first row."""
+        """Return the number of rows that `read_next_row` returns in total, i64. Emit code that restarts `read_next_row` at the
+        first row."""
         e, nothing = self.builder, self.builder.make_constant(0, I32)
         self._slow_offset, self._middle_offset = e.allocate_slot(I32), e.allocate_slot(I32)
         for slot in (self._slow_offset, self._middle_offset):
@@ -157,7 +158,7 @@ class CellRows:
 def append_numbers(e: LaneBuilder, buffer: Lanes, total: Number, numbers: Lanes, is_inside: Lanes) -> None:
     """Emit code that appends those of eight `numbers` (i32) to `buffer` for which `is_inside` holds. `total`: its length.
 
-    All eight are written, and the unneeded ones are overwritten later. This avoids a branch that is hard to predict."""
+    All eight numbers are written, and unneeded ones are overwritten later. This avoids a branch that is hard to predict."""
     bits = e.mask_to_i64(is_inside)
     count = e.load(total, I64)
     if e.module.target.has_avx2:

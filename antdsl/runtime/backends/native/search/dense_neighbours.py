@@ -1,5 +1,5 @@
-"""The search for agents with very many neighbours: one agent at a time, with any number of candidates. At most a fixed number of
-neighbours count, the nearest by distance and id; this number is called the cap.
+"""The search for agents with very many neighbours: one agent at a time, with any number of candidates. Only the nearest
+neighbours by distance and id are used, up to a fixed number called the cap.
 
 Candidates are listed, then their distances as integers in the same order. If the widest radius contains more candidates than
 the cap, bisection finds the distance of the last counted neighbour. The cap applies to every radius, because the nearest in a
@@ -158,9 +158,8 @@ class _DenseNeighbours:
         return e.op("reduce.add", I32, e.load(counted, I32, LANE_COUNT), lanes=1)
 
     def _bisect_least(self, place: Number, kind: str, max_value: int, is_enough: Callable[[Lanes], Lanes]) -> None:
-        """Emit code that writes to `place` the least integer from 0 to `max_value` for which `is_enough` holds.
-
-        All bits of `max_value` are 1."""
+        """Emit code that finds, by bisection, the least integer from 0 to `max_value` for which `is_enough` holds, and writes
+        it to `place`. All bits of `max_value` are 1."""
         e = self.writer.builder
         low, high = e.allocate_slot(kind), e.allocate_slot(kind)
         e.store_number(low, e.make_constant(0, kind, 1))
@@ -186,8 +185,7 @@ class _DenseNeighbours:
         return e.load(many, I8)
 
     def reduce_to_nearest(self) -> None:
-        """Emit code that reduces the list to the others that count: if there are more than the cap, the nearest by distance and
-        id."""
+        """Emit code that reduces the list to the nearest agents by distance and id, if there are more of them than the cap."""
         e, cap = self.writer.builder, limits.MAX_QUERY_NEIGHBOURS
         far, last = e.allocate_slot(I32), e.allocate_slot(I64)
         e.store_number(far, e.make_constant(_REJECTED_DISTANCE_NUMBER - 1, I32, 1))

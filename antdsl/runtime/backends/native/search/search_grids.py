@@ -32,8 +32,8 @@ BoxCorners = tuple[list[float], list[float]]
 class _CrowdBox:
     """A box slightly larger than a crowd, which determines the cells of several steps.
 
-    The cells are used while the crowd stays inside the box and fills it. They expire after some steps, because the crowd may
-    spread in height."""
+    The cells are used while the crowd stays inside the box and fills most of it. They are replaced after some steps, because
+    the crowd may spread in height."""
 
     def __init__(self, corners: BoxCorners, expiry_step: int) -> None:
         extent = [high - low for low, high in zip(*corners, strict=True)]
@@ -93,7 +93,7 @@ class SearchGrids:
             del self._stored_grids[key]
 
     def build_tables(self, world: World, other: Population, radius: float, extra_registers: RegisterGroups = ()) -> Arrays:
-        """Return the arrays for a search, by name, with cells that suit the radius `radius` (mm).
+        """Return the arrays for a search, by name, with a cell size that suits `radius` (mm).
 
         `extra_registers`: registers that the search needs in the order of the cells."""
         size = float(ceil(4 * log2(radius))) if len(other) > _MAX_AGENTS_IN_ONE_CELL and radius < inf else inf
@@ -134,7 +134,8 @@ class SearchGrids:
         return _coarsen_shape(shape, _MAX_CELLS_PER_AGENT * len(other))
 
     def _needs_one_layer(self, other: Population, positions: Positions, shape: GridShape) -> bool:
-        """Return whether one layer of cells is enough for a crowd. This only affects speed, so it is not tested in every step."""
+        """Return whether one layer of cells is enough for a crowd. The answer only affects speed, so it is not computed in
+        every step."""
         count, until, known = self._layer_tests.get(other.name, (-1, 0, False))
         if count != len(other) or self._step >= until:
             known, until = shape.is_one_layer_enough(positions), self._step + _BOX_LIFETIME_STEPS

@@ -1,4 +1,4 @@
-"""The inputs of a search's functions, and the pairs that the search finds."""
+"""The inputs of a search's functions, and the pairs of agents that the search finds."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class SearchCode:
     """A search over the neighbours of one species: the reductions `nodes`, and where its functions find operands and results.
 
     `radius_slots`, `view_slots`, `operand_slots`: the indices of operands: radii and fields of view by set, and other values.
-    `overflow_slots`: for each set of which too many neighbours are reported, the index among the results.
-    `extra_registers`: registers of the others in the grid's order; each text names up to four."""
+    `overflow_slots`: for each set that reports too many neighbours, the index among the results. `extra_registers`: registers
+    of the others in the grid's order; each text names up to four."""
 
     name: str
     number: int
@@ -97,7 +97,7 @@ class NeighbourLanes:
     def _extract_rows(self) -> Lanes:
         """Return the rows of the other agents, loaded one by one.
 
-        They are needed one by one as addresses, and extracting them from eight lanes is slow."""
+        They are used as separate addresses, and extracting these from a SIMD register is slow."""
         e, positions = self.writer.builder, self.writer.array_address("grid", self.search.number, "places")
 
         def extract_lanes() -> Lanes:

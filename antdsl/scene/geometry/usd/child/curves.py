@@ -1,4 +1,4 @@
-"""A curve prim as a polyline in mm and the scene's axes, at every frame."""
+"""Reads a curve prim as a polyline at every frame, in mm and the scene's axes."""
 
 from __future__ import annotations
 

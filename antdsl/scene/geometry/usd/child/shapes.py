@@ -20,7 +20,8 @@ _MAX_NESTED_INSTANCERS = 8  # maximum nesting of point instancers
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedUsdMesh:
-    """A mesh prim and its places. `transforms` (places, frames, 3, 4): into the scene; a single frame if no place moves."""
+    """A mesh prim and all positions at which it appears. `transforms` (places, frames, 3, 4): into the scene; a single frame if
+    nothing moves."""
 
     prim: Any
     transforms: Floats
