@@ -11,6 +11,7 @@ from gallery_pictures import sections
 from lessons import IMAGES, PAGES, ROOT, Reader, apply_part
 
 from antdsl import syntax
+from antdsl.scene.camera_models import CAMERA_VIEWS
 from antdsl.source import Source
 
 LESSONS = ("walk", "states", "layers", "trails", "surfaces", "species", "bodies", "directing")
@@ -104,6 +105,10 @@ def test_the_gallery_shows_each_example_and_its_commands_are_right(tmp_path: Pat
         name, scene = run[2].split("/")
         assert name == copy[2] and (ROOT / "examples" / name / scene).is_file()
         assert render[2] == f"{name}/out/{Path(scene).stem}"
-        flags = [*render[3:], "--width", "64", "--height", "36", "--out", name]
+        options = render[3:]
+        if "--camera" in options and (named := options[options.index("--camera") + 1]) not in CAMERA_VIEWS:
+            assert f"\n  {named}: " in (ROOT / "examples" / name / scene).read_text(encoding="utf-8"), "a camera of the scene"
+            options[options.index("--camera") + 1] = "scene"
+        flags = [*options, "--width", "64", "--height", "36", "--out", name]
         result = commands.run("render", "any", *flags, cwd=tmp_path)
         assert result.returncode == 0, result.stderr

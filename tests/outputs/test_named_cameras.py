@@ -186,7 +186,7 @@ def test_the_lens_of_a_camera_has_the_real_size_and_focuses_on_an_agent(folder: 
     assert wide.focus == pytest.approx(300 - float(place[1]), rel=0.01)
     assert hero.focus is not None and 0 < hero.focus < np.linalg.norm(np.subtract(hero.at, place)) * 1.2
     request = DrawRequest(64, 36, "scene", (), f_stop=5.0, focus=40.0)
-    camera = FrameDrawer(request.gallery(cache), request, [3], 1)._make_camera(3)
+    camera = FrameDrawer(request.gallery(cache), request, [3], 1).make_camera(3)
     assert (camera.aperture, camera.focus) == (6.0, 40.0)
 
 

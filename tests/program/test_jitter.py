@@ -48,8 +48,8 @@ def test_walks_with_jitter_are_as_long_at_any_frame_rate() -> None:
 @pytest.mark.parametrize(
     ("line", "help"),
     [
-        ("steer rotate(heading, about: up, by: normal(0 deg, 16 deg))", "write `jitter(78.4 deg)`, which is as much"),
-        ("steer rotate(heading, about: up, by: uniform(-0.1 rad, 0.1 rad))", "write `jitter(0.283 rad)`, which is as much"),
+        ("steer rotate(heading, about: up, by: normal(0 deg, 16 deg))", "write `jitter(78.4 deg)`, which is equal"),
+        ("steer rotate(heading, about: up, by: uniform(-0.1 rad, 0.1 rad))", "write `jitter(0.283 rad)`, which is equal"),
         ("steer heading + vector(uniform(-1, 1), 0, 0)", "write `wander()`"),
         ("let off = normal(5 deg, 2 deg); face rotate(heading, about: up, by: off)", "write `wander()`"),
         (

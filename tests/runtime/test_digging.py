@@ -88,7 +88,7 @@ def test_diggers_come_out_on_the_other_side_of_the_hill_they_went_into(watched, 
 def test_an_agent_that_does_not_dig_stays_outside(watched, shot):
     _, _, positions_by_name = watched
     walker = np.stack(positions_by_name["walker"])
-    dug = watched[0].solids["hill"].sample(walker.reshape(-1, 3))
+    dug = watched[0].solids["hill"].sample_distances(walker.reshape(-1, 3))
     assert dug.min() > -0.06
     assert (walker[-1, :, 0] > 0).sum() > 2, "over the hill, round it or through what others dug"
     assert walker[:, :, 1].max() > 5, "some of them climbed it"
@@ -127,7 +127,7 @@ def test_fields_lie_on_the_walls_that_were_dug(watched):
     assert cells.used_count - cells.initial_count > 50
     new = slice(cells.initial_count, cells.used_count)
     assert (field.amounts[new] > 0).sum() > 10, "scent was laid in them"
-    away = np.abs(world.solids["hill"].sample(cells.position[new]))
+    away = np.abs(world.solids["hill"].sample_distances(cells.position[new]))
     assert np.quantile(away, 0.5) < 1.0
     assert (cells.find_cells(cells.position[new], cells.normal[new]) >= 0).all()
     table, none = cells.nearest_block_cells[new], len(cells)

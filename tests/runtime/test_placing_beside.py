@@ -61,7 +61,8 @@ def test_a_ball_inside_or_outside_of_what_is_closed(middle: float, radius: float
     solids = {"block": SolidData(block, 2.0)}
     bound_world = world(CrowdData("ant", 9, place), text=text, surfaces={}, solids=solids, obstacles={}, maps={})
     assert (
-        len(bound_world) == 9 and np.abs(bound_world.solids["block"].sample(bound_world.populations["ant"].position)).max() < 0.1
+        len(bound_world) == 9
+        and np.abs(bound_world.solids["block"].sample_distances(bound_world.populations["ant"].position)).max() < 0.1
     )
 
 

@@ -244,7 +244,7 @@ def test_a_session_is_measured_across_edits_and_back_in_time(shot: Shot) -> None
     assert session.meter is None
     for _ in range(2):
         plain.step()
-    assert plain.reload().ok is True
+    assert plain.reload().is_successful is True
     plain.seek(2)
     assert plain.state_hash == session.state_hash
 

@@ -100,7 +100,7 @@ SPHERE = geometry([[0, 0, 0]], [0], [[["type", "Sphere"], ["vertex", 0]]])
         (to_text(geometry(CUBE_POINTS, [0, 1, 9], [[["type", "Poly"], ["vertex", [0, 1, 2]]]])), "names a missing point"),
         (to_text(geometry(CUBE_POINTS, [0, 1], [[["type", "Poly"], ["vertex", [0, 1, 2]]]])), "names a missing vertex"),
         (to_text(geometry(CUBE_POINTS, [0], [[["type", "p_r"], ["s_v", 0, "n_p", 9**9, "r_v", [4, 9**9]]]])), "primitives"),
-        (to_text(["fileversion", "1", "pointcount", 10**9]), "more than its bytes"),
+        (to_text(["fileversion", "1", "pointcount", 10**9]), "more than fit in its bytes"),
         (to_text({"pointcount": -1}), "in the place of a number"),
         (to_text([1, 2]), "has no names in the geometry"),
         (b"PGEOMETRY V5\n", r"classic form of Houdini 11 and earlier \(at byte 0\)"),

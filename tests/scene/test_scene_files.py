@@ -108,7 +108,7 @@ def test_names_that_every_system_can_have_are_accepted() -> None:
         ("{a,b}.ply", "has `{`", "name one file"),
         ("a`b.ply", "has a backtick", "name one file"),
         ("a${HOME}.ply", "has `${HOME}`, but variables", "below the scene's folder"),
-        ("$(ls).ply", "has `$(ls)`", "rename a file"),
+        ("$(ls).ply", "has `$(ls)`", "rename the file"),
         ("w.%04d.ply", "has `%04d`", "write `####`"),
         ("~x.ply", "begins with `~`", "`./~…`"),
         ("a\x1b.ply", "U+001B", "rename the file"),
