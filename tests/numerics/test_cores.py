@@ -15,9 +15,9 @@ def groups(tmp_path: Path) -> Path:
     """Control groups of both versions: one within another, the outer of which may use more, and one without a limit."""
     files = {
         "cpu.max": "max 100000\n",
-        "farm/cpu.max": "350000 100000\n",
-        "farm/job/cpu.max": "150000 100000\n",
-        "farm/free/cpu.max": "max 100000\n",
+        "batch/cpu.max": "350000 100000\n",
+        "batch/job/cpu.max": "150000 100000\n",
+        "batch/free/cpu.max": "max 100000\n",
         "cpu/cpu.cfs_quota_us": "-1\n",
         "cpu/cpu.cfs_period_us": "100000\n",
         "cpu/job/cpu.cfs_quota_us": "50000\n",
@@ -34,10 +34,10 @@ def groups(tmp_path: Path) -> Path:
     ("own", "limits"),
     [
         ("0::/\n", []),
-        ("0::/farm/job\n", [3.5, 1.5]),
-        ("0::/farm/free\n", [3.5]),
-        ("0::/farm/gone\n", [3.5]),
-        ("0::/../farm/job\n", [3.5, 1.5]),
+        ("0::/batch/job\n", [3.5, 1.5]),
+        ("0::/batch/free\n", [3.5]),
+        ("0::/batch/gone\n", [3.5]),
+        ("0::/../batch/job\n", [3.5, 1.5]),
         ("4:memory:/job\n2:cpuacct:/job\n", []),
         ("4:memory:/\n2:cpu,cpuacct:/job\n0::/\n", [0.5]),
         ("1:cpu:/\n", []),
@@ -50,7 +50,7 @@ def test_limits_of_control_groups_are_read(groups: Path, own: str, limits: list[
     assert list(module.iterate_core_limits(own, groups)) == limits
 
 
-@pytest.mark.parametrize(("own", "most"), [("0::/farm/job\n", 2), ("1:cpu:/job\n", 1), ("0::/\n", 64)])
+@pytest.mark.parametrize(("own", "most"), [("0::/batch/job\n", 2), ("1:cpu:/job\n", 1), ("0::/\n", 64)])
 def test_no_more_threads_run_than_a_control_group_has_time_for(
     groups: Path, monkeypatch: pytest.MonkeyPatch, own: str, most: int
 ) -> None:

@@ -21,7 +21,7 @@ from test_usd_crowds import recorded
 from antdsl.casting.lamps import UNIT_DISTANCE_IN_RADII
 from antdsl.outputs.blender import rendering
 from antdsl.outputs.blender.rendering import BlenderError, build_request, render_with_blender
-from antdsl.outputs.blender.requests import SENSOR_MM, describe_camera, to_blender_axes
+from antdsl.outputs.blender.requests import describe_camera, to_blender_axes
 from antdsl.outputs.cache.cache_reader import Cache
 from antdsl.outputs.drawing import DrawRequest, FrameDrawer
 from antdsl.outputs.gallery import Gallery
@@ -30,6 +30,7 @@ from antdsl.outputs.pictures.lamps import find_lamps
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Camera
 from antdsl.scene.light_model import LightSettings
+from antdsl.scene.setting import SENSOR_WIDTH_MM
 
 W, H = 96, 54
 REQUEST = DrawRequest(W, H, "scene", (), samples=16, legend=False)
@@ -90,7 +91,7 @@ def test_points_are_in_the_pixels_of_antdsls_own_picture(lit: Cache, up: str) ->
     offset = to_blender_axes(points, up) / 1000 - np.array(described["matrix"])[:3, 3]
     local = offset @ np.array(described["matrix"])[:3, :3]  # Blender's camera looks along its own -z
     assert np.allclose(-local[:, 2] * 1000, ahead)
-    share = local[:, :2] / -local[:, 2:] * described["focal"] / SENSOR_MM
+    share = local[:, :2] / -local[:, 2:] * described["focal"] / SENSOR_WIDTH_MM
     assert np.allclose(np.stack([(share[:, 0] + 0.5) * W, H / 2 - share[:, 1] * W], axis=1), expected)
     assert described["f_stop"] == pytest.approx(40.0 / 5.0)
     assert described["focus"] == pytest.approx(np.linalg.norm([35.0, 250.0, 310.0]) / 1000)

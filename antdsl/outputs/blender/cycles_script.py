@@ -137,7 +137,7 @@ class CyclesScene:
                 lens.dof.keyframe_insert("focus_distance", frame=frame + number)
 
     def _render_frame(self, path: Path) -> None:
-        """Render the current frame and write its pixels to a file. Blender writes them into a temporary file beside it."""
+        """Render the current frame and write its pixels to a file. Blender writes them into a temporary file next to it."""
         width, height = self._request["size"]
         picture = path.with_suffix(".exr")
         self._bpy.context.scene.render.filepath = str(picture)

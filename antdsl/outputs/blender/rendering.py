@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from antdsl.child_processes import build_module_environment
 from antdsl.diagnostics.model import Report
-from antdsl.outputs.blender.requests import SENSOR_MM, describe_frame, describe_light
+from antdsl.outputs.blender.requests import describe_frame, describe_light
 from antdsl.outputs.drawing import DrawRequest, FrameDrawer
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.pictures.light import SUN_LIGHT, apply_tone_curve, decode_srgb, encode_srgb
@@ -28,6 +28,7 @@ from antdsl.packages import check_extra
 from antdsl.safe_read import read_size_limited
 from antdsl.scene.looks import LAMP_LOOK_WORD, SURFACE_KINDS
 from antdsl.scene.scene_model import UNIT_MM
+from antdsl.scene.setting import SENSOR_WIDTH_MM
 
 PYTHON_VARIABLE = "BLENDER_PYTHON"  # environment variable: the path of a Python that has bpy, in place of this one
 _SCRIPT = Path(__file__).with_name("cycles_script.py")
@@ -78,7 +79,7 @@ def build_request(
         "samples": request.samples,
         "threads": threads,
         "blur": request.blur,
-        "sensor": SENSOR_MM,
+        "sensor": SENSOR_WIDTH_MM,
         "light": describe_light(gallery),
         "emission": {LAMP_LOOK_WORD: (decode_srgb(SURFACE_KINDS[LAMP_LOOK_WORD].colour) * SUN_LIGHT).tolist()},
         "frames": [

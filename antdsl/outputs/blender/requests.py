@@ -18,9 +18,9 @@ from antdsl.outputs.pictures.light import HORIZON_COLOUR, SKY_LIGHT, SUN_HALF_AN
 from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.scene_cameras import find_camera_axes
 from antdsl.scene.scene_model import UNIT_MM
+from antdsl.scene.setting import SENSOR_WIDTH_MM
 from antdsl.scene.thing_models import UP_VECTORS
 
-SENSOR_MM = 36.0
 Array = NDArray[np.float64]
 
 
@@ -68,15 +68,15 @@ def _describe_lamp(gallery: Gallery, lamp: Lamp) -> dict[str, Any]:
 
 
 def describe_camera(gallery: Gallery, camera: Camera) -> dict[str, Any]:
-    """Return a camera: its matrix (4 rows, metres), the focal length for a sensor of SENSOR_MM, or the width of its view if it is
-    parallel, and the depth of field. `f_stop` is None for a pinhole."""
+    """Return a camera: its matrix (4 rows, metres), the focal length for a sensor of SENSOR_WIDTH_MM, or the width of its view if
+    it is parallel, and the depth of field. `f_stop` is None for a pinhole."""
     up, units = gallery.manifest.up, UNIT_MM[gallery.manifest.units]
     eye, axes = find_camera_axes(camera, up)
     matrix = np.eye(4)
     matrix[:3, :3] = to_blender_axes(axes, up).T
     matrix[:3, 3] = to_blender_axes(eye[None] * units / 1000, up)[0]
     aim = float(np.linalg.norm(np.subtract(camera.look_at, camera.at)))
-    focal = camera.focal if camera.fov is None else SENSOR_MM / 2 / float(np.tan(np.radians(camera.fov) / 2))
+    focal = camera.focal if camera.fov is None else SENSOR_WIDTH_MM / 2 / float(np.tan(np.radians(camera.fov) / 2))
     is_parallel = camera.parallel_width is not None
     return {
         "matrix": matrix.tolist(),

@@ -19,8 +19,9 @@ from antdsl.outputs.pictures.model import Item, Picture, Solid
 from antdsl.outputs.scene_cameras import SceneCameras, find_camera_axes
 from antdsl.scene.looks import KIND_BY_LOOK, SURFACE_KINDS
 from antdsl.scene.scene_model import UNIT_MM
+from antdsl.scene.setting import SENSOR_WIDTH_MM
 
-_SENSOR_WIDTH_MM, _DEFAULT_ASPECT = 36.0, 16 / 9
+_DEFAULT_ASPECT = 16 / 9
 _SQRT_HALF = float(np.sqrt(0.5))
 _DEFAULT_BY_PATH = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 _RIGID_TOLERANCE = 1e-4  # share of the mesh's size; a motion with smaller deviations counts as rigid
@@ -266,7 +267,7 @@ class GltfStage:
         """Write the camera `name` under the name `written_name`, with its motion."""
         first = cameras.make_camera(self.frames[0], name)
         assert first is not None
-        angle = 2 * np.arctan(_SENSOR_WIDTH_MM / _DEFAULT_ASPECT / 2 / first.focal)
+        angle = 2 * np.arctan(SENSOR_WIDTH_MM / _DEFAULT_ASPECT / 2 / first.focal)
         away = float(np.linalg.norm(np.subtract(first.at, first.look_at))) * UNIT_MM[self.gallery.manifest.units] / 1000
         reach = max(away, 1e-6)  # metres; the scale of a node does not affect its camera
         lens = {"yfov": float(angle), "aspectRatio": _DEFAULT_ASPECT, "znear": reach * 1e-3, "zfar": reach * 1e3}

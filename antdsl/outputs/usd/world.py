@@ -32,8 +32,8 @@ from antdsl.outputs.usd.values import (
 from antdsl.scene.geometry.usd import import_pxr_module
 from antdsl.scene.looks import KIND_BY_LOOK, SURFACE_KINDS
 from antdsl.scene.scene_model import UNIT_MM
+from antdsl.scene.setting import SENSOR_WIDTH_MM
 
-_APERTURE_MM = 36.0  # mm
 _CREASE_COSINE = np.cos(np.radians(40.0))  # edges that are sharper stay sharp
 
 
@@ -119,8 +119,8 @@ class _CameraWriter:
         self._gallery, self._cameras, self._name, self._has_clipping_range = gallery, cameras, name, False
         camera = import_pxr_module("UsdGeom").Camera.Define(stage_output.stage, path)
         self._tenths_per_mm = 10.0 / UNIT_MM[gallery.manifest.units]  # tenths of the stage's unit per millimetre
-        camera.CreateHorizontalApertureAttr(_APERTURE_MM * self._tenths_per_mm)
-        camera.CreateVerticalApertureAttr(_APERTURE_MM * 9 / 16 * self._tenths_per_mm)
+        camera.CreateHorizontalApertureAttr(SENSOR_WIDTH_MM * self._tenths_per_mm)
+        camera.CreateVerticalApertureAttr(SENSOR_WIDTH_MM * 9 / 16 * self._tenths_per_mm)
         self._clipping_range = camera.CreateClippingRangeAttr()
         lens = gallery.manifest.named_cameras[name]
         if isinstance(lens, LensEntry) and lens.f_stop is not None:

@@ -1,4 +1,4 @@
-"""Golden runs: the results of a run, stored as text beside its scene. A later run is compared with them frame by frame.
+"""Golden runs: the results of a run, stored as text next to its scene. A later run is compared with them frame by frame.
 
 `scene.golden.json` has a hash for every frame. In at most MAX_RECORDED_FRAMES frames, at regular intervals, it also has the
 content of `fingerprints`. Thus the first frame that differs is always known. The next frame with fingerprints shows which

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics import vectors as vec
 from antdsl.numerics.vector_rows import dot
+from antdsl.numerics.vectors import length as length_of
 from antdsl.runtime.body_positions import LIFT_REGISTERS
 from antdsl.runtime.moving.clearance.body_tables import compute_unit_shapes
 from antdsl.runtime.moving.crouching import has_crouch
@@ -44,7 +44,7 @@ def shift_bodies_outside_solids(world: World, population: Population, start: Flo
     Step and shift together are hardly longer than the longest step of the agent."""
     now = population.now
     size = np.where(now["size"] > 0, now["size"], 0).astype(np.float64)
-    previous = np.stack(vec.get_vector_registers(now, "~lift")).astype(np.float64).T
+    previous = population.read_vector("~lift")
     goal = _find_shifts(world, population, size)
     change = goal - previous
     length = np.sqrt(dot(change, change))
@@ -59,9 +59,9 @@ def shift_bodies_outside_solids(world: World, population: Population, start: Flo
 
 def _find_shifts(world: World, population: Population, size: Floats) -> Floats:
     """Return the shifts (n, 3) mm that bring capsules outside of all solids. `size` (n): sizes of the bodies (mm)."""
-    now, shifts = population.now, np.zeros((len(population), 3))
+    shifts = np.zeros((len(population), 3))
     shapes, body = compute_unit_shapes(world, population, 0.0)
-    up, heading = (np.stack(vec.get_vector_registers(now, name)).astype(np.float64).T for name in ("up", "heading"))
+    up, heading = population.read_vector("up"), population.read_vector("heading")
     half, radius, height, ahead = (shapes[body] * size[:, None]).T
     middle = population.position + up * height[:, None] + heading * ahead[:, None]
     rows = np.arange(len(population))
@@ -75,7 +75,7 @@ def _find_shifts(world: World, population: Population, size: Floats) -> Floats:
                 reach = end * (half[rows] + (1.0 - share) * radius[rows])
                 point = middle[rows] + shifts[rows] + heading[rows] * reach[:, None]
                 distance, gradient = volume.sample_with_gradients(point)
-                slope = vec.length((gradient[:, 0], gradient[:, 1], gradient[:, 2]))
+                slope = length_of((gradient[:, 0], gradient[:, 1], gradient[:, 2]))
                 over = np.where(slope > _MIN_GRADIENT, needed - distance, 0.0)
                 is_deeper = over > depth
                 depth[is_deeper] = over[is_deeper]

@@ -166,7 +166,7 @@ class CapsuleCrowd:
 def _lower_trunks(population: Population, place: Floats, registers: Mapping[str, NDArray[Any]], capsule: TrunkCapsule) -> Floats:
     """Return positions (3, n) mm from which trunks of bodies that crouch are placed.
 
-    A trunk stays above the ground. It is lower by at most its radius, so that legs of bodies that stand beside it do not enter
+    A trunk stays above the ground. It is lower by at most its radius, so that legs of bodies that stand next to it do not enter
     it."""
     most = np.float32(min(capsule.width / 2, max(capsule.height - capsule.width / 2, 0.0)))
     lowering = np.minimum(compute_lowering(population), np.maximum(registers["size"], np.float32(0)) * most)

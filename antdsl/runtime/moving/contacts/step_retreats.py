@@ -51,9 +51,8 @@ class Stances:
         population.position[rows], population.normal[rows] = position, self.normal[own]
         for name, values in self.poses.items():
             population.now[name][rows] = values[own]
-        population.footing.write_rows(
-            rows, self.footing.select_rows(own)
-        )  # last: on a plane, footings are the positions themselves
+        # Last, because on a plane footings are the positions themselves.
+        population.footing.write_rows(rows, self.footing.select_rows(own))
 
 
 def take_back_overlapping_steps(world: World, start: Mapping[str, Stances], near: NearbyCapsulePairs) -> None:
