@@ -1,4 +1,5 @@
-"""The preview: simulates a scene while its files are edited. Edited files replace the running ones, and time can go back."""
+"""The preview: it simulates a scene while its files are edited. Edited files replace the loaded ones, and the user can go back
+in time."""
 
 from antdsl.preview.compiling import SceneCompiler
 from antdsl.preview.file_watch import FileWatch

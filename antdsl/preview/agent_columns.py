@@ -1,4 +1,4 @@
-"""Per-agent arrays of one species for the page, sorted by id, under their names in packets."""
+"""The arrays of one species, sorted by agent id, under the names that they have in packets for the page."""
 
 from __future__ import annotations
 
@@ -21,16 +21,15 @@ CURRENT_COLUMNS = [column for column in _PACKET_COLUMNS if not column.in_preview
 
 
 def make_reduced_frame(population: Population, previous_arrays: Arrays | None = None) -> Arrays:
-    """Return the arrays of a species that are stored for each frame, with the states of each machine.
-
-    `previous_arrays`: the arrays of the previous frame. An array that is equal in both frames is the same object."""
+    """Return the arrays of a species that are stored for each frame, including the states of each machine. `previous_arrays`:
+    the arrays of the previous frame. An array that did not change is not copied: both frames share one object."""
     rows = population.rows_by_id()
     states = {f"state/{m.name}": population.now[f"{m.name}.state"][rows].astype(np.uint8) for m in population.plan.machines}
     return reuse_arrays(make_packet_arrays(population, _REDUCED_FRAME_COLUMNS) | states, previous_arrays or {})
 
 
 def reuse_arrays(arrays: Arrays, previous_arrays: Arrays) -> Arrays:
-    """Return `arrays`. Each array that equals that of the previous frame is replaced by the previous object."""
+    """Return `arrays`, but replace each array that equals the one in `previous_arrays` by that object, which saves memory."""
     return {
         name: previous_arrays[name] if name in previous_arrays and np.array_equal(previous_arrays[name], array) else array
         for name, array in arrays.items()
@@ -38,7 +37,8 @@ def reuse_arrays(arrays: Arrays, previous_arrays: Arrays) -> Arrays:
 
 
 def make_packet_arrays(population: Population, columns: Iterable[Column]) -> Arrays:
-    """Return the arrays of some columns. Directions are bytes: unit vectors times 127."""
+    """Return the arrays of `columns` as a packet stores them. A unit vector is stored as three signed bytes: its components
+    times 127."""
     rows = population.rows_by_id()
     return {column.packet.split()[0]: _make_column_array(population, column, rows) for column in columns}
 

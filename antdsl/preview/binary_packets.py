@@ -1,4 +1,4 @@
-"""Arrays as one binary message: `ant1`, the length of the header, the header as JSON, then the arrays.
+"""A binary message that holds arrays: `ant1`, the length of the header, the header as JSON, then the arrays.
 
 Each array begins at a multiple of 8 bytes."""
 
@@ -17,9 +17,8 @@ _ALLOWED_DTYPES = frozenset(("f4", "i4", "u4", "u1", "i1", "u2", "i2"))
 
 
 def pack_arrays(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
-    """Return a packet of a slot. The header holds the name, type, count and offset of each array.
-
-    Raises TypeError for an array with elements of other sizes than 1, 2 or 4 bytes."""
+    """Return a packet for the slot `slot`. Its header lists the name, type, count and offset of each array, and the values of
+    `header`. Raises TypeError for an array with elements that are not 1, 2 or 4 bytes long."""
     listed: list[tuple[str, str, int, int]] = []
     little = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     types = {name: f"{array.dtype.kind}{array.dtype.itemsize}" for name, array in little.items()}
@@ -28,7 +27,7 @@ def pack_arrays(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) ->
             raise TypeError(f"`{name}` is {little[name].dtype}, which packets do not support")
 
     def make_header(start: int) -> tuple[bytes, int]:
-        """Return the header for arrays that begin at `start`, and the end offset of the arrays."""
+        """Return the encoded header for arrays that begin at the offset `start`, and the offset at which the arrays end."""
         listed.clear()
         at = start
         for name, array in little.items():
@@ -51,7 +50,7 @@ def pack_arrays(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) ->
 
 
 def unpack_arrays(packet: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return the header and the flat arrays of a packet. Raises ValueError for other bytes."""
+    """Return the header and the arrays of a packet, each array flattened. Raises ValueError if the bytes are not a packet."""
     if packet[:4] != PACKET_MAGIC or len(packet) < 8:
         raise ValueError("not a packet")
     (length,) = struct.unpack("<I", packet[4:8])

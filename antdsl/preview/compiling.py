@@ -1,4 +1,4 @@
-"""Opens one scene repeatedly. Unchanged parts are not read, parsed or computed again."""
+"""A compiler that opens one scene repeatedly. It does not read, parse or compute unchanged parts again."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from antdsl.source import Source
 
 @dataclass(eq=False)
 class SceneCompiler:
-    """Compiles the file `scene` of one scene. `replacement_texts`: texts that replace files, such as unsaved edits."""
+    """Compiles the scene file `scene`. `replacement_texts`: texts, such as unsaved edits, to use instead of the contents of
+    files."""
 
     scene: Path
     replacement_texts: dict[Path, str] = field(default_factory=dict)
@@ -32,7 +33,8 @@ class SceneCompiler:
     _precompiled: PrecompiledShot | None = None
 
     def precompile(self, choices: RunChoices | None = None) -> None:
-        """Compile the shot in advance, for an `open` that soon follows. `open` then checks whether the files are unchanged."""
+        """Compile the shot in advance, so that a later call of `open` is fast. `open` uses the result only if no file has
+        changed."""
         self._precompiled = None
         choices = choices or RunChoices()
         shot, report = self.open(choices)
@@ -40,7 +42,7 @@ class SceneCompiler:
             self._precompiled = PrecompiledShot(shot, report, choices, dict(self.replacement_texts), dict(self._parsed_files))
 
     def open(self, choices: RunChoices | None = None) -> tuple[Shot | None, Report]:
-        """Return the shot of the current files and the findings. The shot is None if the files have errors."""
+        """Return the shot of the current files, and a report. The shot is None if the files have errors."""
         self._drop_changed_files()
         foreseen, self._precompiled = self._precompiled, None
         if foreseen is not None and foreseen.is_current(choices or RunChoices(), self.replacement_texts, self._parsed_files):
@@ -53,8 +55,8 @@ class SceneCompiler:
         return shot, report
 
     def migrate_world(self, world: World, shot: Shot) -> tuple[World | None, Migration, Report]:
-        """Return a world of `shot` that continues from `world`, the migration, and a report. The world is None if there are
-        errors."""
+        """Return a world of `shot` that continues from `world`, what the migration did, and a report. The world is None if there
+        are errors."""
         with _pause_garbage_collection():
             try:
                 new_world, migration = migrate_world(world, shot.plan, shot.setting, self.binding_cache)
@@ -64,17 +66,17 @@ class SceneCompiler:
         return new_world, migration, Report()
 
     def get_watched_files(self) -> RequestedPaths:
-        """Return all files of the last shot and of later attempts; some may not exist yet.
+        """Return all files that the last shot and later attempts to compile have requested, including missing files.
 
-        Each comes with its root; links below a root are not followed."""
+        Each file is listed with its granted root. Links below a root are not followed."""
         roots_by_path: RequestedPaths = {self.scene: None, **self._files, **self._attempted_files}
         for path in map(Path, self._parsed_files):
             roots_by_path.setdefault(path, path.parent)
         return roots_by_path
 
     def open_file(self, path: Path) -> int:
-        """Return a handle on one of the files from `get_watched_files`; the caller closes it. Raises OSError if it is missing or
-        not a regular file."""
+        """Return a file handle on one of the files from `get_watched_files`. The caller must close it. Raises OSError if the
+        file is missing or not a regular file."""
         return reopen_file(path, self.get_watched_files().get(path, path.parent))
 
     def _drop_changed_files(self) -> None:
@@ -90,8 +92,8 @@ class SceneCompiler:
 
 @contextmanager
 def _pause_garbage_collection() -> Iterator[None]:
-    """Pause garbage collection. Compilation creates tens of thousands of small live objects, which take as long to scan as to
-    create."""
+    """Pause garbage collection within the context. Compilation creates tens of thousands of small live objects, and scanning
+    these takes as long as creating them."""
     was = gc.isenabled()
     gc.disable()
     try:

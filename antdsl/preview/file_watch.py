@@ -1,6 +1,6 @@
-"""Detects changed contents of files by polling. So it works on every disk and with every editor.
+"""Detection of changed files by polling, which works on every disk and with every editor.
 
-A change is reported once the file has stopped changing."""
+A change is reported only once the file has stopped changing."""
 
 from __future__ import annotations
 
@@ -28,9 +28,8 @@ FileStamp = tuple[int, int, int] | None
 
 @dataclass(slots=True)
 class _WatchedFile:
-    """The state of one file. `contents`: a hash of the last contents; None for a missing file.
-
-    `stamp`: the file's last stamp; `read_stamp`: the stamp when the contents were read. Times are in seconds of the clock."""
+    """The recorded state of one file. `contents`: a hash of the contents at the last reading; None for a missing file. `stamp`:
+    the last file stamp. `read_stamp`: the file stamp at the last reading. Times are in seconds of the clock."""
 
     stamp: FileStamp
     contents: bytes | None  # a hash; None for a missing file
@@ -43,8 +42,8 @@ class _WatchedFile:
 class FileWatch:
     """Watches files for changes.
 
-    `paths` is called at each poll, because an edit may add files. `opened` returns a handle to a regular file, or raises OSError.
-    `clock` returns seconds. A path that is not a regular file counts as missing until a regular file replaces it."""
+    `paths`: called at each poll, because an edit may add files. `opened`: returns a handle to a regular file, or raises OSError.
+    `clock`: returns the time in seconds. A path that is not a regular file counts as missing."""
 
     def __init__(
         self,
@@ -59,7 +58,8 @@ class FileWatch:
         self.find_changed_files()
 
     def find_changed_files(self) -> tuple[Path, ...]:
-        """Return the files that have stopped changing and differ from their last reported or first read contents."""
+        """Return the files that have stopped changing, and of which the contents differ from those last reported or first
+        read."""
         now, paths, self._remaining_bytes = self._clock(), list(dict.fromkeys(self._list_paths())), _REREAD_BYTES_PER_POLL
         changed = [path for path in paths if path in self._files and self._is_changed(path, self._files[path], now)]
         for path in paths:
@@ -72,13 +72,13 @@ class FileWatch:
     def recheck_unstable_files(self) -> None:
         """Record that other code has just read the files.
 
-        A file that is changing at this time counts as changed once it stops, even if its contents are then the same as before."""
+        A file that is being written now is reported once it stops changing, even if its contents end up the same as before."""
         for path, file in self._files.items():
             if _read_stamp(path) != file.read_stamp:
                 file.contents = _UNKNOWN_HASH
 
     def is_any_file_being_written(self) -> bool:
-        """Return whether a file has changed and may still be incomplete. Each change is reported once."""
+        """Return whether a file has changed and may still be incomplete. Each change is reported only once."""
         changed_files = [file for file in self._files.values() if file.is_unreported]
         for file in changed_files:
             file.is_unreported = False
@@ -117,7 +117,8 @@ class FileWatch:
         return other
 
     def _hash_contents(self, path: Path) -> bytes | None:
-        """Return a hash of a regular file's content; for a large file, a hash of its stamp."""
+        """Return a hash of the contents of a regular file, or None if it is missing. For a large file, hash only its file
+        stamp."""
         hashed = blake2b(digest_size=16)
         try:
             handle = self._open_file(path)

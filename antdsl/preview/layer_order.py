@@ -1,4 +1,5 @@
-"""Layers that are switched off in the preview. Program texts without these layers replace the files until the files are saved."""
+"""Layers that the user has switched off in the preview. Until files are saved, program texts without these layers replace the
+files."""
 
 from __future__ import annotations
 
@@ -14,9 +15,9 @@ DisabledLayers = Mapping[tuple[str, str], Path]
 
 
 def remove_disabled_layers(disabled_layers: DisabledLayers) -> tuple[dict[Path, str], list[tuple[str, str]]]:
-    """Return the files' texts without the disabled layers, and the disabled layers that no longer exist, by species and text.
+    """Return the files' texts without the disabled layers, and the layers (species, text) that no longer exist.
 
-    An unreadable file is omitted; compiling it reports the error."""
+    An unreadable file is omitted here; compiling it reports the error."""
     texts: dict[Path, str] = {}
     missing_layers: list[tuple[str, str]] = []
     for path in dict.fromkeys(disabled_layers.values()):

@@ -50,13 +50,13 @@ O = TypeVar("O")  # noqa: E741
 
 
 class Client(Protocol):
-    """A connected page. Its methods may be called from any thread, and never wait."""
+    """A connected page. Its methods may be called from any thread and never block."""
 
     def send_message(self, message: dict[str, Any]) -> None:
         """Send a message. All messages arrive, in order."""
 
     def show_packet(self, slot: str, packet: bytes) -> None:
-        """Send arrays. Only the latest packet of a slot is certain to arrive."""
+        """Send a packet of arrays. It may be dropped if a later packet of the same slot follows."""
 
 
 class QueueFullError(Exception):
@@ -64,7 +64,7 @@ class QueueFullError(Exception):
 
 
 class LiveSimulation:
-    """The thread that owns a session from `start` until `stop` returns. Any thread may queue requests, add or remove clients."""
+    """The thread that owns a session. Any thread may queue requests, add clients and remove clients."""
 
     def __init__(self, session: PreviewSession, *, watch: bool = True) -> None:
         self._initialise(session.compiler, session, Report(), watch)
@@ -73,9 +73,8 @@ class LiveSimulation:
     def open_scene(
         cls, scene: Path, choices: RunChoices | None = None, options: Options | None = None, *, watch: bool = True, **how: int
     ) -> LiveSimulation:
-        """Return the thread of a session for a scene file. If the file has errors, the session opens as soon as they are fixed.
-
-        `how`: further arguments of `PreviewSession.open`."""
+        """Return the object that will run a session of a scene file. If the file has errors, the session opens once they are
+        fixed. `how`: further arguments of `PreviewSession.open`."""
         live, compiler = cls.__new__(cls), SceneCompiler(scene)
         session, report = PreviewSession.open(scene, choices, options, compiler=compiler, **how)
         live._initialise(compiler, session, report, watch)
@@ -122,15 +121,15 @@ class LiveSimulation:
             self._thread.join()
 
     def enqueue_request(self, request: AnyRequest, client: Client) -> None:
-        """Queue a request to run between two steps. Raises QueueFullError if too many wait."""
+        """Queue a request, which runs between two steps. Raises QueueFullError if too many requests are waiting."""
         self._enqueue_item(request, client)
 
     def add_client(self, client: Client) -> None:
-        """Add a page as client: send the complete state now, and all updates from then on."""
+        """Add a page as a client. It receives the complete state now, and every update from then on."""
         self._enqueue_item("join", client)
 
     def remove_client(self, client: Client) -> None:
-        """Remove a page from the clients, so that it gets no more updates."""
+        """Remove a page from the clients. It receives no further updates."""
         self._enqueue_item("leave", client)
 
     def _enqueue_item(self, item: AnyRequest | str, client: Client) -> None:
@@ -144,13 +143,13 @@ class LiveSimulation:
 
     @property
     def session(self) -> PreviewSession:
-        """Return the session. Only handlers may read it, since they are called only if there is a session."""
+        """Return the session. Only request handlers may use this, because they are called only while a session exists."""
         assert self._session is not None
         return self._session
 
     @property
     def is_seeking(self) -> bool:
-        """Return whether the session is still on its way to a frame."""
+        """Return whether the session is still simulating towards a frame that was requested."""
         return self._target_frame is not None or self._pending_steps > 0
 
     @property
@@ -159,7 +158,7 @@ class LiveSimulation:
         return self._session is not None
 
     def find_observer(self, kind: type[O]) -> O:
-        """Return the observer of a kind."""
+        """Return the observer of type `kind`."""
         return next(each for each in self.observers if isinstance(each, kind))
 
     def send_to_all(self, message: dict[str, Any]) -> None:
@@ -168,7 +167,7 @@ class LiveSimulation:
             client.send_message(message)
 
     def show_exact_frame(self) -> None:
-        """Bring the session to the frame that the page displays. Does nothing if the session is there already."""
+        """Bring the session to the frame that the page displays. Do nothing if the session is at this frame already."""
         frame = self.displayed_frame if self._target_frame is None else self._target_frame
         self.displayed_frame = self._target_frame = None
         if frame is not None:
@@ -176,16 +175,16 @@ class LiveSimulation:
             self.screen.on_seek_end()
 
     def show_stored_frame(self, frame: int) -> None:
-        """Display the stored agents of a frame, or of the nearest stored frame, without simulation."""
+        """Display the stored agents of a frame, or of the nearest stored frame. Nothing is simulated."""
         remembered = self.session.timeline.reduced_frames
         self._target_frame = None
         nearest = min(remembered, key=lambda stored_frame: abs(stored_frame - frame), default=None)
         self.displayed_frame = nearest if frame != self.session.frame else None
 
     def seek_frame(self, frame: int) -> None:
-        """Bring the session to a frame. Requests are handled between the steps that this takes.
+        """Start to bring the session to a frame. Requests are handled between the steps that this takes.
 
-        Meanwhile the stored agents of the frame are displayed."""
+        Meanwhile, the stored agents of this frame are displayed."""
         self.show_stored_frame(frame)
         self._target_frame = frame
         session = self.session
@@ -201,17 +200,18 @@ class LiveSimulation:
         self.session.playing, self.pause_reason, self._next_step_time = True, None, monotonic()
 
     def pause(self, reason: PauseReason | None = None) -> None:
-        """Pause, and drop pending steps. `reason`: the reason of an automatic pause; the frame is then marked."""
+        """Pause, and drop pending steps. `reason`: why the session paused automatically; the frame is then marked on the
+        timeline."""
         if reason is not None:
             self.session.timeline.mark_stop(self.session.frame, reason.line)
         self.session.playing, self.pause_reason, self._pending_steps = False, reason, 0
 
     def start_steps(self, count: int) -> None:
-        """Start `count` steps as fast as possible. Requests are handled between them."""
+        """Start to simulate `count` frames as fast as possible. Requests are handled between the steps."""
         self.pause_reason, self._pending_steps = None, count
 
     def step(self) -> bool:
-        """Make one step and run the observers. Return whether the session may continue."""
+        """Simulate one frame and run the observers. Return whether the session may continue."""
         session = self.session
         for observer in self.observers:
             observer.before_step(session)
@@ -282,7 +282,7 @@ class LiveSimulation:
         self._wait_for_work()
 
     def _advance_once(self, session: PreviewSession) -> None:
-        """Run one unit of work: a step of a seek, a requested step, or the next step of play."""
+        """Run one unit of work: a step towards the frame of a seek, a requested step, or the next step of play."""
         if self._target_frame is not None:
             end = monotonic() + _MAX_SEEK_SECONDS
             while session.frame != self._target_frame and monotonic() < end:
@@ -301,8 +301,8 @@ class LiveSimulation:
             )
 
     def _look_ahead(self, session: PreviewSession) -> None:
-        """Simulate future frames while a page displays them and no other request waits. During play, simulate one per played
-        frame, and more until the next frame is due."""
+        """Simulate future frames while a page displays them and no request waits. During play, simulate one per played frame,
+        and more if time is left."""
         version = self.look_ahead.version
         if not self.screen.needs_look_ahead(session):
             self.look_ahead.clear()
@@ -345,7 +345,7 @@ class LiveSimulation:
             self._handle_request(item, client)
 
     def _is_superseded(self, request: AnyRequest, client: Client) -> bool:
-        """Return whether a later request replaces this one, as while a slider moves or agents are selected quickly."""
+        """Return whether a later request in the queue makes this one obsolete, such as when a slider moves."""
         following, sender = self._queue[0] if self._queue else (None, None)
         if isinstance(request, SetValue):
             return isinstance(following, SetValue) and following.name == request.name and sender is client
@@ -389,7 +389,7 @@ class LiveSimulation:
                     self._handle_request(ask, client)
 
     def _attach_observers(self) -> None:
-        """Register for each new world of the session, and pass the current world to the observers."""
+        """Register a callback for each new world of the session, and pass the current world to the observers."""
         if self._session is not None:
             self._session.on_new_world = self._on_new_world
             self._on_new_world(self._session)

@@ -1,6 +1,6 @@
-"""The positions of agents in the next seconds of a session, simulated in a separate world.
+"""The planned positions of agents in the next seconds of a session, simulated in a separate world.
 
-The session's world is copied once, when this simulation begins, and never changed."""
+The session's world is copied once when this simulation begins, and never changed."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _MAX_POSITION_BYTES = 1 << 26  # maximum size of the stored positions
 
 
 class LookAheadSimulation:
-    """The frames of the next 2 seconds, or as many as fit in 64 MiB.
+    """Simulated future frames of a session: 2 seconds, or as many as fit in 64 MiB.
 
-    `frames`: ids and positions of all species by frame; the first is the session's current frame. Without edits, the session
-    later reaches these frames, so only new frames at the far end are simulated. The frames end at an edit, at the end of the
-    existing history after the session went back, or where a step fails."""
+    `frames`: by frame, the ids and positions of all species; the first is the session's current frame. As the session advances
+    through these frames, only new frames at the end are simulated. No frames are simulated past an edit, past the end of the
+    existing history after the session went back, or past a step that fails."""
 
     def __init__(self) -> None:
         self.frames: dict[int, dict[str, Arrays]] = {}
@@ -28,7 +28,7 @@ class LookAheadSimulation:
         self._stopped = False
 
     def clear(self) -> None:
-        """Drop all frames. The next request starts again from the session's frame."""
+        """Drop all frames. The next call of `simulate_next_frame` starts again from the session's current frame."""
         if self._world is not None:
             self.frames, self._run_key, self._world, self._stopped = {}, None, None, False
             self.version += 1
@@ -36,7 +36,7 @@ class LookAheadSimulation:
     def needs_simulation(self, session: PreviewSession) -> bool:
         """Return whether more frames must be simulated.
 
-        This also drops frames of another run than the session's, and frames before the current one."""
+        This also drops frames that do not belong to the session's current run, and frames before the current one."""
         stretch = session.timeline.find_stretch(session.frame)
         of = (stretch, tuple(stretch.param_changes))
         if of != self._run_key or session.frame not in self.frames:
@@ -48,7 +48,7 @@ class LookAheadSimulation:
         return not self._stopped and max(self.frames) < self._find_last_frame(session)
 
     def simulate_next_frame(self, session: PreviewSession) -> None:
-        """Simulate one more frame if one is missing. The first call stores the session's current frame."""
+        """Simulate one more frame if one is missing. The first call only stores the session's current frame."""
         stretch, world = session.timeline.find_stretch(session.frame), self._world
         if world is None:
             world = self._world = stretch.restore_world(
@@ -71,7 +71,7 @@ class LookAheadSimulation:
         self.version += 1
 
     def _find_last_frame(self, session: PreviewSession) -> int:
-        """Return the last frame to simulate."""
+        """Return the number of the last future frame that should be simulated."""
         count = max(
             1, min(round(LOOK_AHEAD_SECONDS / session.world.dt), _MAX_POSITION_BYTES // (12 * max(1, len(session.world))))
         )

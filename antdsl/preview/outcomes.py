@@ -1,4 +1,4 @@
-"""The results of edits by hand, and the checks of their values."""
+"""The outcome of a change that the user makes on the page, and the checks of entered values."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _MAX_LAYER_CHARACTERS = 60  # characters of a layer in messages
 
 @dataclass(frozen=True, slots=True)
 class EditOutcome:
-    """The result of an edit.
+    """The outcome of a change that the user made.
 
-    `report`: if it has errors, nothing has changed.
+    `report`: the findings; if there are errors, nothing has changed.
     `line`: a summary of what persists, moves and is reset.
-    `text`: the text to write into a file, so that the change is permanent.
-    `description`: a description of the edit."""
+    `text`: the text to write into a file to make the change permanent.
+    `description`: a description of the change."""
 
     report: Report = field(default_factory=Report)
     line: str = ""
@@ -31,23 +31,23 @@ class EditOutcome:
 
     @property
     def is_successful(self) -> bool:
-        """Return whether the edit succeeded."""
+        """Return whether the change was made."""
         return self.report.ok
 
 
 def shorten_text(text: str) -> str:
-    """Return a layer's text, shortened to one line."""
+    """Return the text of a layer on one line, shortened if it is long."""
     words = " ".join(text.split())
     return words if len(words) <= _MAX_LAYER_CHARACTERS else f"{words[: _MAX_LAYER_CHARACTERS - 1]}…"
 
 
 def make_silencing_settings(field: str) -> dict[str, str]:
-    """Return the settings that keep a field's values near 0."""
+    """Return the settings that hold a field's values near 0."""
     return {f"{field}.limit": "0.000001", f"{field}.keeps": "0 %/step"}
 
 
 def parse_param(shot: Shot, name: str, value: str) -> tuple[Quantity | None, Report]:
-    """Return a value for a param or a setting of a field, and a report. The value is None if the report has errors."""
+    """Return the number for a param, or for a setting of a field, and a report. The number is None if there are errors."""
     report = Report()
     try:
         quantity = parse_quantity(value)
@@ -69,7 +69,7 @@ def make_error_outcome(message: str) -> EditOutcome:
 
 
 def find_binding_params(plan: Plan) -> frozenset[str]:
-    """Return the params on which fields, other params or newborn agents depend. All other params may change between two steps."""
+    """Return the params that cannot change between two steps, because fields, other params or newborn agents depend on them."""
     nodes = [node for field_plan in plan.fields.values() for node in list_field_nodes(field_plan)]
     nodes += [param.default for param in plan.params.values()]
     for species in plan.species.values():

@@ -1,4 +1,4 @@
-"""A shot that was compiled in advance, and the changed files and lines between two shots."""
+"""A shot that was compiled in advance, and a description of the files and lines in which two shots differ."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MAX_NAMED_FILES = 3  # files reported by name
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PrecompiledShot:
-    """A shot with all inputs from which it was compiled."""
+    """A shot, together with all inputs from which it was compiled."""
 
     shot: Shot
     report: Report
@@ -30,7 +30,7 @@ class PrecompiledShot:
     parsed_files: ParsedFileCache
 
     def is_current(self, choices: RunChoices, replacement_texts: Mapping[Path, str], parsed_files: ParsedFileCache) -> bool:
-        """Return whether opening the scene again would give the same shot. `parsed_files` has the current programs; equal texts
+        """Return whether compiling the scene again would give the same shot. `parsed_files`: the current programs; equal texts
         give identical objects."""
         return (
             (choices, replacement_texts) == (self.choices, self.replacement_texts)
@@ -41,7 +41,7 @@ class PrecompiledShot:
         )
 
     def _has_same_inputs(self) -> bool:
-        """Return whether meshes and other files that the scene names have the same bytes as when they were read."""
+        """Return whether meshes and other files that the scene names still have the bytes that were read."""
         roots = self.shot.scene.roots
         for name, known in self.shot.inputs.items():
             try:
@@ -60,7 +60,7 @@ class PrecompiledShot:
 
 
 def iterate_sources(document: DocumentNode) -> Iterator[Source]:
-    """Yield the texts of all files that contain parts of a scene. Scenes that it extends are included."""
+    """Yield the texts of all files that contribute to a scene, including the scenes that it extends."""
     known_sources: set[Source] = set()
     stack: list[DocumentNode] = [document]
     while stack:
@@ -83,7 +83,7 @@ def _has_unchanged_text(source: Source) -> bool:
 
 
 def describe_changed_files(old_shot: Shot, new_shot: Shot) -> str:
-    """Return the files in which two shots differ, with lines; "" if none differs.
+    """Return the files and lines in which two shots differ; "" if none differ.
 
     An example is `forager.ant line 34, scene.yaml lines 9–12`."""
     old_texts, new_texts = _collect_texts(old_shot), _collect_texts(new_shot)
@@ -105,7 +105,7 @@ def _collect_texts(shot: Shot) -> dict[str, str]:
 
 
 def _describe_changed_lines(name: str, old_text: str | None, new_text: str) -> str:
-    """Return a file's name and its range of changed lines."""
+    """Return a file's name with the range of its changed lines."""
     if old_text is None:
         return f"{name} is new"
     old_lines, new_lines = old_text.splitlines(), new_text.splitlines()

@@ -1,6 +1,6 @@
-"""The requests that a page may send: one model per `op`. All other messages are rejected.
+"""The requests that a page may send: one model for each `op`. All other messages are rejected.
 
-No request can write a file. Only edits name files, which must be in the folder of the scene or below it."""
+No request can write a file. Only edits may name files, which must be in the folder of the scene or below it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAX_PLANNED_AGENTS = 300  # maximum number of agents with planned paths displaye
 
 
 class RequestRefusedError(Exception):
-    """Error for a request that cannot be carried out: the reason, and an alternative."""
+    """Error for a request that cannot be carried out. The message gives the reason and suggests an alternative."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -47,14 +47,14 @@ class Step(_RequestModel):
 
 
 class SetSpeed(_RequestModel):
-    """Set the speed of play: 1 is the scene's own speed, 0 is as fast as possible."""
+    """Set the speed of play: 1 is real time as the scene defines it, 0 is as fast as possible."""
 
     op: Literal["speed"]
     times: float = Field(ge=0, le=64)
 
 
 class Seek(_RequestModel):
-    """Go to a frame. `exact` is false while a slider is dragged: then the stored agents of the frame are displayed without
+    """Go to a frame. `exact`: false while a slider is dragged. The stored agents of the frame are then displayed without
     simulation."""
 
     op: Literal["seek"]
@@ -63,7 +63,7 @@ class Seek(_RequestModel):
 
 
 class SetValue(_RequestModel):
-    """Set a param, or a setting of a field, to a number with its unit."""
+    """Set a param, or a setting of a field, to a number with a unit."""
 
     op: Literal["set"]
     name: NameText
@@ -91,7 +91,7 @@ LineList = Literal["notes", "edits"]
 
 
 class DraftLine(_RequestModel):
-    """Check a note or an edit, and with `apply` add it. `agents`: the value of the verb. `values`: the values of the other
+    """Check a note or an edit, and add it if `apply` is true. `agents`: the value of the verb. `values`: the values of the other
     keys."""
 
     op: Literal["direct"]
@@ -103,7 +103,7 @@ class DraftLine(_RequestModel):
 
 
 class SwitchLine(_RequestModel):
-    """Switch a note or an edit that pages added on or off, or remove it."""
+    """Switch a note or an edit on or off, or remove it. Only lines that were added on pages can be switched."""
 
     op: Literal["line"]
     list: LineList
@@ -112,7 +112,7 @@ class SwitchLine(_RequestModel):
 
 
 class Settle(_RequestModel):
-    """Simulate the agents again that edits affect, in all simulated frames. `on`: if false, stop this, and remove the result."""
+    """Simulate again the agents that edits affect, in all simulated frames. `on`: if false, stop this and remove its result."""
 
     op: Literal["settle"]
     on: bool
@@ -145,13 +145,13 @@ class AgentRef(_RequestModel):
 
 
 class SetDisplay(_RequestModel):
-    """Set all that a page displays in addition to the agents. A new request replaces the previous one.
+    """Set everything that a page displays in addition to the agents. Each request replaces the previous one.
 
     `columns`, `fields`, `flows`: the names of the columns, fields and flows to display.
     `solids`: whether solids are displayed.
-    `follow`: the followed agent.
-    `planned`: the agents with displayed future paths; None for none. An empty tuple means all agents, if there are at most
-    300."""
+    `follow`: the agent of which feelers are displayed.
+    `planned`: the agents of which planned paths are displayed; None for no agents. An empty tuple means all agents, if there are
+    at most 300."""
 
     op: Literal["look"]
     columns: tuple[ColumnRef, ...] = Field((), max_length=64)
@@ -163,7 +163,7 @@ class SetDisplay(_RequestModel):
 
 
 class Explain(_RequestModel):
-    """Request why an agent acted as it did in the step to a frame."""
+    """Ask why an agent acted as it did in the step that leads to `frame`."""
 
     op: Literal["explain"]
     species: NameText
@@ -172,7 +172,7 @@ class Explain(_RequestModel):
 
 
 class StateBreak(_RequestModel):
-    """A breakpoint on entering a state."""
+    """A breakpoint that is hit when an agent enters a state."""
 
     kind: Literal["state"]
     species: NameText
@@ -181,21 +181,21 @@ class StateBreak(_RequestModel):
 
 
 class ConditionBreak(_RequestModel):
-    """A breakpoint on a condition. `text`: the condition in the language of specs."""
+    """A breakpoint that is hit when a condition becomes true. `text`: the condition in the language of specs."""
 
     kind: Literal["condition"]
     text: NonEmptyText
 
 
 class SpecBreak(_RequestModel):
-    """A breakpoint on a failing spec."""
+    """A breakpoint that is hit when a spec fails."""
 
     kind: Literal["spec"]
     spec: NameText
 
 
 class FaultBreak(_RequestModel):
-    """A breakpoint on a fault of any agent."""
+    """A breakpoint that is hit when any agent has a fault."""
 
     kind: Literal["fault"]
 
@@ -204,7 +204,7 @@ AnyBreak = Annotated[StateBreak | ConditionBreak | SpecBreak | FaultBreak, Field
 
 
 class SetBreakpoints(_RequestModel):
-    """Replace all breakpoints. `tried`: one more breakpoint, which is added only if it matches the program."""
+    """Replace all breakpoints. `tried`: an additional breakpoint, which is added only if it matches the program."""
 
     op: Literal["breaks"]
     breaks: tuple[AnyBreak, ...] = Field((), max_length=64)
@@ -212,7 +212,7 @@ class SetBreakpoints(_RequestModel):
 
 
 class SwitchProfile(_RequestModel):
-    """Start or stop the messages with the costs of steps."""
+    """Start or stop the messages about the costs of steps."""
 
     op: Literal["profile"]
     on: bool

@@ -1,6 +1,7 @@
-"""A running scene with its history. It advances, goes back to any simulated frame, and accepts edits at any of them.
+"""A running scene with its history. It can advance, go back to any simulated frame, and accept edits at any of these.
 
-Going back simulates again from the nearest checkpoint, with identical bits. A change at an earlier frame starts a branch."""
+To go back, frames are simulated again from the nearest checkpoint, with identical bits. A change at an earlier frame starts a
+branch."""
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ _RESTARTED_TEXT = "simulated again from the first frame"
 
 
 class PreviewSession:
-    """A running scene with its history. Create one with `PreviewSession.open`."""
+    """A running scene with its history. `PreviewSession.open` creates one."""
 
     world: World  # read-only for callers
 
@@ -72,7 +73,7 @@ class PreviewSession:
 
         `checkpoint_interval`: frames between checkpoints.
         `budget`: bytes of memory for all stored data.
-        `compiler`: a compiler that has opened this scene before."""
+        `compiler`: an existing compiler of this scene; by default a new one."""
         session = cls(compiler or SceneCompiler(scene), options or Options(), Timeline(checkpoint_interval, budget))
         report = session._restart_from_first_frame(choices or RunChoices(), {}).report
         return (session if report.ok else None), report
@@ -86,7 +87,7 @@ class PreviewSession:
 
     @property
     def disabled_layers(self) -> DisabledLayers:
-        """Return the layers that are off, by species and text, with the file of each."""
+        """Return the layers that are switched off: the file of each, by species and layer text."""
         return self._current_stretch.disabled_layers
 
     @property
@@ -96,12 +97,12 @@ class PreviewSession:
 
     @property
     def first_frame(self) -> int:
-        """Return the first frame that is still stored."""
+        """Return the number of the first frame that is still stored."""
         return self.timeline.stretches[0].first
 
     @property
     def last_frame(self) -> int:
-        """Return the last frame that was simulated."""
+        """Return the number of the last simulated frame."""
         return self.timeline.last_frame
 
     @property
@@ -111,20 +112,18 @@ class PreviewSession:
 
     @property
     def is_edited(self) -> bool:
-        """Return whether the session differs from a fresh run.
-
-        It does after a change during the run that was not undone at the same frame."""
+        """Return whether a value or file changed during the run, except changes that were undone at the same frame."""
         return any(not stretch.is_fresh or stretch.param_changes for stretch in self.timeline.stretches)
 
     @property
     def choices(self) -> RunChoices:
-        """Return the values that were set by hand, as of this frame."""
+        """Return the values and notes that the user had set by this frame."""
         changed = {c.name: c.text for c in self._current_stretch.param_changes if c.frame <= self.frame}
         params = {**self._current_stretch.choices.params, **changed}
         return replace(self._current_stretch.choices, params=params, notes=list_active_lines(self.notes))
 
     def step(self) -> None:
-        """Advance by one frame: through the recorded history first, then by simulation. A fault only stops `playing`."""
+        """Advance by one frame: within the recorded history if possible, otherwise by simulation. A fault ends `playing` only."""
         self._simulate_step()
         later = self.timeline.find_next_stretch(self._current_stretch)
         if later is not None and later.first == self.frame:
@@ -132,7 +131,7 @@ class PreviewSession:
         self.timeline.store_frame(self._current_stretch, self.world)
 
     def seek(self, frame: int) -> None:
-        """Go to a frame that was simulated. Raises ValueError for any other frame, also for one that was dropped."""
+        """Go to a frame that was simulated. Raises ValueError if the frame was not simulated, or is no longer stored."""
         self._check_frame_is_stored(frame)
         if not self.is_ahead(frame):
             self._restore_checkpoint(self.timeline.find_stretch(frame), self.find_checkpoint_frame(frame))
@@ -140,12 +139,12 @@ class PreviewSession:
             self._simulate_step()
 
     def is_ahead(self, frame: int) -> bool:
-        """Return whether simulating from the current frame reaches a frame at least as fast as from any checkpoint."""
+        """Return whether simulating from the current frame reaches `frame` at least as fast as from any checkpoint."""
         stretch = self.timeline.find_stretch(frame)
         return stretch is self._current_stretch and find_nearest_checkpoint(stretch, frame) <= self.frame <= frame
 
     def find_checkpoint_frame(self, frame: int) -> int:
-        """Return the frame of the checkpoint from which a frame is simulated. Raises ValueError as `seek` does."""
+        """Return the frame of the checkpoint from which `frame` is simulated. Raises ValueError as `seek` does."""
         self._check_frame_is_stored(frame)
         return find_nearest_checkpoint(self.timeline.find_stretch(frame), frame)
 
@@ -154,7 +153,8 @@ class PreviewSession:
             raise ValueError(f"frame {frame} is not among those stored, {self.first_frame} to {self.last_frame}")
 
     def read_reduced_frame(self, frame: int) -> Mapping[str, Arrays] | None:
-        """Return the stored arrays of agents at a frame by species, without simulation; None if the frame was dropped."""
+        """Return the stored arrays of agents at a frame, by species; None if the frame is no longer stored. Nothing is
+        simulated."""
         return self.timeline.reduced_frames.get(frame)
 
     def _simulate_step(self) -> None:
@@ -176,13 +176,13 @@ class PreviewSession:
             self.meter.end(self.world)
 
     def set_measuring(self, is_on: bool) -> None:
-        """Start or stop measuring the time of each part of a step, in `meter`. Results do not change."""
+        """Start or stop measuring the time of each part of a step. The measurements are in `meter`; results do not change."""
         if self.meter is not None:
             self.meter.stop()
         self.meter = StepMeter() if is_on else None
 
     def _restore_checkpoint(self, stretch: SimulationSegment, frame: int) -> None:
-        """Restore a stretch at a checkpoint, in a new world without digging yet."""
+        """Replace the session's world by a new one with the state of a checkpoint of `stretch`."""
         world = stretch.restore_world(stretch.checkpoints[frame], self.options, self.compiler.binding_cache)
         world.watchers = self.world.watchers
         self._enter_world(world, stretch)
@@ -195,7 +195,7 @@ class PreviewSession:
     # --- edits ---------------------------------------------------------------------------------------------------------
 
     def reload(self) -> EditOutcome:
-        """Continue from the current frame with the current files. If they have errors, the last valid program continues."""
+        """Continue from the current frame with the current files. If these have errors, continue with the last valid program."""
         outcome = self._recompile_files(self.choices, self._current_stretch.disabled_layers)
         if outcome.is_successful or not (self.choices.params or self._current_stretch.disabled_layers or self.notes):
             return outcome
@@ -206,15 +206,15 @@ class PreviewSession:
         return replace(outcome, line=" · ".join([outcome.line, *dropped])) if outcome.is_successful else outcome
 
     def precompile(self) -> None:
-        """Compile the current files while they may still change, so that a reload finds the result. There is no other effect."""
+        """Compile the current files even if they may still change, so that a later reload is fast. There is no other effect."""
         instead = self.compiler.replacement_texts
         self.compiler.replacement_texts, _ = remove_disabled_layers(self._current_stretch.disabled_layers)
         self.compiler.precompile(self.choices)
         self.compiler.replacement_texts = instead
 
     def set_value(self, name: str, value: str) -> EditOutcome:
-        """Set a param, or a setting of a field, to a number with its unit. `text` of the result is the line for the scene.
-        `text` of the result is the scene's line for it."""
+        """Set a param, or a setting of a field, to a number with a unit. The `text` of the outcome is the line to write into the
+        scene."""
         text, did = f"set: {{{name}: {value}}}", f"`{name}` is {value}"
         quantity, report = parse_param(self.shot, name, value)
         if quantity is None:
@@ -247,9 +247,9 @@ class PreviewSession:
         )
 
     def switch_layer(self, species: str, layer: str, is_on: bool) -> EditOutcome:
-        """Switch a layer of a species off or on again. The layer is identified by its text.
+        """Switch a layer of a species on or off. The layer is identified by its text.
 
-        `text` of the result is the layer's lines, commented out."""
+        The `text` of the outcome has the lines of the layer as comments."""
         key, off = (species, layer), dict(self._current_stretch.disabled_layers)
         if is_on:
             if off.pop(key, None) is None:
@@ -264,8 +264,8 @@ class PreviewSession:
         return self._recompile_files(self.choices, off, text, f"layer `{shorten_text(layer)}` is off")
 
     def replace_notes(self, notes: HandNotes, description: str, text: str = "") -> EditOutcome:
-        """Replace the notes by hand. The session goes back to the last frame that the change does not affect, and continues from
-        there with the current files and values. `description`, `text`: the values of the outcome with these names."""
+        """Replace the notes that users added. The session goes back to the last frame that this change does not affect. It
+        continues from there with the current files and values. `description`, `text`: the outcome's values of the same names."""
         frame = find_last_unaffected_frame(self.notes, notes)
         choices, layers = replace(self.choices, notes=list_active_lines(notes)), self._current_stretch.disabled_layers
         if frame == inf:
@@ -278,13 +278,13 @@ class PreviewSession:
         return outcome
 
     def _lacks_notes(self) -> bool:
-        """Return whether the current stretch was simulated without some of the notes, which begin later."""
+        """Return whether the current segment was simulated without some of the notes, which begin at later frames."""
         return self._current_stretch.choices.notes != list_active_lines(self.notes)
 
     def restart(self) -> EditOutcome:
-        """Simulate the current files from the first frame, with the settings made by hand.
+        """Simulate the current files from the first frame on, with the settings that the user has made.
 
-        Its state hashes equal those of `antdsl run` with these settings in the files."""
+        The state hashes equal those of `antdsl run` on files that contain these settings."""
         return self._restart_from_first_frame(self.choices, self._current_stretch.disabled_layers)
 
     def _restart_from_first_frame(self, choices: RunChoices, disabled_layers: DisabledLayers) -> EditOutcome:
@@ -304,8 +304,8 @@ class PreviewSession:
         return EditOutcome(report, f"{len(self.world):,} agents from frame {self.frame}", description=_RESTARTED_TEXT)
 
     def _compile(self, choices: RunChoices, disabled_layers: DisabledLayers) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
-        """Return the shot of the files with these choices (None after errors), its report, and the layers that no longer
-        exist."""
+        """Return the shot of the files with these choices, its report, and the disabled layers that no longer exist. The shot is
+        None if there are errors."""
         previous_texts = self.compiler.replacement_texts
         self.compiler.replacement_texts, missing_layers = remove_disabled_layers(disabled_layers)
         shot, report = self.compiler.open(choices)
@@ -321,8 +321,8 @@ class PreviewSession:
         description: str | None = None,
         first: int | None = None,
     ) -> EditOutcome:
-        """Continue with the current files and other choices. `description`: describes the edit; None for changed files. `first`:
-        a stored frame from which to continue instead of the current one."""
+        """Continue with the current files and changed choices. `description`: describes the change; None if files changed.
+        `first`: the stored frame from which to continue; by default the current one."""
         saved, own_notes = description is None, self._current_stretch.choices.notes
         compiled = replace(choices, notes=own_notes) if saved and set(own_notes) <= set(choices.notes) else choices
         shot, report, missing_layers = self._compile(compiled, disabled_layers)
@@ -365,8 +365,8 @@ class PreviewSession:
         return EditOutcome(report, line, text, description)
 
     def _drop_undone_edit(self) -> str:
-        """Drop the later frames of an undone edit if the files are again as they were at this frame. Return the edit's
-        description."""
+        """Drop later frames that an edit has changed and that are obsolete now, because the edit was undone. Return the reason
+        as text, or "" if nothing was dropped."""
         later = [
             each
             for each in self.timeline.stretches
@@ -379,7 +379,8 @@ class PreviewSession:
         return line
 
     def _drop_unknown_choices(self, choices: RunChoices, disabled_layers: DisabledLayers) -> tuple[RunChoices, list[str]]:
-        """Return the choices without the values and notes that the current files cannot use, and a text for each of them."""
+        """Return the choices without values and notes that the current files cannot use, and a text about each of those
+        removed."""
         shot, report, _ = self._compile(replace(choices, params={}, notes=()), disabled_layers)
         if shot is None or not report.ok:
             return choices, []
@@ -392,8 +393,8 @@ class PreviewSession:
 
 
 def _has_same_files(a: Shot, b: Shot) -> bool:
-    """Return whether two shots were compiled from the same files, without regard to values and notes by hand. Only shots with
-    notes have all cameras among their inputs."""
+    """Return whether two shots were compiled from the same files. Values and notes that the user set are ignored. A camera is
+    compared only if both shots list it, because only shots with notes list all cameras."""
     names = (a.inputs.keys() | b.inputs.keys()) - {n for shot in (a, b) for n in shot.inputs if n.startswith("--")}
     common = a.inputs.keys() & b.inputs.keys()
     return all(a.inputs.get(n) == b.inputs.get(n) for n in names if n in common or not n.startswith("camera "))

@@ -1,7 +1,7 @@
-"""The simulated history: stretches of time, each simulated by one program.
+"""The simulated history. It consists of segments ("stretches" of time), each simulated by one program.
 
-Stretches have checkpoints to restore, and reduced frames to display. A reduced frame has only some of the arrays that pages
-display."""
+Segments have checkpoints from which to continue, and reduced frames to display. A reduced frame has only some of the arrays that
+pages display."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ _MAX_STOP_REASONS = 256
 
 
 class ReducedFrames(dict[int, Mapping[str, Arrays]]):
-    """Reduced frames by frame and species. `nbytes`: bytes of all arrays; an array that several frames share counts once."""
+    """Reduced frames, by frame and species. `nbytes`: the size of all arrays in bytes. An array that several frames share counts
+    once."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -43,7 +44,7 @@ class ReducedFrames(dict[int, Mapping[str, Arrays]]):
             self._use_count_by_array[id(array)] += 1
 
     def drop_frame(self, frame: int) -> None:
-        """Remove a frame. Arrays that other frames share still count."""
+        """Remove a frame. Arrays that other frames share still count in `nbytes`."""
         for array in chain.from_iterable(light.values() for light in self.pop(frame, {}).values()):
             self._use_count_by_array[id(array)] -= 1
             if not self._use_count_by_array[id(array)]:
@@ -53,16 +54,16 @@ class ReducedFrames(dict[int, Mapping[str, Arrays]]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeciesPoses:
-    """The poses of agents of one species at a frame, as sent to pages.
+    """The poses of the agents of one species at a frame, as sent to pages.
 
-    `arrays`: by name. They are valid only for the body and the clips of `outfit`."""
+    `arrays`: the arrays by name. They are valid only for the body and the clips of `outfit`."""
 
     outfit: object
     arrays: Arrays
 
 
 class StoredPoses(dict[int, Mapping[str, SpeciesPoses]]):
-    """Poses of bodies by frame and species. `nbytes`: total bytes."""
+    """Poses of bodies, by frame and species. `nbytes`: the size of all arrays in bytes."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -81,8 +82,8 @@ class StoredPoses(dict[int, Mapping[str, SpeciesPoses]]):
 
 @dataclass(frozen=True, slots=True)
 class ParamChange:
-    """A new value of a param from a frame on. `text`: as written. `value`: in base units. `previous_value`: the previous
-    value."""
+    """A change of a param at a frame. `text`: the new value as the user wrote it. `value`, `previous_value`: the new and the
+    previous value in base units."""
 
     frame: int
     name: str
@@ -93,13 +94,13 @@ class ParamChange:
 
 @dataclass(slots=True, eq=False)
 class SimulationSegment:
-    """The frames from `first` on that one shot simulated.
+    """A segment of history: the frames from `first` on that one shot simulated.
 
-    `reason`: the reason for the stretch.
-    `choices`, `disabled_layers`: the settings made by hand when it began. `disabled_layers` has the file of each layer by species
-    and text.
-    `param_changes`: params that were set during the stretch.
-    `is_fresh`: whether everything up to its first frame is as in a run without edits."""
+    `reason`: why the segment was started.
+    `choices`, `disabled_layers`: the settings that the user had made when it began. `disabled_layers` maps species and layer
+    text to the layer's file.
+    `param_changes`: params that were set during the segment.
+    `is_fresh`: whether its first frame equals that of a run without edits."""
 
     shot: Shot
     first: int
@@ -114,10 +115,10 @@ class SimulationSegment:
     _state_before_edit: tuple[object, str] | None = None
 
     def replace(self, previous_stretch: SimulationSegment, old_world: World, world: World) -> None:
-        """Replace the stretch `previous_stretch` at the frame of the world `old_world` by this stretch.
+        """Take over from the segment `previous_stretch` at the frame of its world `old_world`.
 
-        `world` was made from `old_world`. This stretch still counts as a fresh run if an edit was undone at its own frame and no
-        state was lost."""
+        `world`: the world of this segment, made from `old_world`. This segment counts as a fresh run if an edit was undone at
+        the frame at which it was made, and no state was lost."""
         if previous_stretch.first == old_world.frame and previous_stretch._state_before_edit is not None:
             self._state_before_edit = previous_stretch._state_before_edit
         elif previous_stretch.is_fresh and not previous_stretch.param_changes:
@@ -126,11 +127,11 @@ class SimulationSegment:
         self.is_fresh = same and self._state_before_edit == (self._list_source_texts(), state_hash(world))
 
     def _list_source_texts(self) -> object:
-        """Return the inputs of the shot and the disabled layers, to compare them with those of another stretch."""
+        """Return the sources of the shot and the disabled layers, for comparison with those of another segment."""
         return dict(self.shot.inputs), frozenset(self.disabled_layers)
 
     def change_param(self, world: World, name: str, text: str, value: float) -> None:
-        """Set a param from the world's frame on. If a value is set and reset at the same frame, no change is stored."""
+        """Set a param from the world's frame on. A value that is set and reset at the same frame is not recorded."""
         current_changes = [each for each in self.param_changes if (each.frame, each.name) == (world.frame, name)]
         was = current_changes[0].previous_value if current_changes else float(world.params[name])
         self.param_changes = [each for each in self.param_changes if each not in current_changes]
@@ -139,13 +140,13 @@ class SimulationSegment:
         set_param(world, name, value)
 
     def restore_world(self, arrays: Arrays, options: Options, binding_cache: BindingCache) -> World:
-        """Return a separate world with the state of a checkpoint."""
+        """Return a new world with the state of a checkpoint. `arrays`: the arrays of the checkpoint."""
         world = bind_empty(self.shot.plan, self.shot.setting, options, binding_cache=binding_cache, origin=self.origin)
         restore_checkpoint(world, arrays)
         return world
 
     def apply_param_changes(self, world: World) -> None:
-        """Set the params of a world that change at its frame."""
+        """Apply the recorded param changes of the world's frame to the world."""
         for change in self.param_changes:
             if change.frame == world.frame:
                 set_param(world, change.name, change.value)
@@ -153,7 +154,7 @@ class SimulationSegment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimelineBranch:
-    """The history that was replaced from frame `first` on, and the `reason`. Its curves are displayed next to the new ones."""
+    """The history from frame `first` on that was replaced, and the `reason`. Its curves are displayed next to the new ones."""
 
     first: int
     reason: str
@@ -161,15 +162,15 @@ class TimelineBranch:
 
 
 class Timeline:
-    """Stretches in order of time, with a checkpoint every `every` frames.
+    """The segments of a session's history, in order of time, with a checkpoint every `every` frames.
 
     If the data exceeds `max_bytes` bytes, parts are dropped in this order:
     - poses of the oldest frames, until poses take an eighth
     - the oldest reduced frames, until they take a quarter
     - checkpoints between others, where they are closest
-    - complete stretches, oldest first
+    - complete segments, oldest first
 
-    `curves`: the last 50,000 frames, in order. `branches`: the last 8.
+    `curves`: the curves of the last 50,000 frames, in order. `branches`: the last 8 branches.
     `stop_reasons`: the last 256 frames at which play was stopped, with the reason."""
 
     def __init__(self, checkpoint_interval: int, budget: int) -> None:
@@ -185,25 +186,25 @@ class Timeline:
 
     @property
     def last_frame(self) -> int:
-        """Return the last frame that was simulated."""
+        """Return the number of the last simulated frame."""
         return next(reversed(self.curves), self.stretches[-1].first if self.stretches else 0)
 
     @property
     def nbytes(self) -> int:
-        """Return the bytes of all stored data except curves."""
+        """Return the size in bytes of all stored data except curves."""
         return self._checkpoint_bytes + self.reduced_frames.nbytes + self.poses.nbytes
 
     def find_stretch(self, frame: int) -> SimulationSegment:
-        """Return the stretch that a frame belongs to. A frame at which two stretches meet belongs to the later one."""
+        """Return the segment that a frame belongs to. A frame at the boundary of two segments belongs to the later one."""
         return next(stretch for stretch in reversed(self.stretches) if stretch.first <= frame)
 
     def find_next_stretch(self, stretch: SimulationSegment) -> SimulationSegment | None:
-        """Return the stretch after another one, or None."""
+        """Return the segment that follows `stretch`, or None."""
         number = self.stretches.index(stretch) + 1
         return self.stretches[number] if number < len(self.stretches) else None
 
     def start_stretch(self, stretch: SimulationSegment, world: World) -> None:
-        """Continue with another stretch from its first frame. The old history from that frame on becomes a branch."""
+        """Continue with a new segment from its first frame on. The old history from this frame on becomes a branch."""
         self.drop_frames_after(stretch.first, stretch.reason)
         self.curves.pop(stretch.first, None)  # to be measured again
         for each in [each for each in self.stretches if each.first == stretch.first]:
@@ -212,7 +213,7 @@ class Timeline:
         self.store_frame(stretch, world)
 
     def drop_frames_after(self, frame: int, line: str) -> None:
-        """Drop everything after a frame except its curves."""
+        """Drop all data of frames after `frame`, except curves, which become a branch. `line`: the reason for the branch."""
         self.version += 1
         old = {each: values for each, values in self.curves.items() if each > frame}
         if old:
@@ -231,7 +232,7 @@ class Timeline:
             self.curves.setdefault(frame, {})  # the frame may be older than all existing ones
 
     def make_empty_successor(self, line: str) -> Timeline:
-        """Return an empty timeline. The old history becomes its branch if it has more than one frame."""
+        """Return an empty timeline. If the old history has more than one frame, it becomes a branch of the new timeline."""
         timeline = Timeline(self.every, self.max_bytes)
         timeline.branches = self.branches
         if len(self.curves) > 1:
@@ -239,7 +240,7 @@ class Timeline:
         return timeline
 
     def mark_stop(self, frame: int, reason: str) -> None:
-        """Mark a frame as one at which play was stopped."""
+        """Record that play was stopped at a frame, with the reason."""
         self.stop_reasons.pop(frame, None)
         self.stop_reasons[frame] = reason
         while len(self.stop_reasons) > _MAX_STOP_REASONS:
@@ -249,7 +250,7 @@ class Timeline:
         self.branches = [*self.branches[1 - _MAX_BRANCHES :], branch]
 
     def store_frame(self, stretch: SimulationSegment, world: World) -> None:
-        """Store the state of a world at its frame. A frame is stored once, even if it is simulated again."""
+        """Store the state of a world at its frame. A frame that is simulated again is not stored again."""
         frame = world.frame
         fresh = not self.curves or frame > self.last_frame
         if fresh:
@@ -282,7 +283,8 @@ class Timeline:
             pass
 
     def _drop_least_useful(self, current: SimulationSegment) -> bool:
-        """Drop the least useful data. Return False if only one reduced frame and the first checkpoints of stretches are left."""
+        """Drop the least useful stored data. Return False if only one reduced frame and the first checkpoint of each segment are
+        left."""
         if self.poses.nbytes > _POSES_BUDGET_SHARE * self.max_bytes:
             self.poses.drop_frame(next(iter(self.poses)))
             return True
@@ -303,16 +305,15 @@ class Timeline:
 
 
 def _list_droppable_checkpoints(stretch: SimulationSegment) -> Iterator[tuple[bool, int, int, SimulationSegment]]:
-    """Yield the checkpoints of a stretch except the first. Each is a tuple of four values:
-
-    whether it is the last one, the longest simulation without it (in frames), its frame, and the stretch."""
+    """Yield the checkpoints of a segment except the first, each as a tuple. Its values are: whether it is the last checkpoint,
+    the longest simulation without it (in frames), its frame, and the segment."""
     frames = sorted(stretch.checkpoints)
     for previous_frame, frame, next_frame in zip(frames, frames[1:], [*frames[2:], None], strict=False):
         yield next_frame is None, (frame if next_frame is None else next_frame) - previous_frame, frame, stretch
 
 
 def count_agents(world: World) -> dict[str, float]:
-    """Return the numbers of agents by species and by state, and the totals of items, under their names in specs."""
+    """Return the number of agents by species and by state, and the totals of items, under the names that specs use for them."""
     values: dict[str, float] = {}
     for name, population in world.populations.items():
         values[name] = len(population)
@@ -329,5 +330,5 @@ def _count_bytes(arrays: Arrays) -> int:
 
 
 def find_nearest_checkpoint(stretch: SimulationSegment, frame: int) -> int:
-    """Return the last frame of the stretch with a checkpoint, at or before `frame`."""
+    """Return the frame of the segment's last checkpoint at or before `frame`."""
     return max(each for each in stretch.checkpoints if each <= frame)

@@ -1,4 +1,4 @@
-"""Breakpoints pause the session when their condition is met. `WATCHER_BY_BREAK_KIND` lists all kinds."""
+"""Breakpoints, which pause the session when their condition is met. `WATCHER_BY_BREAK_KIND` lists all kinds."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ WATCHER_BY_BREAK_KIND: Mapping[type, Callable[[PreviewSession, Any, SpecObserver
 class Breakpoint:
     """A breakpoint that a page requested.
 
-    `watcher`: checks each frame; None while the breakpoint does not match the program. `error`: the reason why it does not
+    `watcher`: the object that checks each frame; None while the breakpoint does not match the program. `error`: why it does not
     match."""
 
     request: AnyBreak
@@ -38,7 +38,7 @@ class Breakpoint:
 
 
 def describe_breakpoint(request: AnyBreak) -> str:
-    """Return a breakpoint in an artist's words."""
+    """Return a description of a breakpoint in terms that artists use."""
     match request:
         case StateBreak():
             return f"{request.species} enters {request.state}"
@@ -52,8 +52,8 @@ def describe_breakpoint(request: AnyBreak) -> str:
 class BreakpointObserver:
     """Checks the breakpoints after each played step.
 
-    `send_message`: receives a message for each breakpoint that does not match the program. When breakpoints are built again, it
-    receives a message with all of them."""
+    `send_message`: called with a message for each breakpoint that does not match the program, and with one that lists all
+    breakpoints whenever they are rebuilt."""
 
     def __init__(self, specs: SpecObserver, send_message: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
         self.specs, self.send_message = specs, send_message
@@ -62,8 +62,8 @@ class BreakpointObserver:
         self._last_seen: tuple[World, int] | None = None  # the last world and frame that the watchers received
 
     def set_breakpoints(self, session: PreviewSession, requests: Sequence[AnyBreak], candidate: AnyBreak | None = None) -> None:
-        """Replace all breakpoints. `candidate`: an additional one. Raises BreakpointError if `candidate` does not match the
-        program; then nothing changes."""
+        """Replace all breakpoints by `requests` and, if given, `candidate`. Raises BreakpointError, and changes nothing, if
+        `candidate` does not match the program."""
         if candidate is not None and candidate not in requests:
             WATCHER_BY_BREAK_KIND[type(candidate)](session, candidate, self.specs)
             requests = [*requests, candidate]
@@ -73,17 +73,18 @@ class BreakpointObserver:
         self._make_watchers(session)
 
     def make_message(self) -> dict[str, Any]:
-        """Return the message with all breakpoints, each with the reason why it does not match the program, or ""."""
+        """Return the message that lists all breakpoints. Each has the reason why it does not match the program, or "" if it
+        does."""
         reasons = [(each.request.model_dump(), _describe_reason(each.error)) for each in self.breakpoints]
         return {"op": "breaks", "breaks": [{"made": ask_fields, "why": why} for ask_fields, why in reasons]}
 
     def on_new_world(self, session: PreviewSession) -> None:
-        """Build the breakpoints again for another program, so that those that do not match are reported at once."""
+        """Rebuild the breakpoints for the new program, so that those that do not match it are reported at once."""
         if self.breakpoints and session.shot is not self._shot and session.frame == session.last_frame:
             self._make_watchers(session)
 
     def before_step(self, session: PreviewSession) -> None:
-        """Let the watchers record the current frame if they have not received it yet."""
+        """Let the watchers record the current frame, unless they have already received it."""
         if self.breakpoints and not self._has_seen_frame(session):
             if session.shot is not self._shot:
                 self._make_watchers(session)
@@ -93,7 +94,7 @@ class BreakpointObserver:
             self._last_seen = session.world, session.frame
 
     def after_step(self, session: PreviewSession) -> PauseReason | None:
-        """Return the reasons of all breakpoints that were hit, joined, or None."""
+        """Return the joined reasons of all breakpoints that the step hit, or None if it hit none."""
         if not self.breakpoints or self._last_seen is None or session.world is not self._last_seen[0]:
             return None  # there are no watchers, or the step led into another program, which is checked before the next step
         looked = [each.watcher.check_frame(session) for each in self.breakpoints if each.watcher is not None]
@@ -109,7 +110,7 @@ class BreakpointObserver:
         return self._last_seen is not None and self._last_seen[0] is session.world and self._last_seen[1] == session.frame
 
     def _make_watchers(self, session: PreviewSession) -> None:
-        """Build the watchers for the session's program, and report breakpoints that do not match it."""
+        """Build the watchers for the session's program, and report the breakpoints that do not match it."""
         self._shot, self._last_seen = session.shot, None
         for each in self.breakpoints:
             try:

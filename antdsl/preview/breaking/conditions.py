@@ -1,6 +1,6 @@
-"""Breakpoints for a condition that becomes true. The condition is in the language of specs.
+"""Breakpoints on a condition, written in the language of specs, that becomes true.
 
-It is about the complete world, or about each agent of a species (`each SPECIES: …`)."""
+The condition is about the world as a whole, or about each agent of a species (`each SPECIES: …`)."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from antdsl.specs.value_text import format_value
 
 
 class ConditionWatcher:
-    """A breakpoint that is hit when its condition holds but did not hold at the previous frame.
+    """A breakpoint that is hit when its condition becomes true: it holds now and did not hold in the previous frame.
 
-    A condition about each agent is evaluated per agent, and the hit names the agents."""
+    A condition about each agent is evaluated for each agent, and the hit names the agents for which it became true."""
 
     def __init__(self, session: PreviewSession, request: ConditionBreak) -> None:
         self.text = " ".join(request.text.split())
@@ -76,7 +76,7 @@ class ConditionWatcher:
 
 
 def compile_break_condition(shot: Shot, text: str) -> SpecPlan:
-    """Return the plan that evaluates a condition. Raises BreakpointError with the first error in the text."""
+    """Return the plan that evaluates a condition. Raises BreakpointError with the first error in `text`."""
     try:
         return compile_condition(shot.loaded, shot.plan, text)
     except ConditionError as error:

@@ -1,4 +1,4 @@
-"""The interface of breakpoints. A waiting breakpoint receives the frame at which it begins, then every following frame."""
+"""The interface of breakpoints. A watcher first receives the frame at which it starts, then every following frame."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from antdsl.preview.session import PreviewSession
 
 
 class BreakpointError(Exception):
-    """Error for a breakpoint that cannot be hit in this program. The message has the reason and a correction."""
+    """Error for a breakpoint that this program can never hit. The message gives the reason and suggests a correction."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -17,11 +17,11 @@ class BreakpointError(Exception):
 
 
 class BreakpointWatcher(Protocol):
-    """An active breakpoint of one program. Its checks change nothing."""
+    """An active breakpoint of one program. Checking it does not change the simulation."""
 
     def begin(self, session: PreviewSession) -> None:
-        """Record whether the condition holds at this frame. Only a later change from false to true is a hit."""
+        """Record whether the condition holds at the session's current frame. Only a later change from false to true is a hit."""
 
     def check_frame(self, session: PreviewSession) -> PauseReason | None:
-        """Return the reason to pause at this frame, or None. Frames arrive in order: each directly follows the frame of the
-        previous call."""
+        """Return the reason to pause at the session's current frame, or None. Call this once per frame, in order, without
+        gaps."""

@@ -1,4 +1,4 @@
-"""Breakpoints at three events: an agent enters a state, a spec fails, or an agent has a fault."""
+"""Breakpoints on three events: an agent enters a state, a spec fails, or an agent has a fault."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAX_SELECTED_AGENTS = 500  # maximum number of agents that a page selects
 class StateWatcher:
     """A breakpoint that is hit when an agent enters a state.
 
-    Birth in the state and a change from the state to itself do not count."""
+    Agents that are born in the state, or change from the state to itself, do not count."""
 
     def __init__(self, session: PreviewSession, request: StateBreak) -> None:
         plan = session.shot.plan.species.get(request.species)
@@ -52,7 +52,7 @@ class StateWatcher:
 
 
 def format_agents(species: str, ids: tuple[int, ...]) -> str:
-    """Return a text for agents of a species, with the ids of the first few."""
+    """Return a text that names agents of one species by their ids. Only the first few ids are listed."""
     words = f"{species} {', '.join(map(str, ids[:_MAX_NAMED_AGENTS]))}"
     return f"{words} and {len(ids) - _MAX_NAMED_AGENTS} more" if len(ids) > _MAX_NAMED_AGENTS else words
 
@@ -64,7 +64,7 @@ def _make_unknown_name_error(noun: str, name: str, known_names: list[str]) -> Br
 
 
 class SpecWatcher:
-    """A breakpoint that is hit at the first frame at which a spec fails."""
+    """A breakpoint that is hit at the first frame in which a spec fails."""
 
     def __init__(self, session: PreviewSession, request: SpecBreak, specs: SpecObserver) -> None:
         known = dict(specs.plan_specs(session.shot, session.compiler.scene))
@@ -80,7 +80,7 @@ class SpecWatcher:
         self.ask, self.specs = request, specs
 
     def begin(self, session: PreviewSession) -> None:
-        """Do nothing: the curve of the spec has its earlier results."""
+        """Do nothing: earlier results of the spec are read from its curve."""
 
     def check_frame(self, session: PreviewSession) -> PauseReason | None:
         frame, curves, key = session.frame, session.timeline.curves, CURVE_NAME_PREFIX + self.ask.spec
@@ -95,13 +95,13 @@ class SpecWatcher:
 
 
 class FaultWatcher:
-    """A breakpoint that is hit when an agent has a fault, even if the run would only quarantine the agent."""
+    """A breakpoint that is hit when an agent has a fault, even if the run would continue with this agent in quarantine."""
 
     def __init__(self, session: PreviewSession, request: FaultBreak) -> None:
         self.ask = request
 
     def begin(self, session: PreviewSession) -> None:
-        """Do nothing: each step has its own faults."""
+        """Do nothing: the faults of each step are recorded with the step."""
 
     def check_frame(self, session: PreviewSession) -> PauseReason | None:
         fault = session.world.faults.fault_of_step

@@ -1,4 +1,4 @@
-"""The edits that pages added, and the simulated frames with them. The run itself does not change."""
+"""The edits that users added on pages, and the simulated frames with these edits applied. The run itself does not change."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ _EDITS_TEXT_PREFIX = f"{EDITS_KEY}:\n  - "
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandEdit:
-    """An edit that a page added.
+    """An edit that a user added on a page.
 
-    `key`: identifies it for pages. `text`: its line. `is_on`: whether it is displayed. `problem`: the reason why it was switched
-    off."""
+    `key`: identifies the edit for pages. `text`: its line. `is_on`: whether it is applied to displayed frames. `problem`: why it
+    was switched off automatically."""
 
     key: int
     text: str
@@ -52,7 +52,7 @@ HandEdits = tuple[HandEdit, ...]
 
 
 class _ViewKey(NamedTuple):
-    """The inputs of a view of the frames: a view is made again if one of them changes.
+    """The inputs of a view of the frames. If one of them changes, the view must be made again.
 
     `history`: the timeline and its version. `next_ids`: by species, the first id that no agent has."""
 
@@ -64,9 +64,9 @@ class _ViewKey(NamedTuple):
 
 
 class EditedRunView:
-    """The simulated frames of a session with edits. `version` increases when the displayed frames may have changed.
+    """The simulated frames of a session with edits applied. `version` increases whenever the displayed frames may have changed.
 
-    `problem`: the reason why the last frame could not be displayed with edits."""
+    `problem`: why the edits could not be applied to the last requested frame."""
 
     def __init__(self, session: PreviewSession) -> None:
         self.session = session
@@ -79,7 +79,8 @@ class EditedRunView:
         self._settled: tuple[object, SettledFrames] | None = None  # with the inputs of the frames, of `describe_inputs`
 
     def check_line(self, form: VerbForm, agents: str, values: Mapping[str, str]) -> tuple[LineDraft, bool]:
-        """Return a line with these texts, checked against the simulated frames, and whether it is free of errors."""
+        """Return the draft of an edit, checked against the simulated frames, and whether it has no errors. `agents`: the value
+        of the verb, which selects agents. `values`: texts of the other keys."""
         draft = write_draft(form, agents, values)
         manifest = self._read_frames().manifest
         edits, report = _read_line(draft.text, manifest)
@@ -96,9 +97,9 @@ class EditedRunView:
         return draft, draft.report.ok and not draft.missing
 
     def list_joints(self, agents: str) -> list[str]:
-        """Return the joints of the bodies of the selected agents in the session's frame, for the value of `offset`.
-
-        `agents`: a selector as in a line. Empty without agents, and if the text or the frame has an error."""
+        """Return the names of the joints in the bodies of the selected agents at the session's frame, as choices for the key
+        `offset`. `agents`: a selector as in a scene. The list is empty if no agents are selected, or if the selector or the
+        frame has an error."""
         view = self.find_view()
         frames: Cache = self._read_frames() if view is None else view
         edits, _ = _read_line(f"{{{OffsetLine.verb}: {agents}, joint: head, by: [0, 0, 0]}}", frames.manifest)
@@ -118,7 +119,7 @@ class EditedRunView:
         return list(names)
 
     def replace_edits(self, edits: HandEdits, frame: int) -> str:
-        """Replace the edits. Return the reason why they cannot be applied to a frame; then nothing changes. Empty on success."""
+        """Replace all edits. Return "" on success. If they cannot be applied to `frame`, return the reason and change nothing."""
         if any(each.is_on for each in edits):
             try:
                 self._apply_edits(edits).frame(frame)
@@ -129,33 +130,37 @@ class EditedRunView:
         return ""
 
     def describe_inputs(self) -> object:
-        """Return the inputs of the frames with edits. Agents that were simulated again fit the frames with equal inputs."""
+        """Return a value that identifies the inputs of the edited frames. Settled agents remain valid while this value is
+        equal."""
         timeline = self.session.timeline
         return timeline, timeline.version, tuple(each.text for each in self.edits if each.is_on)
 
     def open_frames_to_settle(self) -> tuple[EditedCache, Mapping[str, int], tuple[str, ...]]:
-        """Return the frames with edits, without agents that were simulated again, up to the last frame that exists now.
+        """Return three inputs for settling: the edited frames, the next free ids, and the names of the arrays of agents in
+        frames.
 
-        Also return the first id of each species that no agent has, and the names of the arrays of agents in frames. Raises
-        NotEditable, BodyError or CacheError with the reason if there are no such frames."""
+        The frames reach to the last simulated frame and do not contain settled agents. The next free ids are the first id of
+        each species that no agent has. Raises NotEditable, BodyError or CacheError with the reason if the frames cannot be
+        edited."""
         recorded = self._read_frames()
         frames = replace(recorded, last=self.session.last_frame)
         return self._apply_edits(self.edits, frames), self._find_next_ids(), list_attributes(recorded.shot)
 
     def store_settled_frames(self, inputs: object, settled: SettledFrames | None) -> None:
-        """Show agents that were simulated again, as long as the frames have these inputs (`describe_inputs`)."""
+        """Display agents that were simulated again, as long as `describe_inputs` still returns `inputs`. None removes these
+        agents."""
         self._settled = None if settled is None else (inputs, settled)
 
     @property
     def settled(self) -> SettledFrames | None:
-        """Return the agents that were simulated again, if they fit the frames."""
+        """Return the agents that were simulated again, or None if the frames have changed since then."""
         fits = self._settled is not None and self._settled[0] == self.describe_inputs()
         return self._settled[1] if fits and self._settled is not None else None
 
     def read_frame(self, number: int) -> tuple[EditedCache, Arrays] | None:
-        """Return the view with the edits, and the arrays of one of its frames. Return None without edits.
+        """Return the view of the edited frames, and the arrays of frame `number`. Return None if no edits are active.
 
-        Also return None if the frame cannot be displayed with them; then `problem` is the reason."""
+        Also return None if the edits cannot be applied to the frame; `problem` is then the reason."""
         self.problem = ""
         view = self.find_view()
         try:
@@ -165,9 +170,9 @@ class EditedRunView:
             return None
 
     def find_view(self) -> EditedCache | None:
-        """Return the simulated frames with the active edits; None without active edits.
+        """Return a view of the simulated frames with the active edits applied, or None if no edits are active.
 
-        Edits that no longer fit are switched off, with the reason."""
+        Edits that no longer match the frames are switched off, and their `problem` says why."""
         if not any(each.is_on for each in self.edits):
             return None
         timeline = self.session.timeline
@@ -181,7 +186,7 @@ class EditedRunView:
         return self._view
 
     def _switch_off_failed(self) -> None:
-        """Switch off the edits that the current programs or the edits above do not allow."""
+        """Switch off each edit that the current programs, or the edits before it, do not allow."""
         passed: list[HandEdit] = []
         for edit in self.edits:
             problem = ""
@@ -201,9 +206,8 @@ class EditedRunView:
     def _apply_edits(
         self, edits: Iterable[HandEdit], frames: RecordedFrames | None = None, settled: SettledFrames | None = None
     ) -> EditedCache:
-        """Return the frames with edits, and with agents that were simulated again. `frames`: by default all simulated frames.
-
-        Raises NotEditable, BodyError or CacheError with the reason."""
+        """Return the frames with edits applied, and with `settled` agents in place of the simulated ones. `frames`: by default
+        all. Raises NotEditable, BodyError or CacheError with the reason if the edits cannot be applied."""
         frames = frames or self._read_frames()
         placed: list[PlacedEdit] = []
         document: EditList | None = None
@@ -223,13 +227,13 @@ class EditedRunView:
         return apply_edits(frames, listed, EditInputs(ground, {**arrays, **packed}, caches, self._find_next_ids()))
 
     def _read_files(self, edits: EditList) -> tuple[Arrays, Mapping[str, Cache], Report]:
-        """Return the arrays of the meshes and bodies that edits name, the caches, and a report. Files are in the folder of the
-        scene or below it."""
+        """Return the arrays of meshes and bodies that edits name, the caches that they name, and a report. Files must be in the
+        folder of the scene or below it."""
         frames = self._read_frames()
         return read_edit_files(edits, frames.manifest, frames.folder)
 
     def _find_next_ids(self) -> dict[str, int]:
-        """Return by species the first id that no simulated agent has."""
+        """Return, by species, the first id that no simulated agent has."""
         known = self._view_key.next_ids if self._view_key is not None else {}
         lights = self.session.timeline.reduced_frames.values()
         counts = {}

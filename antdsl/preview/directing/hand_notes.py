@@ -1,4 +1,4 @@
-"""The notes that a page added to a running scene, and the frames that a change of them affects."""
+"""The notes that users added to a running scene on pages, and the frames that a change of these notes affects."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from antdsl.scene.notes.notes_model import Note
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandNote:
-    """A note that is not in the scene's file.
+    """A note that a user added on a page and that is not in the scene file.
 
-    `key`: identifies it for pages. `text`: its line. `is_on`: whether the run follows it. `problem`: the reason why it was
-    switched off."""
+    `key`: identifies the note for pages. `text`: its line. `is_on`: whether it applies to the run. `problem`: why it was
+    switched off automatically."""
 
     key: int
     text: str
@@ -30,25 +30,26 @@ HandNotes = tuple[HandNote, ...]
 
 
 def list_active_lines(notes: Iterable[HandNote]) -> tuple[str, ...]:
-    """Return the lines of the notes that the run follows."""
+    """Return the lines of the notes that apply to the run."""
     return tuple(note.text for note in notes if note.is_on)
 
 
 def find_last_unaffected_frame(old: HandNotes, new: HandNotes) -> float:
-    """Return the last frame that is equal under the old and the new notes; -inf if there is none, inf if all are equal."""
+    """Return the last frame that is the same with the old and the new notes. Return -inf if no frame is the same, and inf if all
+    are."""
     keys = [{note.key for note in notes if note.is_on} for notes in (old, new)]
     changed = [note.note for note in (*old, *new) if note.key in keys[0] ^ keys[1]]
     return min((note.first_frame - note.ease_frames - 1 for note in changed), default=inf)
 
 
 def drop_written_notes(notes: HandNotes, scene: Scene) -> HandNotes:
-    """Return the notes that the scene's file does not contain yet."""
+    """Return the notes without those that the scene file now contains."""
     written = scene.model.notes[: len(scene.model.notes) - scene.added_notes]
     return tuple(each for each in notes if each.note not in written)
 
 
 def switch_off_failed_notes(notes: HandNotes, report: Report) -> HandNotes:
-    """Return the notes, after switching off those with errors. `report`: the report of all active notes."""
+    """Return the notes, with those that have errors switched off. `report`: the findings about all active notes."""
     problems = {d.span.source.path: d.message for d in reversed(report.errors) if d.span is not None}
     active = [note for note in notes if note.is_on]
     failed = {note.key: problems[path] for k, note in enumerate(active) if (path := format_note_source(k)) in problems}
@@ -56,7 +57,7 @@ def switch_off_failed_notes(notes: HandNotes, report: Report) -> HandNotes:
 
 
 def describe_switched_notes(old: Sequence[HandNote], new: Sequence[HandNote]) -> list[str]:
-    """Return a text for each note that was active in `old` and is inactive or missing in `new`."""
+    """Return a text for each note that is active in `old` but inactive or missing in `new`."""
     later = {note.key: note for note in new}
     texts = []
     for note in old:

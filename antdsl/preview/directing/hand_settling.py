@@ -1,4 +1,5 @@
-"""Settles the simulated frames with the edits that pages added, in short parts between requests."""
+"""Settling of edited frames, which simulates the agents that edits affect again. The work is done in short parts between
+requests."""
 
 from __future__ import annotations
 
@@ -19,9 +20,9 @@ _CHANGED_TEXT = "the edits or the frames have changed: settle again"
 
 
 class HandSettling:
-    """Simulates the agents of a session again that edits affect.
+    """Simulates again the agents of a session that edits affect.
 
-    `is_running`: whether there is work to do. `report`: the progress or the result, for pages, line by line."""
+    `is_running`: whether there is work left. `report`: lines of text for pages about the progress or the result."""
 
     def __init__(self, edited: EditedRunView) -> None:
         self.edited = edited
@@ -35,17 +36,17 @@ class HandSettling:
 
     @property
     def report(self) -> tuple[str, ...]:
-        """Return the progress or the result. It ends when the edits or the frames change."""
+        """Return lines of text about the progress or the result; none after the edits or the frames have changed."""
         is_outdated = bool(self._report) and self._inputs != self.edited.describe_inputs()
         return (_CHANGED_TEXT,) if is_outdated else self._report
 
     def start(self) -> None:
-        """Begin to settle the frames that exist now."""
+        """Start to settle the frames that exist now."""
         self.stop()
         self._inputs, self._work, self._report = self.edited.describe_inputs(), self._run(), ("settling",)
 
     def stop(self) -> None:
-        """Stop, and remove the result."""
+        """Stop settling, and remove the settled agents."""
         self.edited.store_settled_frames(None, None)
         self._work, self._report = None, ()
 
@@ -66,7 +67,7 @@ class HandSettling:
                 self._work, self._report = None, (f"not settled: {why}",)
 
     def _run(self) -> Iterator[str]:
-        """Settle the frames, show the result, and set the report. Yield a text about the progress after each frame."""
+        """Settle the frames, display the result and set the report. Yield a progress text after each frame."""
         frames, next_ids, attributes = self.edited.open_frames_to_settle()
         settling = EditSettling(frames, self._open_history, next_ids, attributes)
         yield from settling.run_rounds()
@@ -79,7 +80,8 @@ class HandSettling:
         self._report = (text, *(f"warning: {message}" for message in side_effects.messages))
 
     def _open_history(self, frame: int) -> StretchHistory:
-        """Return the history of a frame and of all later ones, which one program has simulated. Raises SettlingError."""
+        """Return the history that contains `frame` and all later frames. Raises SettlingError if several programs simulated
+        them."""
         stretch = self.edited.session.timeline.stretches[-1]
         if stretch.first > frame:
             raise SettlingError(

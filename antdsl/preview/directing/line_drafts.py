@@ -1,4 +1,4 @@
-"""Lines as pages write them: a verb and the texts of its keys become a line of text, with the location of each value."""
+"""Drafts of notes and edits: a verb and the texts of its keys become one line of YAML with the location of each value."""
 
 from __future__ import annotations
 
@@ -17,9 +17,8 @@ EDIT_SOURCE = "<edit>"  # the name of the source of a draft of an edit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineDraft:
-    """A line as a page wrote it.
-
-    `text`: its text. `ends`: by key, the start and the end of the value in the text. `missing`: required keys without a value."""
+    """A line that a page has composed. `text`: its text. `ends`: by key, the start and end offsets of the value in the text.
+    `missing`: the required keys without a value."""
 
     text: str
     ends: Mapping[str, tuple[int, int]]
@@ -27,7 +26,7 @@ class LineDraft:
     report: Report
 
     def find_key(self, diagnostic: Diagnostic) -> str:
-        """Return the key that a finding is about; empty if it is about the line as a whole, or about something else."""
+        """Return the key of the value that a finding is about; "" if it is about the complete line or about another file."""
         span = diagnostic.span
         if span is None or not _is_draft_source(span) or not span.source.text.endswith(self.text):
             return ""
@@ -43,7 +42,7 @@ class LineDraft:
                 self.report.error("unknown-key", f"`{form.verb}` has no key `{name}`", None)
 
     def report_nested_keys(self, node: MappingNode) -> None:
-        """Report values that contain further keys, such as `10, off: yes`. `node`: the tree of the line."""
+        """Report each value that contains further keys, such as `10, off: yes`. `node`: the syntax tree of the line."""
         first = len(node.span.source.text) - len(self.text)
         ends = {key: (start + first, end + first) for key, (start, end) in self.ends.items()}
         for key, span in list(node.keys.items())[1:]:
@@ -53,7 +52,8 @@ class LineDraft:
                 self.report.error("wrong-value", f"the value contains another key, `{key}`", place, f"give `{key}` its own field")
 
     def list_problems(self, findings: Iterable[Diagnostic]) -> list[dict[str, str]]:
-        """Return for a page what is missing, and the findings that are errors or about the line, each with its key."""
+        """Return the problems to show on a page, each with its key. These are missing values, and those of `findings` that are
+        errors or are about this line."""
         problems = [
             {"key": key.name, "severity": "error", "message": "a value is missing here", "help": f"such as `{key.kind.example}`"}
             for key in self.missing
@@ -70,7 +70,7 @@ def _is_draft_source(span: Span) -> bool:
 
 
 def write_draft(form: VerbForm, agents: str, values: Mapping[str, str]) -> LineDraft:
-    """Return the draft of a line, written on one line of text, without findings. Values equal to the default are left out."""
+    """Return the draft of a line, without findings. Values equal to the default are left out."""
     filled = [(key.name, key.name, values.get(key.name, ""), key.default) for key in form.keys]
     text = "{"
     ends: dict[str, tuple[int, int]] = {}

@@ -1,4 +1,4 @@
-"""Notes as pages write them, checked like lines of a scene."""
+"""Checks of notes that pages have composed, with the same rules as notes in scene files."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _KEY_DEPTH = 2  # parts of the location of a key of a note: the verb's tag and t
 
 
 def draft_note(shot: Shot, form: VerbForm, agents: str, values: Mapping[str, str]) -> tuple[LineDraft, Note | None]:
-    """Return a note with these texts, checked against a shot. The note is None after errors."""
+    """Return the draft of a note, and the note as checked against a shot. The note is None if there are errors."""
     draft = write_draft(form, agents, values)
     node, report = read_note_line(draft.text)
     draft.report.extend(report)
@@ -56,11 +56,11 @@ def _find_note_adapter() -> TypeAdapter[Any]:
 
 
 def _wrap_node(node: MappingNode) -> MappingNode:
-    """Return the tree of a scene that has only this note."""
+    """Return the syntax tree of a scene that contains only this note."""
     return MappingNode({NOTES_KEY: SequenceNode((node,), node.span)}, {NOTES_KEY: node.span}, node.span)
 
 
 def _check_names(scene: Scene, program: Program, note: Note, node: MappingNode, report: Report) -> None:
-    """Report unknown names and wrong values of a note, without the notes of the scene."""
+    """Report unknown names and wrong values of one note. The notes of the scene are ignored."""
     alone = replace(scene, model=scene.model.model_copy(update={"notes": (note,)}), document=_wrap_node(node), added_notes=1)
     check_note(alone, program, report, list_selector_names(scene, program), 0)

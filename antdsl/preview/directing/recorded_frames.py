@@ -1,5 +1,6 @@
-"""Presents the simulated frames of a session as a cache. A frame's arrays are made only when it is read, from a world at this
-frame."""
+"""The simulated frames of a session, presented as a cache.
+
+The arrays of a frame are made only when it is read, from a world at this frame."""
 
 from __future__ import annotations
 
@@ -24,9 +25,9 @@ _MAX_STORED_BYTES = 1 << 27
 
 @dataclass(slots=True, eq=False)
 class _RecordedFrameStore:
-    """Frames in memory, and the world that simulates further frames.
+    """A store of frames in memory, with the world that simulates further frames.
 
-    `history`: the timeline and its version to which the frames belong."""
+    `history`: the timeline that the frames belong to, and its version."""
 
     frames: OrderedDict[int, Arrays] = field(default_factory=OrderedDict)
     nbytes: int = 0
@@ -47,9 +48,9 @@ class _RecordedFrameStore:
 
 @dataclass(frozen=True, eq=False)
 class RecordedFrames(Cache):
-    """The simulated frames of a session. To read a frame other than the session's, it is simulated from the nearest checkpoint.
-
-    `shot`: the shot of the manifest. `static`: the arrays of `static.npz`. `last`: the last frame; None for all that exist."""
+    """The simulated frames of a session, as a cache. A frame other than the session's current one is simulated from the nearest
+    checkpoint when it is read. `shot`: the shot that the manifest describes. `static`: the arrays of `static.npz`. `last`:
+    the last frame; None for all frames."""
 
     session: PreviewSession
     shot: Shot
@@ -59,7 +60,7 @@ class RecordedFrames(Cache):
 
     @classmethod
     def of(cls, session: PreviewSession) -> RecordedFrames:
-        """Return the frames of a session, with the names of species and states of its current programs."""
+        """Return the frames of a session. Names of species and states are those of its current programs."""
         shot, world = session.shot, session.world
         bodies = StoredBodies.from_definitions(shot.bodies, collect_body_weights(shot.scene.model.crowd))
         static = {**make_static_arrays(world, shot.setting), **bodies.arrays}
@@ -75,8 +76,7 @@ class RecordedFrames(Cache):
         return self.static
 
     def frame(self, number: int, names: frozenset[str] | None = None) -> Arrays:
-        """Return the arrays of a frame. Raises CacheError for a frame that was not simulated, or by a program with other
-        states."""
+        """Return the arrays of a frame. Raises CacheError if the frame was not simulated, or if its program had other states."""
         session, store = self.session, self._store
         if not session.first_frame <= number <= session.last_frame:
             raise CacheError(f"frame {number} is not among those simulated, {session.first_frame} to {session.last_frame}")
@@ -92,7 +92,7 @@ class RecordedFrames(Cache):
         return select_arrays(store.frames[number], names)
 
     def _simulate_to(self, number: int) -> None:
-        """Simulate up to a frame in a separate world, and store the frames on the way."""
+        """Simulate up to frame `number` in a separate world, and store each frame on the way."""
         session, store = self.session, self._store
         stretch = session.timeline.find_stretch(number)
         checkpoint = find_nearest_checkpoint(stretch, number)
@@ -128,7 +128,7 @@ def _make_manifest(shot: Shot, world: World, bodies: StoredBodies) -> Manifest:
 
 
 def list_attributes(shot: Shot) -> tuple[str, ...]:
-    """Return the names of the arrays of agents in frames: the attributes of the output, and all that pages display."""
+    """Return the names of the arrays of agents in frames: the output attributes of the shot and the arrays that pages display."""
     machines = (machine.name for species in shot.plan.species.values() for machine in species.machines[1:])
     states = (f"{name}.state" for name in machines)
     return tuple(dict.fromkeys((*shot.scene.model.output.attributes, *DISPLAYED_ATTRIBUTES, *states)))

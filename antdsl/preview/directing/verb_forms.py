@@ -1,4 +1,5 @@
-"""The tables of verbs: their keys with kind, unit, default and help, made from the models of notes and edits."""
+"""The verbs of notes and edits, and their keys with kind, unit, default and help. They are derived from the models of notes and
+edits."""
 
 from __future__ import annotations
 
@@ -33,9 +34,8 @@ from antdsl.scene.values import (
 
 
 class KeyKind(NamedTuple):
-    """A kind of value. `name`: the name of the kind for pages. `unit`: the unit of numbers. `example`: a value as in a scene.
-
-    `help`: the help for keys that have none."""
+    """The kind of value that a key expects. `name`: its name for pages. `unit`: the unit of numbers. `example`: a value as
+    written in a scene. `help`: the help text for keys without one of their own."""
 
     name: str
     unit: str = ""
@@ -44,7 +44,8 @@ class KeyKind(NamedTuple):
 
 
 class VerbKey(NamedTuple):
-    """A key of a verb. `default`: the text as in a scene, empty for none. `is_selector`: whether it selects among the agents."""
+    """A key of a verb. `default`: the default value as written in a scene; "" if there is none. `is_selector`: whether the key
+    selects agents."""
 
     name: str
     kind: KeyKind
@@ -55,7 +56,7 @@ class VerbKey(NamedTuple):
 
 
 class VerbForm(NamedTuple):
-    """A verb with its keys, in the order in which a line has them. `value`: the kind of the verb's own value."""
+    """A verb with its keys, in the order in which a line lists them. `value`: the kind of value that follows the verb itself."""
 
     verb: str
     help: str
@@ -63,7 +64,7 @@ class VerbForm(NamedTuple):
     value: KeyKind
 
     def find_key(self, name: str) -> VerbKey | None:
-        """Return a key by name; None if the verb has none of this name."""
+        """Return the key called `name`, or None if the verb has no such key."""
         return next((key for key in self.keys if key.name == name), None)
 
 
@@ -144,7 +145,7 @@ FORMS_BY_LIST: Mapping[str, Callable[[], tuple[VerbForm, ...]]] = {"notes": list
 
 
 def find_form(listed: str, verb: str) -> VerbForm | None:
-    """Return the form of a verb of `notes` or `edits`; None for an unknown verb."""
+    """Return the form of a verb, or None if the verb is unknown. `listed`: `notes` or `edits`."""
     return next((form for form in FORMS_BY_LIST[listed]() if form.verb == verb), None)
 
 
@@ -175,7 +176,7 @@ def _make_key(
 
 
 def _find_kind(key: str, value_type: Any) -> KeyKind:
-    """Return the kind of a key by its type, or where several kinds have the type, by its name."""
+    """Return the kind of a key. The type of its values decides; if several kinds share this type, the name of the key decides."""
     if key in _KIND_BY_ONLY_KEY:
         return _KIND_BY_ONLY_KEY[key]
     is_union = get_origin(value_type) in (Union, UnionType)
@@ -188,14 +189,14 @@ def _find_kind(key: str, value_type: Any) -> KeyKind:
 
 
 def _format_default(value: Any, kind: KeyKind) -> str:
-    """Return a default as text; empty for none."""
+    """Return a default value as text; "" if there is none."""
     if isinstance(value, float):
         return f"{100 * value:g} %"
     return str(value) if isinstance(value, int | str) else ""
 
 
 def _iterate_helps(model: type[ScenePart]) -> Iterator[tuple[str, str]]:
-    """Yield the names of keys with their helps in the docstrings of a model and its bases, bases first."""
+    """Yield the name and the help text of each key, from the docstrings of a model and its base classes, bases first."""
     for each in reversed(model.__mro__):
         for first, second, text in _HELP_PATTERN.findall(each.__dict__.get("__doc__") or ""):
             yield first, _shorten_text(text)
@@ -204,5 +205,5 @@ def _iterate_helps(model: type[ScenePart]) -> Iterator[tuple[str, str]]:
 
 
 def _shorten_text(text: str) -> str:
-    """Return a text on one line, without a full stop at its end."""
+    """Return a text on one line, without its final full stop."""
     return " ".join(text.split()).rstrip(".")

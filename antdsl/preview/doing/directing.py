@@ -1,4 +1,4 @@
-"""Handlers of notes and edits: drafts, lines that are added, and their switches."""
+"""Handlers of requests about notes and edits: check a draft, add a line, switch it on or off, remove it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Line = TypeVar("Line", HandNote, HandEdit)
 
 
 def handle_draft_line(live: LiveSimulation, request: requests.DraftLine, client: Client) -> None:
-    """Check a line, and add it to the run if that is requested. Send the line and what is wrong with it to the page."""
+    """Check a line, and add it to the run if `request.apply` is set. Send the line and its problems to the page."""
     form = find_form(request.list, request.verb)
     if form is None:
         raise RequestRefusedError(f"`{request.verb}` is not a verb of {request.list}")
@@ -42,8 +42,7 @@ _DraftResult = tuple[LineDraft, bool, list[Diagnostic], bool]  # the line, wheth
 
 
 def _draft_note(live: LiveSimulation, request: requests.DraftLine, form: VerbForm) -> _DraftResult:
-    """Check a note, and add it if the request says so. Return the draft, whether it is valid, the findings, and whether it was
-    added."""
+    """Check a note, and add it if requested. Return the draft, whether it is valid, the findings, and whether it was added."""
     notes = live.session.notes
     draft, note = draft_note(live.session.shot, form, request.agents, request.values)
     if not request.apply or note is None:
@@ -55,8 +54,7 @@ def _draft_note(live: LiveSimulation, request: requests.DraftLine, form: VerbFor
 
 
 def _draft_edit(live: LiveSimulation, request: requests.DraftLine, form: VerbForm) -> _DraftResult:
-    """Check an edit, and add it if the request says so. Return the draft, whether it is valid, the findings, and whether it was
-    added."""
+    """Check an edit, and add it if requested. Return the draft, whether it is valid, the findings, and whether it was added."""
     edits = live.screen.edited.edits
     draft, is_valid = live.screen.edited.check_line(form, request.agents, request.values)
     if not request.apply or not is_valid:
@@ -69,7 +67,8 @@ def _draft_edit(live: LiveSimulation, request: requests.DraftLine, form: VerbFor
 
 
 def _check_new_line(lines: Iterable[HandNote] | Iterable[HandEdit], text: str, what: str) -> None:
-    """Raise RequestRefusedError for a line that exists already, or if there are too many lines. `what`: the kind of line."""
+    """Raise RequestRefusedError if the line already exists or there are too many lines. `what`: the kind of line, for the
+    message."""
     texts = [line.text for line in lines]
     if text in texts:
         raise RequestRefusedError(f"the run has this {what} already", f"change a value, or switch the {what} on in the list")
@@ -97,7 +96,7 @@ def handle_switch_line(live: LiveSimulation, request: requests.SwitchLine, clien
 
 
 def handle_settle(live: LiveSimulation, request: requests.Settle, client: Client) -> None:
-    """Begin to settle the simulated frames with edits, or stop and remove the result."""
+    """Start to settle the simulated frames with edits, or stop and remove the settled agents."""
     if request.on and not any(edit.is_on for edit in live.screen.edited.edits):
         raise RequestRefusedError("there are no edits to settle", "add an edit, or switch one on")
     if request.on:
@@ -108,7 +107,7 @@ def handle_settle(live: LiveSimulation, request: requests.Settle, client: Client
 
 
 def _switch_line(lines: tuple[Line, ...], request: requests.SwitchLine) -> tuple[tuple[Line, ...], str]:
-    """Return the lines after a request, and a text that says what the request did."""
+    """Return the lines after a request to switch or remove one, and a description of this change."""
     what = _WORD_BY_LIST[request.list]
     line = next((each for each in lines if each.key == request.key), None)
     if line is None:
@@ -122,7 +121,7 @@ def _switch_line(lines: tuple[Line, ...], request: requests.SwitchLine) -> tuple
 
 
 def _change_notes(live: LiveSimulation, notes: HandNotes, description: str, text: str = "") -> EditOutcome:
-    """Replace the notes of the run, and bring it to the displayed frame again."""
+    """Replace the notes of the run, and simulate up to the displayed frame again."""
     live.show_exact_frame()
     frame = live.session.frame
     result = live.session.replace_notes(notes, description, text)
@@ -135,7 +134,7 @@ def _change_notes(live: LiveSimulation, notes: HandNotes, description: str, text
 
 
 def _change_edits(live: LiveSimulation, edits: HandEdits, description: str, text: str = "") -> str:
-    """Replace the edits that are displayed. Return the reason why they cannot be applied; empty on success."""
+    """Replace the edits that are applied to displayed frames. Return "" on success, or the reason why they cannot be applied."""
     live.show_exact_frame()
     problem = live.screen.edited.replace_edits(edits, live.session.frame)
     if not problem:

@@ -1,4 +1,4 @@
-"""Handlers of edits by hand, and of requests to load files."""
+"""Handlers of changes that users make on the page (values, layers, fields), and of requests to reload files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def handle_set_value(live: LiveSimulation, request: requests.SetValue, client: C
 
 
 def handle_switch_layer(live: LiveSimulation, request: requests.SwitchLayer, client: Client) -> None:
-    """Switch a layer off or on, and send the outcome."""
+    """Switch a layer on or off, and send the outcome to all pages."""
     live.show_exact_frame()
     plan = live.session.shot.plan.species.get(request.species)
     layer_plan = next((each for each in plan.layers if each.span.text == request.layer), None) if plan is not None else None
@@ -28,13 +28,13 @@ def handle_switch_layer(live: LiveSimulation, request: requests.SwitchLayer, cli
 
 
 def handle_switch_field(live: LiveSimulation, request: requests.SwitchField, client: Client) -> None:
-    """Switch a field off or on, and send the outcome."""
+    """Switch a field on or off, and send the outcome to all pages."""
     live.show_exact_frame()
     _send_outcome(live, "field", live.session.switch_field(request.name, request.on), find_scene_name(live))
 
 
 def handle_reload(live: LiveSimulation, request: requests.Reload, client: Client) -> None:
-    """Load the current files, and send the outcome."""
+    """Load the current files, and send the outcome to all pages."""
     live.reload("reload")
 
 

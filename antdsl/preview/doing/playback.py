@@ -23,7 +23,7 @@ def handle_pause(live: LiveSimulation, request: requests.Pause, client: Client) 
 
 
 def handle_step(live: LiveSimulation, request: requests.Step, client: Client) -> None:
-    """Start the requested number of steps. An event such as a breakpoint may stop them early."""
+    """Start to simulate the requested number of steps. An event such as a breakpoint may end them early."""
     live.pause()
     live.show_exact_frame()
     live.start_steps(request.count)
@@ -35,7 +35,7 @@ def handle_set_speed(live: LiveSimulation, request: requests.SetSpeed, client: C
 
 
 def handle_seek(live: LiveSimulation, request: requests.Seek, client: Client) -> None:
-    """Go to a frame, or display the nearest stored one."""
+    """Go to a frame. While a slider is dragged, only display the nearest stored frame."""
     live.pause()
     session = live.session
     frame = min(max(request.frame, session.first_frame), session.last_frame)

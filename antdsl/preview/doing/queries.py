@@ -1,4 +1,4 @@
-"""Handlers of queries: explanations of agents, costs of steps, breakpoints, and the displayed data of a page."""
+"""Handlers of queries: explain an agent, report the costs of steps, set breakpoints, and choose the data that a page displays."""
 
 from __future__ import annotations
 
@@ -39,5 +39,5 @@ def handle_set_display(live: LiveSimulation, request: requests.SetDisplay, clien
 
 
 def handle_switch_profile(live: LiveSimulation, request: requests.SwitchProfile, client: Client) -> None:
-    """Start or stop sending the costs of steps to a page."""
+    """Start or stop sending the costs of steps to the page that requested it."""
     live.find_observer(CostReporter).switch_client(client, request.on)

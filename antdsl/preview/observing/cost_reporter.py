@@ -1,4 +1,4 @@
-"""Sends the costs of steps to the pages that request them. Steps are measured only while such a page is connected."""
+"""Reports of the cost of steps, sent to the pages that request them. Steps are measured only while such a page is connected."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MIN_REPORTED_MS = 5e-4  # ms per frame; cheaper lines are not reported
 
 
 class CostReporter:
-    """An observer that sends costs of steps. Used only by the live thread."""
+    """An observer that sends the cost of steps. Only the live thread uses it."""
 
     def __init__(self, live: LiveSimulation) -> None:
         self._live = live
@@ -33,7 +33,7 @@ class CostReporter:
         self._switch_measuring(self._live.session)
 
     def before_step(self, session: PreviewSession) -> None:
-        """Do nothing: the session's meter starts automatically."""
+        """Do nothing: the session starts its meter automatically."""
 
     def after_step(self, session: PreviewSession) -> PauseReason | None:
         """Send the costs if a page requests them and enough time has passed. Never pause."""
@@ -47,7 +47,7 @@ class CostReporter:
         """Do nothing: the session moves its meter to the new world."""
 
     def _switch_measuring(self, session: PreviewSession) -> None:
-        """Measure steps while any page requests the costs."""
+        """Measure steps only while at least one page requests the costs."""
         if bool(self._clients) != (session.meter is not None):
             session.set_measuring(bool(self._clients))
 
@@ -65,7 +65,7 @@ class CostReporter:
 
 
 def make_profile_message(profile: StepProfile, names: FileNames) -> dict[str, Any]:
-    """Return the message with a profile, for pages."""
+    """Return the message that presents a step profile on pages."""
     return {
         "op": "profile",
         "frames": profile.frames,

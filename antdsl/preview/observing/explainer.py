@@ -1,7 +1,7 @@
-"""Explains the decisions of an agent in a running session.
+"""Explanations of an agent's decisions in a running session.
 
-Its step is repeated in a separate world, from the nearest checkpoint of the same stretch of time. The session's own world does
-not change."""
+The agent's step is simulated again in a separate world, from the nearest checkpoint of the same segment of history. The
+session's own world does not change."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ _CACHED_STRETCHES = 2  # stretches with cached replays: before and after an edit
 
 @dataclass(slots=True, eq=False)
 class StretchHistory:
-    """The history of one stretch of a session, as replays read it.
+    """The history of one segment of a session, in the form that replays need.
 
-    `extra_checkpoints`: one extra checkpoint, at the frame of the last replay."""
+    `extra_checkpoints`: one additional checkpoint, at the frame of the last replay."""
 
     session: PreviewSession
     stretch: SimulationSegment
@@ -44,22 +44,22 @@ class StretchHistory:
 
     @property
     def shot(self) -> Shot:
-        """Return the shot that simulated the stretch."""
+        """Return the shot that simulated the segment."""
         return self.stretch.shot
 
     def checkpoint_frames(self) -> Sequence[int]:
-        """Return the frames with a checkpoint, ascending."""
+        """Return the numbers of the frames that have a checkpoint, ascending."""
         return sorted({*self.stretch.checkpoints, *self.extra_checkpoints})
 
     def restore_world(self, point: int) -> World | None:
-        """Return a new world with the state of a checkpoint."""
+        """Return a new world with the state of the checkpoint at frame `point`, or None."""
         arrays = self.extra_checkpoints[point] if point in self.extra_checkpoints else self.stretch.checkpoints[point]
         return self.stretch.restore_world(arrays, self.session.options, self.session.compiler.binding_cache)
 
     def find_hash(self, frame: int) -> str | None:
-        """Return the hash of the session's current frame; None for other frames.
+        """Return the state hash of the session's current frame; None for other frames.
 
-        Also return None if a param was set at the frame, since its new value takes effect only in the next step."""
+        Also return None if a param was set at this frame, because the new value takes effect only in the next step."""
         is_current = self.session.timeline.find_stretch(frame) is self.stretch and self.session.frame == frame
         return (
             self.session.state_hash
@@ -68,7 +68,7 @@ class StretchHistory:
         )
 
     def apply_interventions(self, world: World) -> None:
-        """Set the params that change at the world's frame."""
+        """Set the params that the user changed at the world's frame."""
         self.stretch.apply_param_changes(world)
 
     def make_missing_error(self, frame: int) -> ExplainError:
@@ -76,21 +76,21 @@ class StretchHistory:
         return ExplainError(f"the history of frame {frame} is no longer stored", f"stored from {self.session.first_frame} on")
 
     def make_difference_error(self, frame: int) -> ExplainError:
-        """Return the error for a frame that is not reproduced bit by bit."""
+        """Return the error for a frame that a replay does not reproduce bit by bit."""
         return ExplainError(f"frame {frame} is computed differently than before", "this is a bug in antdsl: please report it")
 
 
 class Explainer:
-    """Explains agents of one session. Replays of recent stretches of time are cached, so that further explanations are fast."""
+    """Explains agents of one session. Replays of recent segments are cached, so that further explanations are fast."""
 
     def __init__(self, session: PreviewSession) -> None:
         self.session = session
         self._cached_replays: list[tuple[SimulationSegment, tuple[ParamChange, ...], StepReplay]] = []
 
     def explain(self, agents: Sequence[tuple[str, int]], frame: int) -> list[LocatedExplanation | None]:
-        """Return an explanation for each agent (species, id) of its decisions in the step to a frame, with its states over time.
+        """Return, for each agent (species, id), its decisions in the step that leads to `frame`, and its states over time.
 
-        It is None for an agent without decisions in the step. Raises ExplainError if no explanation is possible."""
+        The entry is None for an agent without decisions in this step. Raises ExplainError if no explanation is possible."""
         replay = self._find_replay(frame)
         for species, _ in agents:
             _check_species(species, replay.shot)
@@ -104,7 +104,7 @@ class Explainer:
         ]
 
     def make_message(self, species: str, agent: int, frame: int, name_file: Callable[[str], str] = str) -> dict[str, Any]:
-        """Return the message with the explanation of one agent. `name_file`: returns the name of a file that pages show."""
+        """Return the message that explains one agent. `name_file`: converts a file's path to the name that pages show."""
         account, why = None, ""
         try:
             [account] = self.explain([(species, agent)], frame)
@@ -123,7 +123,7 @@ class Explainer:
         }
 
     def _find_replay(self, frame: int) -> StepReplay:
-        """Return the replay for the step to a frame. It belongs to the stretch in which the step began."""
+        """Return the replay of the step that leads to `frame`. It uses the segment in which this step began."""
         first, head = self.session.first_frame, self.session.last_frame
         if frame == first:
             raise ExplainError(f"frame {frame} is the first: no step led to it", f"choose frame {frame + 1} or later")
@@ -148,7 +148,7 @@ class Explainer:
         return replace(explanation, strip=state_strip, alive=alive)
 
     def _collect_state_stretches(self, species: str, agent: int) -> Iterator[StateStretch]:
-        """Yield the agent's states in all stored frames, one machine after the other."""
+        """Yield the periods that the agent spent in each state, in all stored frames, one machine after the other."""
         frames_by_machine: dict[str, list[tuple[int, str]]] = {}
         for frame, light in sorted(self.session.timeline.reduced_frames.items()):
             if species not in light:
@@ -174,7 +174,7 @@ def _format_error(error: ExplainError) -> str:
 
 
 def _rename_files(value: Any, name_file: Callable[[str], str]) -> Any:
-    """Return the value with each file renamed by `name_file`."""
+    """Return a copy of a JSON value in which `name_file` has renamed each file."""
     if isinstance(value, dict):
         return {key: name_file(each) if key == "file" else _rename_files(each, name_file) for key, each in value.items()}
     return [_rename_files(each, name_file) for each in value] if isinstance(value, list) else value

@@ -1,7 +1,7 @@
-"""The interface of observers of a session.
+"""The interface of a session's observers.
 
-An observer receives each step, may pause the session after it, and receives each world that replaces another. Observers change no
-simulation result."""
+An observer receives each step and may pause the session after it. It also receives each new world that replaces the previous
+one. Observers do not change simulation results."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PauseReason:
-    """The reason for a pause, as text, and the agents concerned, all of one species."""
+    """The reason for a pause, as text, and the agents concerned, which all belong to one species."""
 
     line: str
     species: str = ""
@@ -25,11 +25,11 @@ class Observer(Protocol):
     """An object that receives the steps of a session."""
 
     def before_step(self, session: PreviewSession) -> None:
-        """Prepare for a step. `after_step` follows."""
+        """Prepare for a step. A call of `after_step` follows."""
 
     def after_step(self, session: PreviewSession) -> PauseReason | None:
-        """Observe a step that was requested or played, and return a reason to pause, or None. Not called for steps that a seek
-        simulates again. May add numbers to `session.timeline.curves[session.frame]`."""
+        """Observe a step that was requested or played. Return a reason to pause, or None. Steps that a seek simulates again are
+        not reported. An observer may add numbers to `session.timeline.curves[session.frame]`."""
 
     def on_new_world(self, session: PreviewSession) -> None:
-        """Observe a new world: the session was opened, reloaded, restarted, or moved back in time."""
+        """Observe a new world, after the session was opened, reloaded, restarted or moved back in time."""

@@ -1,6 +1,6 @@
-"""The list of all observers of a running session, and the observer that prints the backend's messages on the terminal.
+"""The list of all observers of a running session, and the observer that prints messages of the backend in the terminal.
 
-A message reports a deviation from the request, such as missing machine code. Each message is printed once."""
+Such a message says that the run deviates from the request, for example because machine code is missing. Each is printed once."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ OBSERVER_MAKERS: tuple[Callable[[LiveSimulation], Observer], ...] = (
 
 
 class BackendMessageObserver:
-    """An observer that prints the backend's messages. Used only by the live thread."""
+    """An observer that prints the backend's messages. Only the live thread uses it."""
 
     def __init__(self) -> None:
         self._printed_messages: set[str] = set()
@@ -52,7 +52,7 @@ class BackendMessageObserver:
         """Do nothing: messages are printed after the step."""
 
     def after_step(self, session: PreviewSession) -> PauseReason | None:
-        """Print new messages of the backend. Never pause."""
+        """Print new messages of the backend. Always return None, so the session never pauses."""
         for sentence in session.world.backend.messages():
             if sentence not in self._printed_messages:
                 self._printed_messages.add(sentence)
@@ -60,4 +60,4 @@ class BackendMessageObserver:
         return None
 
     def on_new_world(self, session: PreviewSession) -> None:
-        """Do nothing: a world without steps has no messages."""
+        """Do nothing: a new world has no messages until it makes a step."""

@@ -1,7 +1,7 @@
-"""Judges the specs of a scene while it runs, and stores the results as curves.
+"""Evaluation of a scene's specs while it runs. The results are stored as curves.
 
-Each frame is judged once, when it is first simulated. After an edit, judgement starts again at the edited frame, because
-expectations apply to one program."""
+Each frame is judged once, when it is first simulated. After an edit, the evaluation starts again at the edited frame, because
+the results are valid for one program only."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ CURVE_NAME_PREFIX = "spec: "
 class SpecStatus:
     """The status of one spec.
 
-    `plan`: how to judge the spec; None if this is impossible.
-    `judge`: judges each frame; None while the spec is not judged. `reason`: the reason for this.
-    `seconds` and `frames`: the total time of judging, and the number of judged frames."""
+    `plan`: how to judge the spec; None if it cannot be judged.
+    `judge`: the object that judges each frame; None while the spec is not judged. `reason`: why it is not judged.
+    `seconds` and `frames`: the total time spent on judging, and the number of judged frames."""
 
     name: str
     plan: SpecPlan | None = None
@@ -51,7 +51,7 @@ class SpecStatus:
         return self.judge.failures[0] if self.judge is not None and self.judge.failures else None
 
     def make_json_entry(self) -> dict[str, Any]:
-        """Return the status in the form of the message `specs`."""
+        """Return the status as an entry of the message `specs`."""
         failed = self.failure
         return {
             "name": self.name,
@@ -65,9 +65,9 @@ class SpecStatus:
 
 
 class SpecObserver:
-    """Judges all specs of a session's program. Requested specs are judged at any cost.
+    """Judges all specs of a session's program. Slow specs are stopped, unless a breakpoint requires them.
 
-    `send_message` receives a message whenever the status of a spec changes."""
+    `send_message`: called with a message whenever the status of a spec changes."""
 
     def __init__(self, send_message: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
         self.send_message, self.wanted = send_message, frozenset[str]()
@@ -79,21 +79,21 @@ class SpecObserver:
         self._step_start_time = 0.0
 
     def make_message(self) -> dict[str, Any]:
-        """Return the message with the status of all specs."""
+        """Return the message that lists the status of all specs."""
         return {"op": "specs", "specs": [each.make_json_entry() for each in self.statuses]}
 
     def require_specs(self, names: Collection[str]) -> None:
-        """Judge these specs at any cost. Specs that were stopped are judged again from the next step on."""
+        """Judge these specs however slow they are. Specs that were stopped are judged again from the next step on."""
         self.wanted = frozenset(names)
 
     def plan_specs(self, shot: Shot, scene: Path) -> list[tuple[str, SpecPlan | str]]:
-        """Return the specs of a program by name. Each has its plan, or the reason why it is not judged in this session."""
+        """Return all specs of a program by name. Each has its plan, or the reason why it cannot be judged in this session."""
         if self._cached_plans is None or self._cached_plans[0] is not shot:
             self._cached_plans = shot, list(_plan_specs(shot, scene))
         return self._cached_plans[1]
 
     def on_new_world(self, session: PreviewSession) -> None:
-        """Do nothing: the next step detects another world by its stretch."""
+        """Do nothing: the next step notices the new world by its segment of history."""
 
     def before_step(self, session: PreviewSession) -> None:
         """Judge the frame before the step if necessary, and start timing the step."""
@@ -101,7 +101,7 @@ class SpecObserver:
         self._step_start_time = perf_counter()
 
     def after_step(self, session: PreviewSession) -> PauseReason | None:
-        """Judge the new frame, and send the statuses if they changed. Never pause."""
+        """Judge the new frame, and send the statuses if they changed. Always return None, so the session never pauses."""
         took = perf_counter() - self._step_start_time
         self._judge_frame(session)
         for each in self.statuses:
@@ -113,7 +113,7 @@ class SpecObserver:
         return None
 
     def _judge_frame(self, session: PreviewSession) -> None:
-        """Judge the session's current frame if it is simulated for the first time."""
+        """Judge the session's current frame, if it has just been simulated for the first time."""
         frame, shot = session.frame, session.shot
         if frame != session.last_frame or frame < shot.frames.first:
             return
@@ -133,9 +133,9 @@ class SpecObserver:
                 session.timeline.curves[frame].setdefault(CURVE_NAME_PREFIX + each.name, curve)
 
     def _start_judging(self, session: PreviewSession, is_selected: Callable[[SpecStatus], bool]) -> list[SpecStatus]:
-        """Start judging specs from this frame on, and return their statuses.
+        """Start to judge specs from this frame on, and return their statuses.
 
-        They are the specs that `is_selected` selects, that are not judged yet, and that can be judged."""
+        These are all specs that `is_selected` accepts, that are not being judged, and that can be judged."""
         candidates = [each for each in self.statuses if each.judge is None and each.plan is not None and is_selected(each)]
         for each in candidates:
             assert each.plan is not None
@@ -152,9 +152,9 @@ class SpecObserver:
                 status.seconds += thread_time() - began
 
     def _stop_if_slow(self, status: SpecStatus, step_seconds: float) -> None:
-        """Stop judging a spec that takes too long, unless it has failed or a breakpoint needs it.
+        """Stop judging a spec that takes too long, unless it has already failed or a breakpoint needs it.
 
-        `step_seconds`: seconds of the last step."""
+        `step_seconds`: duration of the last step (s)."""
         if status.judge is None or status.frames < _MEASURED_FRAMES or status.name in self.wanted or status.failure is not None:
             return
         takes = status.seconds / (status.frames - _WARM_UP_FRAMES)
@@ -181,7 +181,7 @@ def _plan_spec(spec: Spec, shot: Shot) -> SpecPlan | str:
 
 
 def _find_obstacle(spec: Spec, shot: Shot, scene: Path) -> str:
-    """Return the reason why a spec does not apply to this run, or "" if it applies."""
+    """Return why a spec cannot be judged in this run, or "" if it can."""
     if spec.scene is not None:
         try:
             place = Roots(Path(spec.span.source.path).resolve().parent, shot.scene.roots.folder_by_name).resolve_path(
@@ -201,7 +201,7 @@ def _find_obstacle(spec: Spec, shot: Shot, scene: Path) -> str:
 
 
 def describe_failure(failure: SpecFailure) -> str:
-    """Return a failure in one line: the condition that did not hold, the agent, and the values."""
+    """Return one line that describes a failure: the condition that did not hold, the agent, and the values."""
     agent_text = ""
     if failure.agent is not None:
         others_text = f" and {failure.other_count} more" if failure.other_count else ""

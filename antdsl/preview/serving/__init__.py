@@ -1,3 +1,3 @@
-"""Serves the page of a preview and its socket over HTTP: access control, input limits, and queues for slow clients.
+"""The HTTP server of the preview's page and socket, with access control, input limits, and queues for slow clients.
 
-`server` needs websockets, the extra `[preview]`; the other files of this package work without it."""
+`server` needs the package websockets (extra `[preview]`); the other modules work without it."""

@@ -17,13 +17,13 @@ _MISSING_ADDRESS_ERRORS = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)  # for examp
 
 
 class ListenError(Exception):
-    """Error if no socket can be opened at an address. The message is for the user."""
+    """Error if no socket can be opened at an address. The message is written for the user."""
 
 
 @dataclass(frozen=True, slots=True)
 class ListeningSockets:
-    """Bound sockets. `host_names`: hosts with port that requests may name. `addresses`: addresses to open in a browser, the best
-    first."""
+    """Bound sockets. `host_names`: the `host:port` texts that requests may name. `addresses`: addresses to open in a browser,
+    the best first."""
 
     sockets: tuple[socket.socket, ...]
     host_names: frozenset[str]
@@ -41,13 +41,13 @@ class ListeningSockets:
 
 
 def is_loopback(host: str | None) -> bool:
-    """Return whether only this machine can reach a host. Raises ListenError if the host is unknown."""
+    """Return whether a host can be reached only from this machine. Raises ListenError if the host is unknown."""
     return host is None or all(ip_address(each).is_loopback for each in _resolve_host(host))
 
 
 def open_listening_sockets(host: str | None = None, port: int | None = None) -> ListeningSockets:
-    """Bind sockets on the loopback interface, or at `host`. Without `port`, use the first free port from 8765 on; 0 takes any
-    free port. Raises ListenError if the requested port is taken, or if this machine does not have the host."""
+    """Return sockets that are bound to the loopback interface, or to `host`. `port`: by default the first free port from 8765
+    on; 0 takes any free port. Raises ListenError if the requested port is taken, or if this machine does not have the host."""
     addresses = _LOOPBACK_ADDRESSES if host is None else _resolve_host(host)
     for candidate in (port,) if port is not None else range(DEFAULT_PORT, DEFAULT_PORT + _MAX_PORT_ATTEMPTS):
         try:
@@ -65,10 +65,10 @@ def open_listening_sockets(host: str | None = None, port: int | None = None) -> 
 
 
 def _bind_sockets(addresses: Iterable[str], port: int) -> tuple[tuple[socket.socket, ...], int]:
-    """Return sockets at all addresses, on one port, and the port.
+    """Return sockets bound to all addresses on one port, and this port.
 
-    An address that this machine lacks is left out if there is another. Raises OSError if another program uses one of the
-    addresses; otherwise `localhost` could lead to that program."""
+    Addresses that this machine lacks are skipped if at least one other remains. Raises OSError if another program uses any of
+    the addresses; otherwise `localhost` could lead to that program."""
     sockets: list[socket.socket] = []
     absent: OSError | None = None
     try:
@@ -91,7 +91,7 @@ def _bind_sockets(addresses: Iterable[str], port: int) -> tuple[tuple[socket.soc
 
 
 def _bind_socket(address: str, port: int) -> socket.socket:
-    """Return a socket that listens at one address. Raises OSError if it cannot be bound."""
+    """Return a socket that is bound to one address. Raises OSError if this fails."""
     six = ":" in address
     server_socket = socket.socket(socket.AF_INET6 if six else socket.AF_INET, socket.SOCK_STREAM)
     try:
@@ -112,7 +112,7 @@ def _bind_socket(address: str, port: int) -> socket.socket:
 
 
 def _resolve_host(host: str) -> tuple[str, ...]:
-    """Return the addresses of a host, as numbers."""
+    """Return the numeric IP addresses of a host."""
     try:
         entries = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError):
@@ -121,8 +121,8 @@ def _resolve_host(host: str) -> tuple[str, ...]:
 
 
 def _list_server_names(host: str | None, addresses: Iterable[str]) -> list[str]:
-    """Return names that lead to this server and to no other: the requested host and its addresses. A server that listens at every
-    address also has each address and name of the machine. Names that an attacker may choose are not included."""
+    """Return names that lead to this server and to no other: the requested host and its addresses. A server that listens at
+    every address also has all addresses and names of the machine. Names that an attacker could choose are not included."""
     if host is None:
         return ["localhost", *_LOOPBACK_ADDRESSES]
     addresses = list(addresses)
@@ -140,8 +140,8 @@ def _list_browser_addresses(host: str | None, addresses: Iterable[str], sockets:
 
 
 def _find_machine_addresses() -> list[str]:
-    """Return addresses at which other machines reach this one: those of its host name, and the source addresses of outgoing
-    connections."""
+    """Return addresses at which other machines can reach this one. They are the addresses of its host name, and the source
+    addresses of its outgoing connections."""
     addresses: list[str] = []
     with suppress(OSError, UnicodeError):
         addresses += [str(each[4][0]) for each in socket.getaddrinfo(socket.gethostname(), None, type=socket.SOCK_STREAM)]

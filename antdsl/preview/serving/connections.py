@@ -1,6 +1,6 @@
-"""Limits of connections before and after a client is admitted.
+"""Limits on connections, before and after the server admits a client.
 
-They limit the number of connections, the rate of frames, the fragments of a message, and the requests of one client in a given
+They limit the number of connections, the rate of WebSocket frames, the fragments per message, and the requests per client and
 time."""
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from antdsl import limits
 
 
 class ConnectionGate:
-    """All connections of a server. Of the connections that are not yet admitted, only the newest stay open.
+    """All connections of a server. Among connections that are not admitted yet, only the newest stay open.
 
-    So a client that opens thousands displaces its own connections, not a page that authenticates in time."""
+    So a client that opens thousands of connections displaces its own, not a page that authenticates in time."""
 
     def __init__(self) -> None:
         self._unadmitted: dict[GatedConnection, None] = {}
         self._admitted: dict[GatedConnection, bool] = {}  # whether each used a code that is valid once
 
     def make_connection(self, *args: Any, **options: Any) -> GatedConnection:
-        """Return a new connection, for `serve` to create connections with."""
+        """Return a new connection. This is the factory that `serve` uses to create connections."""
         return GatedConnection(self, *args, **options)
 
     def admit_connection(self, connection: ServerConnection, *, is_invited: bool) -> None:
-        """Admit a connection. `is_invited`: whether it used a code that is valid once."""
+        """Admit a connection. `is_invited`: whether the client used a one-time code."""
         assert isinstance(connection, GatedConnection)
         self._unadmitted.pop(connection, None)
         self._admitted[connection] = is_invited
@@ -39,11 +39,11 @@ class ConnectionGate:
         return connection in self._admitted
 
     def is_invited(self, connection: ServerConnection) -> bool:
-        """Return whether an admitted connection used a code that is valid once."""
+        """Return whether an admitted connection used a one-time code."""
         return isinstance(connection, GatedConnection) and self._admitted.get(connection, False)
 
     def add_connection(self, connection: GatedConnection) -> None:
-        """Add a connection that is not admitted yet. Close the oldest such connections above the limit."""
+        """Add a connection that is not admitted yet. If there are too many of these, close the oldest ones."""
         self._unadmitted[connection] = None
         if len(self._unadmitted) > limits.MAX_UNADMITTED_CONNECTIONS:
             oldest = next(iter(self._unadmitted))
@@ -62,9 +62,9 @@ class ConnectionGate:
 
 
 class GatedConnection(ServerConnection):
-    """A connection that is closed if the client sends too many frames per second or too many fragments of a message.
+    """A connection that is closed if the client sends too many frames per second, or too many fragments per message.
 
-    Pings count as frames. A limit of bytes is not enough, because fragments may be empty."""
+    Pings count as frames. A limit on bytes would not suffice, because fragments may be empty."""
 
     def __init__(self, gate: ConnectionGate, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -87,7 +87,7 @@ class GatedConnection(ServerConnection):
         super().process_event(event)
 
     def _is_within_limits(self, frame: Frame) -> bool:
-        """Count a frame. Return whether the client is within its rate and its number of fragments."""
+        """Count a WebSocket frame. Return whether the client is still within its limits of rate and fragments."""
         if frame.opcode in (Opcode.TEXT, Opcode.BINARY):
             self._fragment_count = 0
         elif frame.opcode is Opcode.CONT:
@@ -96,9 +96,9 @@ class GatedConnection(ServerConnection):
 
 
 class TokenBucket:
-    """A rate limiter. It holds up to `most` tokens and gains `rate` tokens per second. `clock` returns seconds.
+    """A rate limiter. Each event takes one token.
 
-    Each event takes one token."""
+    It holds up to `most` tokens and gains `rate` tokens per second. `clock`: returns the time in seconds."""
 
     def __init__(self, rate: float, capacity: float, clock: Callable[[], float] = monotonic) -> None:
         self._rate, self._capacity, self._clock = rate, capacity, clock

@@ -1,11 +1,11 @@
-"""Decides which clients the server admits: by the host name, the origin of the page, and a token that only the terminal displays.
+"""Access control of the server, by the host name, the origin of the page, and a token that only the terminal displays.
 
 The three are checked separately. The host name is never compared with the origin: after DNS rebinding both are the attacker's.
 
-After a restart, a server has a new token. It still admits the pages of the previous server of the same scene on the same port. An
-admitted page receives a key. The page never sends the key, but only signs challenges with it. So another program that listens at
-the port in between learns nothing useful. The keys of the last few starts are in a file that only the user may read. If no such
-file is possible, no keys are stored, and the user has to open the page again.
+After a restart, a server has a new token. It still admits the pages of the previous server of the same scene on the same port.
+An admitted page receives a key. The page never sends the key, but only signs challenges with it. So another program that listens
+at the port in between learns nothing useful. The keys of the last few starts are in a file that only the user may read. If no
+such file is possible, no keys are stored, and the user has to open the page again.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ _TOKEN_PREFIX = "token."
 
 @dataclass(frozen=True, slots=True)
 class ReturningPages:
-    """Keys that admit pages again after a restart.
+    """Keys that admit known pages again after the server has restarted.
 
-    `key`: for pages that are admitted now. `previous_keys`: keys of earlier starts."""
+    `key`: given to pages that are admitted now. `previous_keys`: keys of earlier starts."""
 
     key: str = field(repr=False)
     previous_keys: tuple[str, ...] = field(default=(), repr=False)
 
     @classmethod
     def open_for_server(cls, scene: Path, port: int, folder: Path | None = None) -> ReturningPages | None:
-        """Return the keys for a server of a scene that starts now; None if no private file can store them."""
+        """Return the keys for a server that starts now; None if they cannot be stored in a private file."""
         try:
             name = sha256(f"{os.path.realpath(scene)}|{port}".encode("utf-8", "surrogateescape")).hexdigest()[:32]
             folder = folder or state_folder() / "antdsl" / "preview"
@@ -57,8 +57,8 @@ class ReturningPages:
         return returning
 
     def is_proof(self, answer: str | bytes, host: str, nonce: str) -> bool:
-        """Return whether `answer` signs `nonce` with a key of an earlier start. The signature includes the server's name and
-        port, so another server cannot pass it on."""
+        """Return whether `answer` is a signature of `nonce` with a key of an earlier start. The signature includes the server's
+        name and port, so another server cannot pass it on."""
         if not isinstance(answer, str):
             return False
         answer_bytes = answer.encode("utf-8", "replace")
@@ -69,7 +69,7 @@ class ReturningPages:
 
 
 def _read_keys(path: Path) -> tuple[str, ...]:
-    """Return the keys in a file; none if it is not a small private file of keys."""
+    """Return the keys in a file; an empty tuple if it is not a small private file of keys."""
     try:
         keys = list(json.loads(read_private(path, _MAX_KEY_FILE_BYTES))["keys"])
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
@@ -87,7 +87,7 @@ def _write_keys(path: Path, keys: Sequence[str]) -> None:
 
 
 class ConnectionVerdict(Enum):
-    """The decision about a request to open a socket."""
+    """The decision about a client's request to open a socket."""
 
     ADMITTED = "admitted"
     INVITED = "invited"  # by a code that is valid once; the client must receive the token
@@ -97,10 +97,10 @@ class ConnectionVerdict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class RequestGuard:
-    """Checks hosts, origins and tokens.
+    """Checks the hosts, origins and tokens of requests.
 
     `host_names`: hosts with port, as in addresses: `localhost:8765`, `[::1]:8765`.
-    `returning_pages`: if set, pages are admitted again after a restart of the server.
+    `returning_pages`: if set, pages are admitted again after the server has restarted.
     """
 
     host_names: frozenset[str]
@@ -109,21 +109,21 @@ class RequestGuard:
     returning_pages: ReturningPages | None = None
 
     def make_invitation_code(self) -> str:
-        """Return a code that replaces the token once, for the address that a browser is started with.
+        """Return a one-time code that replaces the token in the address with which a browser is started.
 
-        Other users of this machine can read that address in the list of processes."""
+        The token itself would be unsafe there, because other users can read the address in the list of processes."""
         code = secrets.token_urlsafe(32)
         self._invitation_codes.add(code)
         return code
 
     def is_own_host(self, headers: Sequence[str]) -> bool:
-        """Return whether a request has exactly one `Host` header, and it equals one of the names."""
+        """Return whether a request has exactly one `Host` header, and this is one of the server's names."""
         return len(headers) == 1 and headers[0] in self.host_names
 
     def check_origin(self, headers: Sequence[str]) -> bool | None:
-        """Return whether the origin of a request is this server's page; None if the request has no origin.
+        """Return whether a request's origin is this server's page; None if the request has no origin.
 
-        `null` does not count as an origin of this server: pages from files and sandboxes send it."""
+        The origin `null` does not count as this server's, because pages from files and sandboxes send it."""
         if not headers:
             return None
         return len(headers) == 1 and headers[0].removeprefix("http://") in self.host_names and headers[0].startswith("http://")
@@ -133,7 +133,7 @@ class RequestGuard:
         return self.is_own_host(hosts) and self.check_origin(origins) is not False
 
     def judge_socket(self, hosts: Sequence[str], origins: Sequence[str], protocols: Iterable[str]) -> ConnectionVerdict:
-        """Return the verdict on a request to open a socket. `protocols`: its `Sec-WebSocket-Protocol` headers."""
+        """Return whether a client may open a socket. `protocols`: the `Sec-WebSocket-Protocol` headers of the request."""
         origin = self.check_origin(origins)
         if not self.is_own_host(hosts) or origin is False:
             return ConnectionVerdict.STRANGER
@@ -150,5 +150,5 @@ class RequestGuard:
 
 
 def _is_equal(first: str, second: str) -> bool:
-    """Return whether two texts are equal, in a time that does not reveal where they differ."""
+    """Return whether two texts are equal. The time that this takes does not reveal where they differ."""
     return hmac.compare_digest(first.encode("utf-8", "surrogatepass"), second.encode())

@@ -1,6 +1,6 @@
-"""The outgoing queue of one client: messages in order, and only the latest packet of each slot.
+"""The queue of data to send to one client: all messages in order, but only the latest packet of each slot.
 
-The simulation thread fills it and the server's thread empties it; neither waits for the other."""
+The simulation thread fills the queue and the server's thread empties it; neither waits for the other."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from antdsl import limits
 
 @dataclass(slots=True, eq=False)
 class _QueuedPacket:
-    """A packet in the queue; None if a later packet of the slot replaced it at another position."""
+    """A packet in the queue; None if a later packet of the same slot, further back in the queue, replaced it."""
 
     slot: str
     packet: bytes | None
 
 
 class ClientMailbox:
-    """The outgoing queue of one client. Once the queue exceeds its budget, `full` is called on the event loop, and nothing more
-    is accepted."""
+    """The queue of data to send to one client. Once the queue exceeds its budget, `full` is called on the event loop, and the
+    queue accepts nothing more."""
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class ClientMailbox:
         self._is_woken = self._is_closed = False
 
     def send_message(self, message: dict[str, Any]) -> None:
-        """Append a message. A `hello` message also gets the build of the page, which only the server knows."""
+        """Append a message. The build number of the page, which only the server knows, is added to a `hello` message."""
         if message.get("op") == "hello":
             message = {**message, **self._hello_fields}
         text = json.dumps(message, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
@@ -63,8 +63,8 @@ class ClientMailbox:
             self._wake_or_close()
 
     def show_packet(self, slot: str, packet: bytes) -> None:
-        """Replace the waiting packet of the same slot, or append the packet. So each slot waits at most once, and frequent
-        packets of one slot do not delay another."""
+        """Replace the waiting packet of the same slot, or append the packet if there is none. So at most one packet per slot
+        waits, and frequent packets of one slot do not delay other slots."""
         with self._lock:
             if self._is_closed:
                 return
@@ -82,7 +82,7 @@ class ClientMailbox:
             self._wake_or_close()
 
     async def receive_next(self) -> str | bytes:
-        """Return the next message or packet to send; wait if there is none. For one reader, on the event loop."""
+        """Return the next message or packet to send; wait if there is none. Only one task on the event loop may call this."""
         while True:
             with self._lock:
                 item = self._take_item()

@@ -1,4 +1,4 @@
-"""The files of the page, read once: a response for every address, and a hash of all files."""
+"""The files of the page. They are read once, and give a response for every address and one hash of all files."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _BUILD_PLACEHOLDER = b'<meta name="build" content="" />'
 
 @dataclass(frozen=True, slots=True)
 class PageFiles:
-    """The page's files. `routes`: type and body by the address in a request. Addresses are only looked up in `routes`; they never
-    become file names."""
+    """The files of the page. `routes`: for each address in a request, the content type and the body. Addresses are only looked
+    up here; they never become file names."""
 
     routes: dict[str, tuple[str, bytes]]
     build: str
 
 
 def load_pages() -> PageFiles:
-    """Return the installed page. Raises OSError if its files are missing."""
+    """Return the files of the installed page. Raises OSError if files are missing."""
     bodies = {name: preview_page_file(name).read_bytes() for name in _CONTENT_TYPE_BY_FILE}
     hashed = sha256()
     for name in _CONTENT_TYPE_BY_FILE:

@@ -1,4 +1,4 @@
-"""The server: the page over HTTP, and one socket per client between the page and the thread that simulates."""
+"""The preview server: it serves the page over HTTP, and connects each client by a socket to the thread that simulates."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ _SILENT_LOGGER = logging.getLogger("antdsl.preview.serving")
 
 @dataclass(frozen=True, slots=True)
 class RefusedRequest:
-    """A rejected request. `operation`: its op, if the op exists."""
+    """A rejected request. `operation`: the `op` that it named, if this op exists."""
 
     operation: str
     message: str
@@ -82,7 +82,8 @@ class RefusedRequest:
 
 
 def read_request(text: str) -> AnyRequest | RefusedRequest:
-    """Return the request in a message. Errors never repeat the message's content, except names of ops and fields."""
+    """Return the request that a message contains, or its rejection. Errors name only ops and fields, and never repeat other
+    content."""
     try:
         return REQUEST_ADAPTER.validate_json(text)
     except ValidationError as why:
@@ -104,7 +105,7 @@ _SILENT_LOGGER.propagate = False
 
 
 class SimulationHost(Protocol):
-    """The part of the simulation that the server uses. `antdsl.preview.live.LiveSimulation` implements it.
+    """The interface through which the server uses the simulation. `antdsl.preview.live.LiveSimulation` implements it.
 
     All methods are thread-safe and never block."""
 
@@ -114,7 +115,7 @@ class SimulationHost(Protocol):
 
 
 class PreviewServer:
-    """A server of one preview. `async with PreviewServer(...).running():` serves until the block ends."""
+    """The server of one preview. `async with PreviewServer(...).running():` serves until the block ends."""
 
     def __init__(self, live: SimulationHost, guard: RequestGuard, pages: PageFiles, listening: ListeningSockets) -> None:
         self._live, self._guard, self._pages, self._listening = live, guard, pages, listening
@@ -155,7 +156,7 @@ class PreviewServer:
     # --- requests ------------------------------------------------------------------------------------------------------
 
     def _answer_request(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Return the response to a request, or None to open a socket."""
+        """Return the HTTP response to a request, or None if the request may open a socket."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if getattr(request, "method", "GET") != "GET":  # earlier versions of websockets read no other method
             return _make_response(HTTPStatus.METHOD_NOT_ALLOWED, extra_headers=[("Allow", "GET")])
@@ -203,7 +204,7 @@ class PreviewServer:
                 await sender
 
     async def _is_returning(self, connection: ServerConnection) -> bool:
-        """Return whether a page with a wrong token proves that it was admitted before the server restarted."""
+        """Return whether a page with an outdated token proves that it was admitted before the server restarted."""
         returning = self._guard.returning_pages
         if returning is None or not returning.previous_keys or connection.request is None:
             return False
@@ -216,7 +217,7 @@ class PreviewServer:
             return False
 
     async def _read_requests(self, connection: ServerConnection, mailbox: ClientMailbox) -> None:
-        """Read requests until the client disconnects or must be disconnected."""
+        """Read requests until the client disconnects, or until the server must disconnect it."""
         bucket = TokenBucket(limits.MAX_PREVIEW_REQUESTS_PER_SECOND, 2 * limits.MAX_PREVIEW_REQUESTS_PER_SECOND)
         patience, tell = TokenBucket(*_EXCESS_REQUEST_RATE_AND_BURST), TokenBucket(1, 1)
         with suppress(ConnectionClosed):
@@ -260,7 +261,8 @@ class PreviewServer:
 
 
 async def _send_messages(connection: ServerConnection, mailbox: ClientMailbox) -> None:
-    """Send the waiting messages one by one. The next is chosen only after the last was sent, so a slow client gets the latest."""
+    """Send the waiting messages one by one. The next one is chosen only after the previous one was sent, so a slow client gets
+    the latest packets."""
     try:
         while True:
             item = await mailbox.receive_next()
@@ -273,7 +275,7 @@ async def _send_messages(connection: ServerConnection, mailbox: ClientMailbox) -
 
 
 async def _close_connection(connection: ServerConnection, code: CloseCode, reason: str) -> None:
-    """Close a connection with a code and a reason. Stop waiting if the client does not respond in time."""
+    """Close a connection with a code and a reason. Do not wait long if the client does not respond."""
     with suppress(TimeoutError):
         async with asyncio.timeout(_CLOSE_TIMEOUT_SECONDS):
             await connection.close(code, reason)
@@ -293,13 +295,13 @@ def _make_response(
 
 
 def _add_headers(connection: ServerConnection, request: Request, response: Response) -> None:
-    """Add the common headers to a response, also to those that the library creates."""
+    """Add the common headers to a response, including responses that the websockets library creates."""
     for name, value in RESPONSE_HEADERS:
         response.headers[name] = value
 
 
 def run_server(server: PreviewServer, on_ready: Callable[[], None]) -> None:
-    """Serve until Ctrl-C or a termination signal. `on_ready` is called once pages can be loaded."""
+    """Run the server until Ctrl-C or a termination signal. `on_ready`: called once pages can be loaded."""
     asyncio.run(_serve_until_stopped(server, on_ready))
 
 

@@ -1,1 +1,1 @@
-"""The display of a session on pages, and the messages about it."""
+"""The packets and messages that display a session on pages."""

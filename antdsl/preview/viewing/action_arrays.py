@@ -1,6 +1,6 @@
-"""Packs the actions of bodies in a frame into few bytes.
+"""Compact arrays that describe what the bodies in a frame do.
 
-These are up to three clips per machine with progress and weight, the positions of feet, and the pose of the trunk."""
+They contain up to three clips per machine with progress and weight, the positions of feet, and the pose of the trunk."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def store_poses(session: PreviewSession) -> None:
-    """Store the poses of the session's frame with its reduced frame, unless they are stored already."""
+    """Store the poses of the session's current frame next to its reduced frame, unless they are stored already."""
     world, lights = session.world, session.read_reduced_frame(session.frame)
     if lights is not None and session.frame not in session.timeline.poses:
         poses = {
@@ -64,7 +64,7 @@ def store_poses(session: PreviewSession) -> None:
 
 
 def read_stored_poses(session: PreviewSession, frame: int) -> dict[str, Arrays]:
-    """Return the stored actions of bodies at a frame, by species. Species that now have other bodies or clips are left out."""
+    """Return the stored actions of bodies at a frame, by species. Species that now have other bodies or clips are omitted."""
     arrays_by_species = {}
     for name, then in session.timeline.poses.get(frame, {}).items():
         population = session.world.populations.get(name)
@@ -82,10 +82,11 @@ def _make_species_poses(session: PreviewSession, population: Population, display
 class SpeciesActions:
     """The actions of the bodies of a species in a frame.
 
-    `machines`: the machines that play clips. `layers`: the layers that agents may wear. `channels`: the channels that states set.
+    `machines`: the machines that play clips. `layers`: the layers that agents may wear. `channels`: the channels that states
+    set.
     `seed`: the seed of the scene. `seconds`: the time of the frame.
-    `outfits`: by body key. `body_numbers`: uint8[n], the index of each agent's body.
-    `stored_arrays`: arrays as in caches, ordered by id, with feet in mm.
+    `outfits`: the outfits by body key. `body_numbers`: uint8[n], the index of each agent's body.
+    `stored_arrays`: the arrays that caches also contain, ordered by id, with feet in mm.
     `displayed_arrays`: positions and directions as pages display them, ordered by id."""
 
     species: str
@@ -100,17 +101,17 @@ class SpeciesActions:
     displayed_arrays: Arrays
 
     def select_rows(self, rows: NDArray[np.intp]) -> SpeciesActions:
-        """Return the actions of the agents in `rows`. The arrays of feet are not limited to them: their rows are bodies, not
-        agents."""
+        """Return the actions of the agents in `rows`. The arrays of feet are not selected, because their rows are numbered by
+        body, not by agent."""
         stored = {name: array if name.startswith("feet.") else array[rows] for name, array in self.stored_arrays.items()}
         displayed = {name: array[rows] for name, array in self.displayed_arrays.items()}
         return replace(self, stored_arrays=stored, displayed_arrays=displayed, body_numbers=self.body_numbers[rows])
 
 
 def collect_actions(world: World, shot: Shot, population: Population, displayed: Arrays) -> SpeciesActions:
-    """Return the actions of the bodies of a species in the world's current frame.
+    """Return the actions of a species' bodies in the world's current frame.
 
-    `displayed`: the reduced frame of the same agents, in order of id."""
+    `displayed`: the reduced frame of the same agents, ordered by id."""
     stored = make_clip_arrays(population) | make_display_arrays(population, world.setting)
     for key in world.setting.list_body_keys(population.name):
         stored |= make_feet_arrays(world, key, 1.0)
@@ -131,16 +132,17 @@ def collect_actions(world: World, shot: Shot, population: Population, displayed:
 def make_action_arrays(actions: SpeciesActions) -> Arrays:
     """Return the actions of bodies as arrays.
 
-    - `SPECIES/plays/MACHINE`: the clips of a machine, as from `pack_clips`.
+    - `SPECIES/plays/MACHINE`: the clips of a machine, as `pack_clips` returns them.
     - `SPECIES/wears` uint32[n]: a bit for each worn layer.
-    - `SPECIES/look/GROUP` int8[n, 3]: a direction, 127 is 1.
-    - `SPECIES/offset/K` float32[n, 7]: what edits add to joint K in the order by depth, as in caches.
-    - `SPECIES/lean` int8[n, 3]: turn, slope, 0; 127 is 1.
+    - `SPECIES/look/GROUP` int8[n, 3]: a unit vector times 127.
+    - `SPECIES/offset/K` float32[n, 7]: the offset that edits add to joint K, as in caches. Joints are numbered by depth in the
+      rig.
+    - `SPECIES/lean` int8[n, 3]: turn times 127, slope times 127, and 0.
     - `SPECIES/trait/K` float32[n, 3]: three of the body traits, in order.
     - `SPECIES/feet` and `SPECIES/stance`: if feet are computed. `SPECIES/sole`: if the body has flat soles.
 
-    Arrays of features that a body lacks are left out. For a species with several bodies, each body has these arrays under its
-    key, for its agents only. `SPECIES/body` uint8[n] is the index of each agent's body."""
+    Arrays of features that a body lacks are left out. In a species with several bodies, each body has separate arrays for its
+    agents, named by the body's key. `SPECIES/body` uint8[n] is the index of each agent's body."""
     if len(actions.outfits) == 1:
         ((key, worn),) = actions.outfits.items()
         return _make_body_arrays(actions, key, worn)
@@ -151,7 +153,7 @@ def make_action_arrays(actions: SpeciesActions) -> Arrays:
 
 
 def _make_body_arrays(actions: SpeciesActions, key: str, worn: BodyOutfit) -> Arrays:
-    """Return the actions of the agents with a body."""
+    """Return the arrays of the agents that have the body `key`."""
     stored, displayed = actions.stored_arrays, actions.displayed_arrays
     count = len(displayed["id"])
     clips_by_machine = {each: read_machine_clips(actions.species, each, stored, count) for each in actions.machines}
@@ -197,7 +199,7 @@ def _make_offset_arrays(actions: SpeciesActions, body_outfit: BodyOutfit) -> Arr
 
 @lru_cache(maxsize=8)
 def _number_joints(definition: Definition) -> Mapping[str, int]:
-    """Return the numbers of joints in the order by depth, by name."""
+    """Return, for each joint name, the joint's number when joints are numbered by depth in the rig."""
     table = build_clip_table(definition)
     return dict(zip(table.rig.names, find_depth_order(table).tolist(), strict=True))
 
@@ -229,7 +231,8 @@ def compute_blend_weights(
     channel_values: Mapping[str, NDArray[Any]],
     lean: NDArray[Any] | None = None,
 ) -> NDArray[np.float32]:
-    """Return the weights of blend-shape targets, float32[n, T], from the clips that agents play and the values of channels."""
+    """Return the weights of blend-shape targets, float32[n, T], from the clips that agents play and the values of channels.
+    `count`: the number of agents n. T: the number of targets."""
     table, groups = make_channel_table(body_outfit.definition)
     plays = (*body_outfit.clips, PlayedClip(body_outfit.definition.idle))
     poses = blend_poses(table, groups, build_machine_playback(table, plays, machines, count, lean))
@@ -247,7 +250,7 @@ def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint
     """Return the clips that one machine of n agents plays, uint16[n, 3, k]: numbers, progress and weights.
 
     k is 2: the clip of the state and the previous one. It is 3 if any agent still plays the clip before these. `loops`: whether
-    each clip of the species loops, and False for no clip. A clip that does not loop ends with its last sample.
+    each clip of the species loops; the entry for "no clip" is False. A clip that does not loop ends with its last sample.
     """
     slots = list(clips.iterate_clip_slots())[::-1]
     if not slots[-1][2].any():
@@ -268,16 +271,19 @@ def make_stance_arrays(
 ) -> dict[str, NDArray[np.int16]]:
     """Return the stances of bodies as integer arrays.
 
-    - `feet` int16[n, L, 3]: the target of each foot joint relative to a body with an unmoved trunk, in 1/4096 of the body length,
-      along ahead, up and aside.
+    - `feet` int16[n, L, 3]: the target of each foot joint in 1/4096 of the body length. Axes are forward, up and sideways,
+      relative to a body with its trunk at rest.
     - `stance` int16[n, 6]: column 0 is the rise of the trunk in 1/4096 of the body length. Columns 1 to 3 are x, y and z of its
-      rotation (32767 is 1). Column 4 is the weight of the feet (32767 is 1). Column 5 has a bit for each foot that stands.
-    - `sole` int16[n, L, 3], only of bodies with flat soles: the direction across each sole (32767 is 1) along the same axes.
+      rotation (32767 is 1). Column 4 is the weight of the feet (32767 is 1). Column 5 has one bit per foot, set while the foot
+      is on the ground.
+    - `sole` int16[n, L, 3], only of bodies with flat soles: the sideways direction of each sole (32767 is 1) along the same
+      axes.
 
     `feet`: in mm. `displayed`: the displayed positions and directions of these agents.
-    `foot_weights`: [n], the weight with which clips leave feet on the ground.
+    `foot_weights`: [n], how much clips leave the feet on the ground, 0 to 1.
 
-    Bodies are oriented by directions of three bytes, as on pages. So rounding does not shake a standing foot."""
+    Bodies are oriented by the rounded directions that pages receive (three bytes), so that rounding does not shake a standing
+    foot."""
     size = np.where(displayed["size"] > 0, displayed["size"], 1).astype(np.float32)
     rise = feet.rise / size * foot_weights
     tilt = feet.tilt * foot_weights[:, None]
@@ -303,7 +309,7 @@ def make_stance_arrays(
 
 
 def _compute_body_axes(displayed: Arrays) -> Floats:
-    """Return the columns forward, up and sideways of agents, float32[3, 3, n], computed in the same way as by pages."""
+    """Return the forward, up and sideways axes of agents as matrix columns, float32[3, 3, n], exactly as pages compute them."""
     up = normalise_or_fallback(displayed["up"].astype(np.float64), np.array([0.0, 1.0, 0.0])).astype(np.float32)
     ahead = displayed["heading"].astype(np.float32)
     ahead -= up * (ahead * up).sum(axis=1, keepdims=True)
@@ -312,7 +318,7 @@ def _compute_body_axes(displayed: Arrays) -> Floats:
 
 
 def _make_rotations(quaternions: Floats) -> Floats:
-    """Return matrices float32[3, 3, n] of unit quaternions [n, 4]."""
+    """Return the rotation matrices, float32[3, 3, n], of unit quaternions [n, 4]."""
     x, y, z, w = quaternions.T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -323,7 +329,7 @@ def _make_rotations(quaternions: Floats) -> Floats:
 
 
 def _rotate_back(matrices: Floats, points: Floats) -> Floats:
-    """Return points float32[3, n, L] multiplied by the transposed matrices [3, 3, n]."""
+    """Return points, float32[3, n, L], multiplied by the transposes of the matrices [3, 3, n]."""
     x, y, z = points
     return np.stack([(m[0][:, None] * x + m[1][:, None] * y) + m[2][:, None] * z for m in matrices.transpose(1, 0, 2)])
 

@@ -1,4 +1,4 @@
-"""The packet of each frame: agents by id, items with their amounts, and the feelers of followed agents."""
+"""The packet of each frame: agents ordered by id, items with their amounts, and the feelers of followed agents."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class AgentPackets:
-    """The slot `frame`. Directions are unit vectors times 127, speeds are in mm/s, and columns in the units that the scene
-    message names."""
+    """The slot `frame`. Directions are unit vectors times 127, speeds are in mm/s, and columns are in units that the scene
+    message gives."""
 
     def __init__(self) -> None:
         self._last_key: tuple[World | None, int, int | None, PageInterest, EditedCache | None] = (
@@ -38,7 +38,7 @@ class AgentPackets:
         )
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the packet of the frame if the frame, the world, the edits or the displayed columns changed."""
+        """Yield the packet of the current frame if the frame, the world, the edits or the displayed columns have changed."""
         world, stored_frame, view = view_state.world, view_state.stored_frame, view_state.edited.find_view()
         frame = world.frame if stored_frame is None else stored_frame
         key = world, frame, stored_frame, view_state.interest, view
@@ -57,7 +57,7 @@ class AgentPackets:
 
 
 def _make_stored_arrays(view_state: ViewState, frame: int, reduced_frame: Mapping[str, Arrays]) -> Arrays:
-    """Return the arrays of agents of a stored frame. `reduced_frame`: its stored arrays by species."""
+    """Return the arrays of agents for a stored frame. `reduced_frame`: the stored arrays, by species."""
     plan = view_state.session.timeline.find_stretch(frame).shot.plan
     arrays = _renumber_states(_join_stored_arrays(reduced_frame), plan, view_state.shot.plan)
     for pose_arrays in read_stored_poses(view_state.session, frame).values():
@@ -66,7 +66,7 @@ def _make_stored_arrays(view_state: ViewState, frame: int, reduced_frame: Mappin
 
 
 def _make_world_arrays(view_state: ViewState) -> Arrays:
-    """Return the arrays of agents of the session's frame."""
+    """Return the arrays of agents for the session's current frame."""
     world, arrays = view_state.world, Arrays()
     factors = _find_column_factors(world, view_state.shot.program, view_state.interest)
     store_poses(view_state.session)
@@ -83,13 +83,13 @@ def _make_world_arrays(view_state: ViewState) -> Arrays:
 
 
 def _add_edits(arrays: Arrays, view_state: ViewState, frame: int) -> Arrays:
-    """Return the arrays of agents with the edits that pages added. `arrays`: the arrays without edits."""
+    """Return the arrays of agents after applying the edits that users added. `arrays`: the arrays without edits."""
     edited = view_state.edited.read_frame(frame)
     return arrays if edited is None else make_edited_arrays(*edited, view_state.world, view_state.shot, arrays)
 
 
 def _make_current_arrays(population: Population, factors: Mapping[tuple[str, str], float]) -> Arrays:
-    """Return the arrays of a frame that reduced frames lack. `factors`: by species and column, the factor to the displayed
+    """Return the arrays that reduced frames do not contain. `factors`: by species and column, the factor to the displayed
     unit."""
     name, now, rows = population.name, population.now, population.rows_by_id()
     arrays: Arrays = {f"{name}/{column}": array for column, array in make_packet_arrays(population, CURRENT_COLUMNS).items()}
@@ -100,7 +100,7 @@ def _make_current_arrays(population: Population, factors: Mapping[tuple[str, str
 
 
 def _find_column_factors(world: World, program: Program, interest: PageInterest) -> dict[tuple[str, str], float]:
-    """Return the conversion factors of the requested columns that exist."""
+    """Return the unit conversion factors of the requested columns, by species and column. Unknown columns are omitted."""
     factors = {}
     for species, name in sorted(interest.columns):
         declared = {each.name: each for each in program.species[species].attributes} if species in program.species else {}
@@ -110,9 +110,9 @@ def _find_column_factors(world: World, program: Program, interest: PageInterest)
 
 
 def _make_followed_feelers(world: World, program: Program, interest: PageInterest) -> tuple[Arrays, list[tuple[str, int, int]]]:
-    """Return the feelers of all followed agents, one after the other, and a list of these agents.
+    """Return the feelers of all followed agents, concatenated, and a list of these agents.
 
-    An entry of the list has the species, the id, and the number of the agent's feelers."""
+    An entry of the list is the species, the id, and the number of the agent's feelers."""
     feelers = [(who, make_feeler_arrays(world, program, who.species, who.agent)) for who in interest.followed_agents]
     feelers = [(who, arrays) for who, arrays in feelers if arrays]
     owners = [(who.species, who.agent, len(arrays["feelers"])) for who, arrays in feelers]
@@ -132,8 +132,7 @@ def _make_item_arrays(world: World, program: Program) -> Arrays:
 
 
 def _renumber_states(arrays: Arrays, stored_plan: Plan, page_plan: Plan) -> Arrays:
-    """Return the states, renumbered from the stored program to the program that pages know. States missing there become
-    255."""
+    """Return the arrays with states renumbered from `stored_plan` to `page_plan`. States that `page_plan` lacks become 255."""
     for name, species in stored_plan.species.items() if stored_plan is not page_plan else ():
         known = (
             {machine.name: machine.states for machine in page_plan.species[name].machines} if name in page_plan.species else {}
@@ -146,13 +145,13 @@ def _renumber_states(arrays: Arrays, stored_plan: Plan, page_plan: Plan) -> Arra
 
 
 def _join_stored_arrays(reduced_frame: Mapping[str, Arrays]) -> Arrays:
-    """Return the arrays of a reduced frame by the names `SPECIES/NAME`."""
+    """Return the arrays of a reduced frame in one dictionary, under the names `SPECIES/NAME`."""
     return {f"{species}/{name}": array for species, light in reduced_frame.items() for name, array in light.items()}
 
 
 def make_feeler_arrays(world: World, program: Program, species: str, agent: int) -> dict[str, NDArray[Any]]:
-    """Return `feelers` float32 (k, 2, 3), each from the agent to the feeler's end or first hit, and `feelers/hit` uint8 (k).
-    Return {} if the agent does not exist."""
+    """Return the segments of an agent's k feelers and whether each has hit a surface; {} if the agent does not exist. `feelers`
+    float32 (k, 2, 3): from the agent to the end or the first hit of the feeler. `feelers/hit` uint8 (k)."""
     population = world.populations.get(species)
     row = int(population.find_rows(np.array([agent]))[0]) if population is not None else -1
     if population is None or row < 0:

@@ -44,10 +44,10 @@ _NATURAL_COLOUR_STEPS = 255  # steps along the path of natural colours
 class BodyOutfit:
     """A body of a species, with the clips and layers that its agents may display.
 
-    `clips`: clips of its states, with transform groups.
+    `clips`: the clips of its states, each with a transform group.
     `layers`: the layers that some agents wear in addition to the body's own.
-    `look_groups`: the transform groups of `look`.
-    `blends_lean`: whether clips blend with turn and slope."""
+    `look_groups`: the transform groups that `look` turns.
+    `blends_lean`: whether clips are blended by turn and slope."""
 
     definition: Definition
     clips: tuple[PlayedClip, ...] = ()
@@ -57,13 +57,13 @@ class BodyOutfit:
 
 
 def list_outfits(world: World, shot: Shot, population: Population) -> dict[str, BodyOutfit]:
-    """Return the outfits of a species, by the keys of its bodies. Layers beyond the limit of pages are dropped."""
+    """Return the outfits of a species, by body key. Layers beyond the number that pages support are dropped."""
     keys = world.setting.list_body_keys(population.name)
     return {key: _make_outfit(world, population, find_body_of_key(shot, key)) for key in keys}
 
 
 def _make_outfit(world: World, population: Population, definition: Definition) -> BodyOutfit:
-    """Return the clips, layers and material groups that agents of a species can show with one body."""
+    """Return the outfit of agents of one species that have the body `definition`."""
     plan = population.plan
     layers = tuple(name for name in list_wearable_layers(population, world.setting) if name in definition.layers)[
         :MAX_PAGE_LAYERS
@@ -85,28 +85,29 @@ def _make_outfit(world: World, population: Population, definition: Definition) -
 
 
 def make_rig_packet(key: str, body_outfit: BodyOutfit, machines: tuple[str, ...] = ()) -> bytes:
-    """Return the packet of a body: its clips, and its meshes for crowds and for near agents.
+    """Return the packet of a body: its clips, and its meshes for distant crowds and for near agents.
 
-    `idle` in its header: the number and duration (s) of the base clip below all others; absent without such a clip.
-    `natural` in its header: the trait that selects the natural colour, and its number of steps per unit; empty if all agents
-    have the same."""
+    `idle` in the header: the number and duration (s) of the base clip that is played below all others; absent without such a
+    clip.
+    `natural` in the header: the trait that selects the natural colour, and its number of steps per unit; empty if all agents
+    have the same colour."""
     arrays, header = _make_rig(body_outfit)
     return pack_arrays(f"rig:{key}", arrays, machines=list(machines), **header)
 
 
 @lru_cache(maxsize=_CACHED_BODIES)
 def build_posed_body(body_outfit: BodyOutfit) -> PosedBody:
-    """Return the body of an outfit. It is built once."""
+    """Return the posed body of an outfit. It is built at the first call and then cached."""
     return PosedBody(body_outfit.definition, body_outfit.clips, body_outfit.layers)
 
 
 @dataclass(frozen=True, slots=True)
 class BodyTraits:
-    """The properties in which the bodies of agents differ, apart from clips. Each is one number per agent.
+    """The traits in which the bodies of agents differ, apart from clips. Each trait is one number per agent.
 
-    `targets`: weights of blend-shape targets.
-    `scales`: sizes of transform groups.
-    `materials`: positions in the colour ranges of materials.
+    `targets`: the blend-shape targets with varying weights.
+    `scales`: the transform groups with varying sizes.
+    `materials`: the materials with varying colours; the number is the position in the colour range.
     """
 
     targets: tuple[BlendTarget, ...] = ()
@@ -121,7 +122,7 @@ class BodyTraits:
 
 @lru_cache(maxsize=_CACHED_BODIES)
 def find_traits(body_outfit: BodyOutfit) -> BodyTraits:
-    """Return the traits of an outfit. Targets beyond the limit of pages are dropped."""
+    """Return the traits of an outfit. Blend-shape targets beyond the number that pages support are dropped."""
     targets = dict.fromkeys(each for level in _make_detail_levels(body_outfit).values() for each in _find_blend_targets(level))
     varied = body_outfit.definition.variation
     return BodyTraits(tuple(targets)[:MAX_BLEND_TARGETS], tuple(varied.scales), tuple(varied.materials))
@@ -138,7 +139,7 @@ def _find_blend_targets(level: PosedBody) -> dict[BlendTarget, NDArray[np.float3
 
 @lru_cache(maxsize=_CACHED_BODIES)
 def _make_rig(body_outfit: BodyOutfit) -> tuple[Arrays, dict[str, Any]]:
-    """Return the arrays of a body's rig, and the entries for the header of its packet."""
+    """Return the arrays of a body's rig, and its entries in the packet header."""
     definition, plays = body_outfit.definition, body_outfit.clips
     body, table = build_posed_body(body_outfit), build_clip_table(definition)
     idle = definition.clips.get(definition.idle)
@@ -163,8 +164,8 @@ def _make_rig(body_outfit: BodyOutfit) -> tuple[Arrays, dict[str, Any]]:
 
 
 def _count_texels(table: ClipTable) -> int:
-    """Return the number of texels (four numbers each) per joint and sample: translation, rotation, and scale and shear if the
-    rig has them."""
+    """Return the number of texels (four numbers each) per joint and sample. They hold the translation, the rotation, and, if the
+    rig has these, scale and shear."""
     return 2 + table.has_scale + table.has_shear
 
 
@@ -173,9 +174,9 @@ def _make_clip_arrays(table: ClipTable, definition: Definition, played_clips: tu
 
     - `sample` float32[R, J, texels, 4]: the samples, the rest pose first.
     - `parent` int32[J]: the parent of each joint.
-    - `clip` int32[P, 3, 4]: the first sample (-1 if the body lacks the clip), the number of samples, flags (1 loops, 2 is added),
-      and the transform group. Then the first samples and numbers of samples of its left and right, up and down variants.
-    - `group` float32[G, J]: weights of joints, first those of the complete rig.
+    - `clip` int32[P, 3, 4]: the first sample (-1 if the body lacks the clip), the number of samples, flags (1 loops, 2 is
+      added), and the transform group. Then the first samples and numbers of samples of its left and right, up and down variants.
+    - `group` float32[G, J]: the joint weights of each transform group. The first row is the complete rig.
     """
     joints, sample_rows = len(table.joint_order), [np.array([0])]
     groups = ["", *sorted({each.group for each in played_clips} - {""})]
@@ -211,8 +212,8 @@ def _make_clip_arrays(table: ClipTable, definition: Definition, played_clips: tu
 
 
 def _order_weights_by_depth(table: ClipTable, groups: Sequence[Iterable[tuple[int, float]]]) -> NDArray[np.float32]:
-    """Return the joint weights of G groups as float32[G, J], joints by depth. `groups`: pairs of a joint's number in the rig and
-    its weight."""
+    """Return the joint weights of G groups as float32[G, J], with joints numbered by depth. `groups`: for each group, pairs of a
+    joint's number in the rig and its weight."""
     weights = np.zeros((len(groups), len(table.joint_order)), np.float32)
     for k, group in enumerate(groups):
         for joint, weight in group:
@@ -221,9 +222,9 @@ def _order_weights_by_depth(table: ClipTable, groups: Sequence[Iterable[tuple[in
 
 
 def _make_variation_arrays(definition: Definition, body_traits: BodyTraits, table: ClipTable) -> Arrays:
-    """Return two arrays.
+    """Return the arrays of sizes and colours that vary between agents.
 
-    - `scale` float32[S, J]: the weight with which the size of a transform group scales each joint, with its descendants; joints
+    - `scale` float32[S, J]: how much the size of each transform group scales each joint and its descendants. Joints are numbered
       by depth.
     - `palette` float32[c, 4]: the colours of materials that vary, one material after the other.
     """
@@ -237,9 +238,9 @@ def _make_variation_arrays(definition: Definition, body_traits: BodyTraits, tabl
 
 
 def _make_natural_colours(body: PosedBody) -> NDArray[np.uint8]:
-    """Return the natural colours of agents as display bytes, uint8[c, 3].
+    """Return the natural colours of agents, uint8[c, 3], in display encoding.
 
-    There is one colour, or colours in even steps along the path of their variation."""
+    This is one colour, or evenly spaced colours along the path of their variation."""
     path = body.definition.variation.materials.get(STATE_MATERIAL)
     linear = body.compute_natural_colours(NO_DRIVEN_POSE, 1)
     if path is not None:
@@ -257,11 +258,11 @@ def _find_natural_trait(definition: Definition, body_traits: BodyTraits) -> list
 
 
 def _make_trait_vertex_arrays(level: PosedBody, body_traits: BodyTraits) -> Arrays:
-    """Return two arrays.
+    """Return the arrays of vertices that depend on traits of the agent.
 
-    - `target` float32[T, v, 6]: the offsets of each blend-shape target to positions and normals.
-    - `paint` float32[v, 2]: the number of the trait that selects a vertex's colour (-1 if the colour does not vary), and the
-      index of the first of its colours.
+    - `target` float32[T, v, 6]: the offsets that each blend-shape target adds to positions and normals.
+    - `paint` float32[v, 2]: the number of the trait that selects a vertex's colour, and the index of the first of its colours.
+      The number is -1 if the colour does not vary.
     """
     targets, count = _find_blend_targets(level), len(level.mesh.points)
     none = np.zeros((count, 6), np.float32)
@@ -274,17 +275,18 @@ def _make_trait_vertex_arrays(level: PosedBody, body_traits: BodyTraits) -> Arra
 
 
 def find_depth_order(table: ClipTable) -> NDArray[np.int32]:
-    """Return, for each joint of the rig, its index in the order by depth."""
+    """Return, for each joint of the rig, its index when joints are numbered by depth."""
     place = np.empty(len(table.joint_order), np.int32)
     place[table.joint_order] = np.arange(len(table.joint_order))
     return place
 
 
 def _make_leg_arrays(legs: LegIkSolver | None, table: ClipTable) -> Arrays:
-    """Return `leg` float32[L, 5, 4], one row of four numbers each.
+    """Return `leg` float32[L, 5, 4], five rows of four numbers for each of L legs; {} for a body without legs.
 
-    These are the joints of hip, knee, foot and ankle, numbered by depth; the axis about which a straight knee bends, and whether
-    the sole is flat; the body's up in the space of the ankle, and of the foot; the vector from the foot to the ankle."""
+    Row 0: the joints hip, knee, foot and ankle, numbered by depth. Row 1: the axis about which a straight knee bends, and
+    whether the sole is flat. Rows 2 and 3: the body's up direction in the space of the ankle and of the foot. Row 4: the vector
+    from the foot to the ankle."""
     if legs is None:
         return {}
     leg_array, place = np.zeros((legs.leg_count, 5, 4), np.float32), find_depth_order(table)
@@ -296,9 +298,9 @@ def _make_leg_arrays(legs: LegIkSolver | None, table: ClipTable) -> Arrays:
 
 
 def _number_leg_parts(legs: LegIkSolver | None, joints: int) -> NDArray[np.int32]:
-    """Return the number of the leg part that each joint of the rig belongs to; 0 for none.
+    """Return, for each joint of the rig, the number of the leg part that it belongs to; 0 for none.
 
-    The number is four times the leg's number plus 1 for thigh, 2 for shank, 3 for arch, 4 for sole."""
+    The number is 4 times the leg's number, plus 1 for the thigh, 2 for the shank, 3 for the arch, 4 for the sole."""
     part_numbers = np.zeros(joints, np.int32)
     for number, each in enumerate(legs.chains if legs is not None else ()):
         for piece, those in enumerate((each.thigh_joints, each.shank_joints, each.arch_joints, each.sole_joints), 1):
@@ -310,7 +312,7 @@ def _make_mesh_arrays(body: PosedBody, table: ClipTable) -> Arrays:
     """Return the arrays of the mesh.
 
     - `position` and `normal` float32[v, 3] in the rest pose; `face` uint32[m, 3].
-    - `colour` uint8[v, 4]: square roots of linear colours, and the share of the agent's own colour.
+    - `colour` uint8[v, 4]: square roots of linear colours, and the weight of the agent's own colour.
     - `bone` uint8 or uint16[v, 4]; `weight` uint8[v, 4].
     - `joint` int32[B] by depth and `inverse` float32[B, 3, 4] of the bones."""
     mesh = body.mesh
@@ -331,8 +333,8 @@ def _make_mesh_arrays(body: PosedBody, table: ClipTable) -> Arrays:
 
 
 def find_body_of_key(shot: Shot, key: str) -> Definition:
-    """Return the body with a body key: from its own file, else the library body that the scene requests or that matches the
-    species' name."""
+    """Return the body with a body key. It comes from its own file, or else is the library body that the scene requests or that
+    matches the species' name."""
     own, species, number = shot.bodies.get(key), find_species_of_key(key), find_number_of_key(key)
     if own is not None:
         return own
@@ -342,13 +344,13 @@ def find_body_of_key(shot: Shot, key: str) -> Definition:
 
 
 class ItemBodyPackets:
-    """The slots `item:ITEMS:NAME`. Items that are not drawn have none."""
+    """The slots `item:ITEMS:NAME` of item bodies. Items that are not drawn have no slot."""
 
     def __init__(self) -> None:
         self._sent_bodies: dict[str, tuple[int, str, str | None]] = {}
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the packets of items with a new body."""
+        """Yield the packets of items that have a new body."""
         for kind in view_state.world.items:
             for index, item in enumerate(view_state.world.setting.items.get(kind, ())):
                 shape, slot = choose_drawn_shape(kind, item.name, item.look), f"item:{kind}:{item.name}"
@@ -360,7 +362,7 @@ class ItemBodyPackets:
 
 
 def _make_item_packet(slot: str, kind: str, index: int, shape: str, look: str | None) -> bytes:
-    """Return the packet of an item's body in the colours of its look. Its mesh is empty if it is not drawn."""
+    """Return the packet of an item's body, in the colours of its look. If the item is not drawn, the mesh is empty."""
     if shape == "none":
         return pack_arrays(slot, {"face": np.zeros((0, 3), np.uint32)}, items=kind, index=index, shape=shape)
     vertices, faces, colour = build_item_mesh(shape)

@@ -1,4 +1,4 @@
-"""State machines as the page draws them. A layout is computed again only if texts or arrows have changed."""
+"""The layouts of state machines that the page draws as charts. They are computed again only if texts or arrows have changed."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from antdsl.program.model import Program
 
 
 class ChartMessages:
-    """The charts of a program. `missing_package`: the package to install if charts cannot be laid out."""
+    """The charts of a program. `missing_package`: the package that must be installed before charts can be laid out."""
 
     def __init__(self) -> None:
         self.missing_package = ""
         self._layout_by_chart: dict[Chart, PlacedChart] = {}
 
     def is_laid_out(self, program: Program) -> bool:
-        """Return whether the existing layouts cover the charts of a program."""
+        """Return whether a layout exists for each chart of a program."""
         return all(_remove_positions(chart) in self._layout_by_chart for chart in graphs.build_charts(program))
 
     def list_charts(self, program: Program) -> list[dict[str, Any]]:
-        """Return one message per state machine of a program. Layouts that do not exist yet are computed."""
+        """Return one message per state machine of a program. Missing layouts are computed."""
         machines = [(name, m.name) for name, species in program.species.items() for m in species.machines if m.states]
         charts = graphs.build_charts(program)
         missing = [plain for chart in charts if (plain := _remove_positions(chart)) not in self._layout_by_chart]
@@ -39,7 +39,7 @@ class ChartMessages:
 
 
 def _remove_positions(chart: Chart) -> Chart:
-    """Return a chart without its positions in the file, as the input of a layout."""
+    """Return a chart without its locations in the source file, for use as the input of a layout."""
     boxes = tuple(replace(box, details="", colour=(0.0, 0.0, 0.0)) for box in chart.boxes)
     return replace(chart, boxes=boxes, arrows=tuple(replace(arrow, details="") for arrow in chart.arrows))
 

@@ -1,4 +1,4 @@
-"""Curves of counts, totals and specs over time, sent as they grow."""
+"""Curves of counts, totals and spec results over time. New values are sent to pages as they appear."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _MAX_HISTORY_POINTS, _MAX_BRANCH_POINTS = 4000, 1000
 
 
 class SentCurveTracker:
-    """The part of a session's curves that all pages have received."""
+    """A record of the part of a session's curves that all pages have received."""
 
     def __init__(self) -> None:
         self._timeline: Timeline | None = None
@@ -22,7 +22,7 @@ class SentCurveTracker:
         self._sent_branches: list[TimelineBranch] = []
 
     def mark_unsent_from(self, frame: int) -> None:
-        """Record that a frame and all later frames must be sent again, because they are measured again."""
+        """Record that `frame` and all later frames must be sent again, because they will be simulated again."""
         if self._last_sent_frame is not None and self._last_sent_frame >= frame:
             self._last_sent_frame = frame - 1
 
@@ -59,7 +59,7 @@ def _make_curves_message(
 
 
 def _make_curve_columns(curves: Mapping[int, Mapping[str, float]]) -> dict[str, Any]:
-    """Return one list per name, with null for frames without a value."""
+    """Return one list of values per curve, by name, with null for frames without a value."""
     names = dict.fromkeys(name for values in curves.values() for name in values)
     return {
         "frames": list(curves),
@@ -72,7 +72,7 @@ def _drop_nonfinite(value: float | None) -> float | None:
 
 
 def thin_curves(curves: Mapping[int, Mapping[str, float]], max_frames: int) -> Mapping[int, Mapping[str, float]]:
-    """Return at most `max_frames` of the curves' frames, evenly spaced, including the last."""
+    """Return at most `max_frames` frames of the curves, evenly spaced and including the last."""
     if len(curves) <= max_frames:
         return curves
     frames = list(curves)

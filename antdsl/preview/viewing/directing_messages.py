@@ -1,4 +1,4 @@
-"""The messages for directing: the verbs with the names that they may use, and the notes of the run."""
+"""The messages about notes and edits: the available verbs, the names that these may use, and the lines that users added."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ _MAX_NAMES = 200  # of one kind
 
 
 def make_verbs_message(live: LiveSimulation) -> dict[str, Any]:
-    """Return the verbs of notes and edits with their keys, the named crowd lines, and the origin of positions on pages (mm)."""
+    """Return the message with the verbs of notes and edits, the crowds that have names, and the origin of positions on pages
+    (mm)."""
     session = live.session
     names, world = _list_names(session), session.world
     lines = [
@@ -39,12 +40,12 @@ def make_verbs_message(live: LiveSimulation) -> dict[str, Any]:
 
 
 def make_form_entries(names: NamesByKind) -> dict[str, list[dict[str, Any]]]:
-    """Return the verbs of each list with their keys. `names`: as from `_list_names`."""
+    """Return the verbs and keys of `notes` and of `edits`. `names`: the result of `_list_names`."""
     return {listed: [_make_verb_entry(form, names) for form in make_forms()] for listed, make_forms in FORMS_BY_LIST.items()}
 
 
 def _make_verb_entry(form: VerbForm, names: NamesByKind) -> dict[str, Any]:
-    """Return a verb for a page. `kind`, `example` and `choices` are about its own value."""
+    """Return the entry of a verb. `kind`, `example` and `choices` describe the value that follows the verb itself."""
     return {
         "verb": form.verb, "help": form.help, "keys": [_make_key_entry(key, names) for key in form.keys],
         "kind": form.value.name, "example": form.value.example, "choices": names.get(form.value.name, [])[:_MAX_NAMES],
@@ -58,7 +59,8 @@ def make_notes_message(live: LiveSimulation) -> dict[str, Any]:
 
 
 def make_edits_message(live: LiveSimulation) -> dict[str, Any]:
-    """Return the edits that pages added to the simulated frames, why the displayed frame lacks them, and what settling did."""
+    """Return the message about the edits that users added. It lists them, and says why the displayed frame lacks them and what
+    settling did."""
     settling = live.screen.settling
     lines = [_make_line_entry(edit) for edit in settling.edited.edits]
     settled = {"running": settling.is_running, "settled": settling.edited.settled is not None, "report": list(settling.report)}
@@ -70,7 +72,7 @@ def _make_line_entry(line: HandNote | HandEdit) -> dict[str, Any]:
 
 
 def _make_key_entry(key: VerbKey, names: NamesByKind) -> dict[str, Any]:
-    """Return a key for a page. `names`: as from `_list_names`."""
+    """Return the entry of a key. `names`: the result of `_list_names`."""
     return {
         "name": key.name, "kind": key.kind.name, "unit": key.kind.unit, "required": key.is_required, "default": key.default,
         "help": key.help, "example": _make_example(key, names), "narrows": key.is_selector,
@@ -79,7 +81,7 @@ def _make_key_entry(key: VerbKey, names: NamesByKind) -> dict[str, Any]:
 
 
 def _make_example(key: VerbKey, names: NamesByKind) -> str:
-    """Return a value with names of the scene where there are any."""
+    """Return an example of a key's value, with names from the scene where possible."""
     parts, own = names["part"], names.get(key.kind.name, [])
     if key.kind.name == "looks":
         return f"{{{parts[0] if parts else 'head'}: {names['target'][0] if names['target'] else '[0, 100, 0]'}}}"
@@ -87,7 +89,7 @@ def _make_example(key: VerbKey, names: NamesByKind) -> str:
 
 
 def _list_names(session: PreviewSession) -> NamesByKind:
-    """Return the names that values may use, by the kinds of keys. `part`: transform groups of the bodies."""
+    """Return the names that values may use, by kind of key. The kind `part` has the transform groups of the bodies."""
     shot, world = session.shot, session.world
     setting, program = world.setting, remove_note_machines(shot.program)
     selectors = list_selector_names(shot.scene, program)

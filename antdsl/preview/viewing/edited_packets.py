@@ -1,4 +1,4 @@
-"""The arrays of a page for a frame with edits, in the form of those without."""
+"""The arrays that pages receive for a frame with edits. They have the same form as those of a frame without edits."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ _DIRECTION_SCALE = np.float32(127)
 def make_edited_arrays(
     view: EditedCache, frame: Arrays, world: World, shot: Shot, unedited: Mapping[str, NDArray[Any]]
 ) -> PageArrays:
-    """Return the arrays of agents for a page in a frame with edits.
+    """Return the arrays of agents for a page, in a frame with edits.
 
-    `unedited`: the arrays of the same frame without edits. Agents at unchanged positions have the same bits. An attribute of a
-    copy, and of an agent that the frame without edits lacks, is 0."""
+    `unedited`: the arrays of the same frame without edits. Agents that edits do not move have the same bits as there. Attributes
+    are 0 for copies, and for agents that the unedited frame lacks."""
     arrays: PageArrays = {}
     worn = find_edited_outfits(view, world, shot)
     for number, entry in enumerate(view.manifest.species):
@@ -62,7 +62,7 @@ def make_edited_arrays(
 def _make_displayed_arrays(
     manifest: Manifest, entry: SpeciesEntry, frame: Arrays, rows: NDArray[np.intp], world: World
 ) -> PageArrays:
-    """Return the displayed values of the agents in some rows, in the units of pages."""
+    """Return the displayed values of the agents in `rows`, in the units of pages."""
     unit_mm = UNIT_MM[manifest.units]
     heading, up = find_axes(np.asarray(frame["orient"], np.float64)[rows])
     velocity = np.asarray(frame["v"], np.float32)[rows] * np.float32(unit_mm)
@@ -82,9 +82,9 @@ def _make_displayed_arrays(
 
 
 def _retain_bits(displayed: PageArrays, own: PageArrays, at: NDArray[np.intp], is_known: NDArray[np.bool_]) -> None:
-    """Copy directions that edits did not change from the unedited arrays `own` into `displayed`, where rounding differs.
+    """Copy directions from the unedited arrays `own` into `displayed` where the two differ only by rounding.
 
-    `at`: the row in `own` of each agent. `is_known`: whether there is such a row."""
+    `at`: the row of each agent in `own`. `is_known`: whether the agent has a row there."""
     for name in ("heading", "up"):
         if not len(own["id"]):
             continue
@@ -93,7 +93,8 @@ def _retain_bits(displayed: PageArrays, own: PageArrays, at: NDArray[np.intp], i
 
 
 def _make_tint(entry: SpeciesEntry, frame: Arrays, rows: NDArray[np.intp]) -> NDArray[np.uint8] | None:
-    """Return the colours that edits set, uint8[n, 4]: red, green, blue, and 1 for agents with such a colour. None without any."""
+    """Return the colours that edits set, uint8[n, 4]: red, green, blue, and 1 if the agent has such a colour, else 0. Return
+    None if no agent has one."""
     stored = np.asarray(frame["Cd"], np.float32)[rows]
     palette = np.array([state.colour for state in entry.machines[0].states] if entry.machines else [(1.0, 1.0, 1.0)], np.float32)
     states = np.clip(frame["state"][rows], 0, len(palette) - 1) if entry.machines else np.zeros(len(rows), np.int64)
@@ -128,13 +129,14 @@ def _gather_actions(
 
 
 def _find_owner(name: str) -> str:
-    """Return the species or body to which an array of a frame belongs, such as `feet.ant#0.P`; empty for other arrays."""
+    """Return the species or body that an array of a frame belongs to; "" if it belongs to neither. An array's name is
+    `feet.ant#0.P`."""
     parts = name.split(".")
     return parts[1] if len(parts) > 1 and parts[0] in ("clips", "wears", "channels", "looks", "leans", "feet", "joints") else ""
 
 
 def list_added_meshes(view: EditedCache) -> dict[str, MeshData]:
-    """Return the meshes that edits add to the scene, in mm from the scene's zero point, by their names."""
+    """Return the meshes that edits add to the scene, by name, in mm relative to the scene's origin."""
     manifest, known = view.manifest, {mesh.name for mesh in view.original.manifest.meshes}
     names = [mesh.name for mesh in manifest.meshes if mesh.name not in known]
     static = view.read_static() if names else {}
@@ -153,7 +155,7 @@ def list_added_species(view: EditedCache | None) -> tuple[SpeciesEntry, ...]:
 
 
 def find_edited_outfits(view: EditedCache, world: World, shot: Shot) -> Mapping[str, Mapping[str, BodyOutfit]]:
-    """Return the outfits of each species of a view, by the keys of its bodies."""
+    """Return the outfits of each species of an edited view, by species and body key."""
     originals = {entry.name: entry for entry in view.original.manifest.species}
     edited = {}
     for number, entry in enumerate(view.manifest.species):
@@ -167,13 +169,13 @@ def find_edited_outfits(view: EditedCache, world: World, shot: Shot) -> Mapping[
 
 
 def _list_body_choices(entry: SpeciesEntry) -> tuple[object, ...]:
-    """Return the properties of a species that decide how its bodies look."""
+    """Return the properties of a species that determine how its bodies look."""
     return entry.body, entry.definition, entry.bodies, entry.wears
 
 
 @lru_cache(maxsize=8)
 def _make_outfits(view: EditedCache, number: int) -> Mapping[str, BodyOutfit]:
-    """Return the outfits of a species with bodies or layers of edits."""
+    """Return the outfits of species `number`, including bodies and layers that edits add."""
     entry, bodies = view.manifest.species[number], CacheBodies(view.manifest, view.read_static())
     clips = tuple(PlayedClip(*(getattr(clip, name) for name in ClipEntry.model_fields)) for clip in entry.clips)
     leans = any(any(clip[3:]) for clip in clips)  # clips for turning and climbing

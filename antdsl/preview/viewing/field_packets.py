@@ -1,5 +1,6 @@
-"""Packets of fields: numbers on meshes, a few times a second, for the fields that a page displays. The mesh of a field is the
-ground, cut into faces of about the size of a cell. A cell that lies on no mesh becomes a square."""
+"""Packets of the fields that a page displays: values on a mesh, sent a few times per second.
+
+The mesh of a field is the ground, cut into faces about as large as a cell. A cell that lies on no mesh becomes a square."""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ MIN_BYTE_VALUE, BYTE_DECADES = 1e-8, 16
 
 
 def choose_full_value(limit: float) -> float:
-    """Return the initial value that is displayed as full. It depends only on the program, so a frame always looks the same."""
+    """Return the value that a page first displays in full colour. It depends only on the program, so a frame always looks the
+    same."""
     return float(limit) if np.isfinite(limit) and limit > 1e-3 else _DEFAULT_FULL_VALUE
 
 
@@ -55,7 +57,7 @@ class FieldPackets:
         self._last_sent_time = -1.0
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the meshes and values that changed, at a limited rate."""
+        """Yield the meshes and values that changed. The rate is limited."""
         world = view_state.world
         field_names = sorted(view_state.interest.fields & list_program_fields(world).keys())
         if world is not self._world:  # the same cells, often, and other values
@@ -102,9 +104,9 @@ class FieldPackets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingVertices:
-    """Vertices of a field mesh on a moving mesh. `first`: the number of the first of these vertices.
-
-    `corners` int64 (k, 3): the vertices of the moving mesh around each vertex. `weights` (k, 3): their weights."""
+    """Vertices of a field mesh that move with a moving mesh. `first`: the index of the first of these vertices in the field
+    mesh. `corners` int64 (k, 3): the three vertices of the moving mesh around each vertex. `weights` (k, 3): their
+    barycentric weights."""
 
     mesh: str
     first: int
@@ -116,8 +118,8 @@ class MovingVertices:
 class FieldMesh:
     """The mesh of a field, with n vertices and m faces.
 
-    `position`: float32 (n, 3), at the first frame.
-    `face`: uint32 (m, 3).
+    `position`: float32 (n, 3), the positions at the first frame.
+    `face`: uint32 (m, 3), the vertices of each face.
     `cell_indices`: int64 (n, 4), the cells that each vertex displays, blended by `cell_weights` (n, 4).
     `moving_vertices`: the vertices that move.
     """
@@ -143,12 +145,12 @@ class FieldMesh:
 
 
 def count_used_cells(field: Any) -> int:
-    """Return the number of cells that have a position. The arrays of a diggable ground have spare cells."""
+    """Return the number of cells that have a position. Fields on a diggable ground have spare cells at the end."""
     return field.cells.used_count if isinstance(field.cells, GrowingCells) else len(field.cells)
 
 
 def make_field_mesh(world: World, name: str) -> FieldMesh:
-    """Return the mesh of a field in the current state of the world."""
+    """Return the mesh on which a field is displayed, for the current state of the world."""
     field = list_program_fields(world)[name]
     cells, count = field.cells, count_used_cells(field)
     positions, normals = cells.position[:count], cells.normal[:count]
@@ -173,7 +175,7 @@ def make_field_mesh(world: World, name: str) -> FieldMesh:
 
 
 def _cut_ground(world: World, name: str, cell: float) -> tuple[Floats, NDArray[np.int64], tuple[MovingVertices, ...], float]:
-    """Return the field's meshes at the first frame, cut to edges of about one cell.
+    """Return the meshes that carry the field, at the first frame, cut until edges are about as long as a cell.
 
     The results are the vertices, the faces, the moving vertices, and the length of the longest edge."""
     stored_name = name if name in world.plan.fields else name_field_components(name)[0]
@@ -201,7 +203,7 @@ def _compute_area(vertices: Floats, faces: NDArray[np.int64]) -> float:
 
 
 def _cut_mesh(vertices: Floats, faces: NDArray[np.int64], edge: float) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
-    """Return vertices and faces of the refined mesh, and the original face of each new face."""
+    """Return the vertices and faces of a refined mesh, and for each new face the index of its original face."""
     from trimesh.remesh import subdivide_to_size
 
     points, cut, of = subdivide_to_size(vertices, faces, edge, max_iter=20, return_index=True)  # type: ignore[no-untyped-call]
@@ -217,7 +219,8 @@ def _make_moving_vertices(
     vertices: Floats,
     faces: NDArray[np.int64],
 ) -> MovingVertices:
-    """Return the vertices of a moving mesh. Each point has a triangle that contains it, and weights of the triangle's corners."""
+    """Return the vertices of a field mesh that move with the mesh `name`. Each point is stored as a triangle of that mesh and
+    its barycentric weights there."""
     from trimesh.triangles import points_to_barycentric
 
     face = np.zeros(len(points), np.int64)
@@ -229,7 +232,7 @@ def _make_moving_vertices(
 def _find_cell_weights(
     points: Floats, point_normals: Floats, positions: Floats, normals: Floats, cell: float
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return the nearest cells of each point that face the point's side, and the weight of each cell. It falls with distance."""
+    """Return, for each point, the nearest cells on the side that it faces, and their weights, which decrease with distance."""
     from scipy.spatial import cKDTree
 
     distance, near = cKDTree(positions).query(points, k=[min(k, len(positions)) for k in range(1, _CELLS_PER_VERTEX + 1)])
@@ -243,9 +246,9 @@ def _find_cell_weights(
 def _make_squares(
     positions: Floats, normals: Floats, cell: float, cell_indices: NDArray[np.int64]
 ) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Return squares, perpendicular to the normals of the cells `cell_indices`.
+    """Return a square for each of the cells `cell_indices`, perpendicular to the cell's normal.
 
-    The results are the vertices, the faces, and the cells of each vertex with their weights."""
+    The results are the vertices, the faces, and for each vertex its cells with their weights."""
     other = np.where(np.abs(normals[:, :1]) < 0.9, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]))
     right = np.cross(normals, other)
     right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-12)

@@ -1,6 +1,6 @@
-"""Short names of files for the page, which never receives a path of this machine.
+"""Short names of files for the page, which must never receive a path of this machine.
 
-This module also converts positions in texts to UTF-16 units, which browsers count."""
+This module also converts positions in texts to UTF-16 units, which browsers use."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ MAX_SHOWN_TEXT_BYTES = 1 << 20  # of one file that is shown
 
 
 class FileNames:
-    """Short names of files: the relative path of files below the scene's folder, `<steering>` for a library file, the last path
-    component for others."""
+    """Short names of files. A file below the scene's folder has its relative path, a library file a name like `<steering>`, and
+    any other file its last path component."""
 
     def __init__(self, scene: Path) -> None:
         self._folder = Path(os.path.realpath(scene)).parent
@@ -28,7 +28,7 @@ class FileNames:
         self._name_by_path: dict[Path, str] = {}
 
     def get_short_name(self, path: str | Path) -> str:
-        """Return the name of a file from a source or a list of files. Names are unique."""
+        """Return the short name of a file. Different files have different names."""
         text = os.fspath(path)
         if text.startswith("<"):
             return text
@@ -46,7 +46,7 @@ class FileNames:
         return self._name_by_path[real]
 
     def make_problem_message(self, diagnostic: Diagnostic) -> dict[str, Any]:
-        """Return the message of a finding with its location. The file is null if the finding has no location."""
+        """Return the message about a finding with its location. The file is null if the finding has no location."""
         fields: dict[str, Any] = {
             "code": diagnostic.code, "severity": diagnostic.severity, "message": self.shorten_paths(diagnostic.message),
             "help": self.shorten_paths(diagnostic.help or ""),
@@ -63,7 +63,7 @@ class FileNames:
         return fields
 
     def shorten_paths(self, text: str) -> str:
-        """Return the words with the path of the scene's folder removed."""
+        """Return a text in which the path of the scene's folder is removed from all file names."""
         for prefix in self._folder_prefixes:
             text = text.replace(prefix, "")
         return text
@@ -76,16 +76,16 @@ def is_library_file(path: Path) -> bool:
 
 
 def count_utf16_units(text: str) -> int:
-    """Return the length of a text as a browser counts it, in UTF-16 units. Every line end counts as one."""
+    """Return the length of a text in UTF-16 units, as a browser counts it. Every line end counts as one unit."""
     text = text.replace("\r\n", "\n")
     return len(text) + sum(letter > "\uffff" for letter in text)
 
 
 def read_file_text(path: Path, open_file: Callable[[Path], int]) -> str | None:
-    """Return the text of a program or a scene, even if it has errors; None if there is no such file.
+    """Return the text of a program or scene file, even if it has errors; None if there is no such file.
 
-    Line ends are those that the readers of programs and scenes use.
-    `open_file`: returns a handle on a regular file, or raises OSError."""
+    Line ends are normalized as by the readers of programs and scenes. `open_file`: returns a handle on a regular file, or raises
+    OSError."""
     try:
         data = read_handle(open_file(path), MAX_SHOWN_TEXT_BYTES)
     except OSError:

@@ -1,8 +1,8 @@
 """Packets of geometry.
 
-Ground and obstacles are meshes, sent once. Moving meshes are sent in each frame, removed meshes without faces. Curves are sent as
-points, and flows as arrows on the ground. Solids are sent in pieces of a few bricks each. A piece is sent again after agents dig
-in it."""
+Ground and obstacles are sent once as meshes. Moving meshes are sent in each frame. A mesh that was removed is sent once without
+faces. Curves are sent as points, and flows as arrows on the ground. Solids are sent in pieces of a few bricks, and a piece is
+sent again after agents dig in it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _SOLVED_FLOW_INTERVAL_SECONDS = 1.0  # seconds after which flows that are solved
 
 
 class MeshPackets:
-    """The slots `mesh:NAME`: the meshes of the scene, and those that edits of pages add. An unchanged mesh is not sent again."""
+    """The slots `mesh:NAME`, for the meshes of the scene and those that edits add. Unchanged meshes are not sent again."""
 
     def __init__(self) -> None:
         self._world: World | None = None
@@ -88,7 +88,7 @@ class CurvePackets:
         self._frame = 0
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the curves that are new or moving."""
+        """Yield the curves that are new or that move."""
         world = view_state.world
         moves = world.setting.motion
         if world is self._world and (not moves.curves or world.frame == self._frame):
@@ -105,7 +105,7 @@ class CurvePackets:
 
 
 class FlowPackets:
-    """The slots `flow:NAME` of the flows that a page displays."""
+    """The slots `flow:NAME`, for the flows that a page displays."""
 
     def __init__(self) -> None:
         self._world: World | None = None
@@ -113,7 +113,7 @@ class FlowPackets:
         self._last_solved_time = 0.0
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the displayed flows that are new or were computed again."""
+        """Yield the displayed flows that are new or have been recomputed."""
         world = view_state.world
         if world is not self._world:
             self._world, self._sent_flows = world, set()
@@ -133,7 +133,7 @@ class FlowPackets:
 
 
 class SolidPackets:
-    """The slots `solid:NAME:N`. A packet without faces removes a piece."""
+    """The slots `solid:NAME:N`, for piece N of a solid. A packet without faces removes the piece."""
 
     def __init__(self) -> None:
         self._volumes: dict[str, Volume] = {}
@@ -142,7 +142,7 @@ class SolidPackets:
         self._last_sent_time = -1.0
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the pieces that agents have dug in, at a limited rate."""
+        """Yield the pieces in which agents have dug. The rate is limited."""
         if not view_state.interest.shows_solids or (
             view_state.is_advancing and view_state.time - self._last_sent_time < _UPDATE_INTERVAL_SECONDS
         ):
@@ -174,7 +174,7 @@ class SolidPackets:
                 yield from self._make_piece_packets(name, piece, [], volume)
 
     def _make_piece_packets(self, name: str, piece: int, bricks: Iterable[Piece], volume: Volume) -> SlotPackets:
-        """Return the packet of a piece, or no packet for a piece without faces that is not displayed."""
+        """Return the packet of a piece. Return no packet if the piece has no faces and is not displayed."""
         vertices, faces = join_pieces(list(bricks))
         if not len(faces) and (name, piece) not in self._displayed_pieces:
             return

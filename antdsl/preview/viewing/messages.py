@@ -1,4 +1,4 @@
-"""The messages about a session, except the scene message. They contain texts and states, not arrays."""
+"""The messages about a session, apart from the scene message. They contain texts and states, but no arrays."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ JsonMessage = dict[str, Any]
 
 
 def make_hello(live: LiveSimulation) -> JsonMessage:
-    """Return the message `hello`. `build` is empty here: the server fills it in."""
+    """Return the message `hello`. Its `build` is empty, because the server fills it in."""
     return {"op": "hello", "version": __version__, "build": "", "scene": find_scene_name(live)}
 
 
@@ -29,7 +29,7 @@ def find_scene_name(live: LiveSimulation) -> str:
 
 
 def make_texts_message(live: LiveSimulation) -> JsonMessage:
-    """Return the message with all programs and scenes, as they are on the disk."""
+    """Return the message with the texts of all program and scene files on disk."""
     entries, known_paths = [], set()
     for each in live.compiler.get_watched_files():
         path = Path(os.path.realpath(each))
@@ -43,12 +43,12 @@ def make_texts_message(live: LiveSimulation) -> JsonMessage:
 
 
 def make_problems_message(live: LiveSimulation) -> JsonMessage:
-    """Return the errors and warnings of the files from the last attempt to open them."""
+    """Return the message with the errors and warnings from the last attempt to open the files."""
     return {"op": "problems", "problems": _make_problem_messages(live, live.report)}
 
 
 def _make_problem_messages(live: LiveSimulation, report: Report) -> list[JsonMessage]:
-    """Return the messages of as many findings as the limit allows, and one about the number of further findings."""
+    """Return one message per finding, up to the limit, and one that gives the number of omitted findings."""
     selected = choose_visible_diagnostics(report)
     entries, omitted_count = (
         [live.screen.names.make_problem_message(each) for each in selected],
@@ -62,20 +62,20 @@ def _make_problem_messages(live: LiveSimulation, report: Report) -> list[JsonMes
 
 
 def make_outcome_message(live: LiveSimulation, operation: str, result: EditOutcome, file: str = "") -> JsonMessage:
-    """Return the message with the result of an edit. `operation`: the op of the request; `file`: the file to write the text
-    into."""
+    """Return the message with the outcome of a change. `operation`: the op of the request. `file`: the file into which the
+    outcome's text should be written."""
     entries = _make_problem_messages(live, result.report)
     details = {"did": result.description, "line": result.line, "text": result.text, "file": file}
     return {"op": "outcome", "of": operation, "ok": result.is_successful, **details, "problems": entries}
 
 
 def make_stops_message(live: LiveSimulation) -> JsonMessage:
-    """Return the message with the frames at which play was stopped, and the reasons."""
+    """Return the message with the frames at which play was stopped, and the reason for each."""
     return {"op": "stops", "stops": [{"frame": frame, "line": why} for frame, why in live.session.timeline.stop_reasons.items()]}
 
 
 def make_status_message(live: LiveSimulation, rate: float, hash: str | None) -> JsonMessage:
-    """Return the state of the session. Its values are empty while the scene has errors."""
+    """Return the message with the state of the session. Its values are empty while the scene has errors."""
     fields: JsonMessage = {
         "op": "status", "frame": 0, "first": 0, "head": 0, "playing": False, "speed": live.speed, "rate": round(rate, 1),
         "edited": False, "fault": None, "paused_by": None, "paused_agents": None, "hash": hash, "agents": 0, "transitions": {},

@@ -1,6 +1,6 @@
-"""The state of all pages: the data that they have received, and the updates that are due.
+"""The data that all pages have received, and the updates to send next.
 
-Updates have a limited rate, contain only changes, and stop without clients."""
+Updates have a limited rate, contain only changes, and stop when no page is connected."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ _RATE_WINDOW_SECONDS = 1.0  # seconds of steps that the rate is measured over
 
 
 class PageUpdates:
-    """Sends updates to the pages. Used only by the live thread. `next_refresh_time`: the time at which `send_due_updates` has
-    work again."""
+    """Sends updates to the pages. Only the live thread uses it. `next_refresh_time`: the time (s) at which `send_due_updates`
+    next has work."""
 
     def __init__(self, live: LiveSimulation) -> None:
         self.live, self.names = live, FileNames(live.compiler.scene)
@@ -76,23 +76,23 @@ class PageUpdates:
 
     @property
     def edited(self) -> EditedRunView:
-        """Return the simulated frames with the edits that pages added. Only if there is a session."""
+        """Return the simulated frames with the edits of users. Call this only while a session exists."""
         return self.settling.edited
 
     @property
     def settling(self) -> HandSettling:
-        """Return what settles these frames. Only if there is a session."""
+        """Return the object that settles these frames. Call this only while a session exists."""
         if self._settling is None:
             self._settling = HandSettling(EditedRunView(self.live.session))
         return self._settling
 
     @property
     def is_settling(self) -> bool:
-        """Return whether frames are being settled."""
+        """Return whether edited frames are being settled."""
         return self._settling is not None and self._settling.is_running
 
     def settle_frames(self) -> None:
-        """Settle some frames if a page requested it."""
+        """Settle a few frames if a page has requested this."""
         if self.is_settling:
             self.settling.advance()
             if not self.is_settling:
@@ -101,7 +101,7 @@ class PageUpdates:
     # --- what happened -----------------------------------------------------------------------------------------------
 
     def on_step(self) -> None:
-        """Record a step, and store the poses of its frame if a page is connected."""
+        """Record that a step was made. If a page is connected, also store the poses of the new frame."""
         self._step_times.append(monotonic())
         self._world_changed = True
         if self.live.clients:
@@ -114,25 +114,25 @@ class PageUpdates:
         )
 
     def on_look_ahead(self) -> None:
-        """Record that the set of simulated future frames changed."""
+        """Record that future frames were simulated or dropped."""
         self._world_changed = True
 
     def on_new_world(self) -> None:
-        """Record that the session has another world: it went back in time, or an edit changed its program or values."""
+        """Record that the session has a new world, because it went back in time, or an edit changed its program or values."""
         self._program_changed = self._world_changed = True
 
     def on_seek_end(self) -> None:
-        """Record that the session reached its target frame. Values set by hand may differ from those before the seek."""
+        """Record that the session has reached its target frame. The user's settings there may differ from those before the
+        seek."""
         self._program_changed = True
         self.on_action()
 
     def on_action(self) -> None:
-        """Record that an event happened that pages may have to display."""
+        """Record an event that pages may have to display."""
         self._world_changed, self._last_report_time = True, -inf
 
     def on_edit(self, *, files_changed: bool) -> None:
-        """Record that the program changed, or that a change was attempted. `files_changed`: whether texts of files may have
-        changed."""
+        """Record a change of the program, or an attempt. `files_changed`: whether texts of files may have changed."""
         self._program_changed, self._files_changed = True, self._files_changed or files_changed
         self._hash = None  # a param may be another one at the same frame
         if self.live.is_open:
@@ -140,7 +140,7 @@ class PageUpdates:
         self.on_action()
 
     def on_display_change(self) -> None:
-        """Record that the data that pages display may have changed."""
+        """Record that the data that pages want to display may have changed."""
         self._interest = PageInterest.from_displays(self.live.clients.values())
         self._world_changed = True
 
@@ -179,7 +179,7 @@ class PageUpdates:
     # --- telling -----------------------------------------------------------------------------------------------------
 
     def send_due_updates(self, time: float) -> None:
-        """Send everything that is due at the time `time` (s)."""
+        """Send everything that is due. `time`: the current time (s)."""
         live = self.live
         self.next_refresh_time = inf
         if not live.clients:
@@ -209,7 +209,7 @@ class PageUpdates:
             self.next_refresh_time = min(self.next_refresh_time, self._last_report_time + _REPORT_INTERVAL_SECONDS)
 
     def _send_packets(self, session: PreviewSession, time: float) -> set[str]:
-        """Send the slots that changed to all pages, and return these slots."""
+        """Send all changed packets to all pages, and return the names of their slots."""
         self._last_packet_time = time
         going = session.playing or self.live.is_seeking
         stored_frame, sent = self.live.displayed_frame, set()
@@ -225,9 +225,9 @@ class PageUpdates:
         return sent
 
     def _send_scene(self, lays_out_charts: bool) -> bool:
-        """Send the scene message if it changed. Return whether its charts are current, which is `lays_out_charts`.
+        """Send the scene message if it changed, and return `lays_out_charts`.
 
-        `lays_out_charts`: lay out the current charts; otherwise the message repeats the previous charts."""
+        `lays_out_charts`: whether to lay out the current charts; if not, the message repeats the previous charts."""
         scene_message = self._make_scene_message(lays_out_charts)
         if scene_message != self._scene:
             self._scene = scene_message
@@ -237,7 +237,7 @@ class PageUpdates:
         return lays_out_charts
 
     def _send_verbs(self) -> None:
-        """Send the verbs of notes and edits, and the lines that pages added, each if it changed."""
+        """Send the verbs of notes and edits if they changed, and the lines that users added if these changed."""
         verbs = make_verbs_message(self.live)
         if verbs != self._verbs:
             self._verbs = verbs
@@ -245,7 +245,7 @@ class PageUpdates:
         self._send_lines()
 
     def _send_lines(self) -> None:
-        """Send the notes and edits that pages added, each list if it changed."""
+        """Send the list of notes that users added if it changed, and likewise the list of edits."""
         for number, message in enumerate((make_notes_message(self.live), make_edits_message(self.live))):
             if message != self._lines[number]:
                 self._lines[number] = message
@@ -270,7 +270,7 @@ class PageUpdates:
             self.live.send_to_all(news)
 
     def _compute_step_rate(self) -> float:
-        """Return the recent number of steps per second; 0 while paused."""
+        """Return the recent number of steps per second (0 while paused)."""
         if not self.live.is_open or not self.live.session.playing:
             self._step_times.clear()
             return 0.0
@@ -281,7 +281,7 @@ class PageUpdates:
         return (len(self._step_times) - 1) / over if over > 0 else 0.0
 
     def _find_current_hash(self) -> str | None:
-        """Return the hash of the session's world if the session is paused and displays this world; else None."""
+        """Return the state hash of the session's world. Return None if the session is playing or displays another frame."""
         live = self.live
         if not live.is_open or live.session.playing or live.is_seeking or live.displayed_frame is not None:
             return None

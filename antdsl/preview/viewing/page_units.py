@@ -1,4 +1,4 @@
-"""The units of numbers for the page: the units that authors use."""
+"""The units in which the page displays numbers: those that authors use."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from antdsl.scene.quantities import QuantityError, parse_quantity
 
 
 def choose_unit(declaration: AttributeDecl | ItemAttribute) -> str:
-    """Return the unit of the declared default value, or else a usual unit."""
+    """Return the unit of the declared default value, or a usual unit if there is none."""
     if declaration.type.kind is not TypeKind.NUMBER:
         return ""
     default = declaration.default
@@ -36,6 +36,6 @@ def convert_constant(value: Constant, unit_mm: float, dt: float) -> float:
 
 
 def list_colour_attributes(world: World, species: str, attributes: tuple[AttributeDecl, ...]) -> list[AttributeDecl]:
-    """Return the attributes by which a page can colour agents: those of a species that are one number per agent."""
+    """Return the attributes by which a page can colour the agents of a species: those with a single number per agent."""
     registers = world.plan.species[species].registers
     return [each for each in attributes if each.type.kind in (TypeKind.NUMBER, TypeKind.BOOL) and each.name in registers]

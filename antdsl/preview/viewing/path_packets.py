@@ -1,4 +1,4 @@
-"""Planned paths: the positions of agents in the coming frames, for the agents with paths that a page displays."""
+"""Packets of planned paths: the positions in the coming frames, of the agents that a page has selected."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ _UPDATE_INTERVAL_SECONDS = 0.1  # seconds between two of them while time goes on
 
 
 class PathPackets:
-    """The slot `paths`: the positions of each agent, from the frame `frame` of the header on. NaN where the agent does not
-    exist."""
+    """The slot `paths`: the positions of each agent in the frames from `frame` (in the header) on. Positions are NaN in frames
+    where the agent does not exist."""
 
     def __init__(self) -> None:
         self._last_key: tuple[int, PageInterest] | None = None
         self._last_sent_time = 0.0
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the planned paths if they changed, at a limited rate."""
+        """Yield the planned paths if they changed. The rate is limited."""
         if view_state.interest.planned_agents is None:
             if self._last_key is not None:
                 self._last_key = None
@@ -43,7 +43,7 @@ class PathPackets:
 
 
 def _make_path_arrays(view_state: ViewState) -> dict[str, NDArray[Any]]:
-    """Return, for each species NAME, `NAME/id` int32 (n) and `NAME/path` float32 (n, frames, 3)."""
+    """Return, for each species NAME, the arrays `NAME/id` int32 (n) and `NAME/path` float32 (n, frames, 3)."""
     ahead, interest, arrays = view_state.look_ahead, view_state.interest, dict[str, NDArray[Any]]()
     if not ahead.frames:
         return arrays

@@ -1,4 +1,4 @@
-"""The bodies of species on pages, each sent once: those of the scene, and those that edits gave."""
+"""Packets of the bodies of species: those of the scene, and those that edits add. Each is sent once."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from antdsl.preview.viewing.view_state import SlotPackets, ViewState
 
 
 class RigPackets:
-    """The slots `rig:KEY`, one for each body of a species. Sent again if a body, or the clips that it plays, change."""
+    """The slots `rig:KEY`, one for each body of a species. A slot is sent again if the body or the clips that it plays change."""
 
     def __init__(self) -> None:
         self._sent_rigs: dict[str, tuple[BodyOutfit, tuple[str, ...]]] = {}

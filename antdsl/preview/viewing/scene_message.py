@@ -1,4 +1,4 @@
-"""The scene message: everything that a page can display, set, switch, and colour agents by."""
+"""The scene message: everything that a page can display, set, switch, or use to colour agents."""
 
 from __future__ import annotations
 
@@ -54,15 +54,15 @@ def make_scene_message(
 
 
 class BoundingBox:
-    """The box around all ground, solids and agents, relative to the world's origin. It changes only with ground and
-    solids. Pages reset their view when the box changes."""
+    """The box around all ground, solids and agents, relative to the world's origin. It changes only when ground or solids
+    change, because pages reset their view then."""
 
     def __init__(self) -> None:
         self._input_key: tuple[list[list[float]], bool] = [], False
         self._box: tuple[list[float], list[float]] | None = None
 
     def find_corners(self, session: PreviewSession) -> tuple[list[float], list[float]]:
-        """Return the lowest and the highest corner of the box for a session, in mm."""
+        """Return the lowest and the highest corner of the box, in mm."""
         world = session.world
         meshes = [mesh.vertices for mesh in (*world.setting.surfaces.values(), *world.setting.obstacles.values())]
         meshes += [solid.mesh.vertices for solid in world.setting.solids.values()]
@@ -78,7 +78,8 @@ class BoundingBox:
 
 
 def _make_camera_entry(session: PreviewSession) -> dict[str, Any] | None:
-    """Return the scene's default camera in the first frame, relative to the world's origin."""
+    """Return the entry of the scene's default camera at the first frame, relative to the world's origin; None without a
+    camera."""
     camera, origin = session.world.setting.cameras.get(DEFAULT_CAMERA_NAME), session.world.origin
     if camera is None:
         return None
@@ -109,7 +110,7 @@ def _make_species_entry(live: LiveSimulation, names: FileNames, population: Popu
 
 
 def _make_added_species_entries(live: LiveSimulation) -> Iterator[dict[str, Any]]:
-    """Yield the entries of species that edits add to the run. No program is known of them."""
+    """Yield the entries of species that edits add to the run. These species have no program."""
     view, session = live.screen.edited.find_view(), live.session
     for entry in list_added_species(view):
         assert view is not None
@@ -122,7 +123,7 @@ def _make_added_species_entries(live: LiveSimulation) -> Iterator[dict[str, Any]
 
 
 def _list_layers(session: PreviewSession, names: FileNames, population: Population) -> list[dict[str, Any]]:
-    """Return the active and the disabled layers, in the order of the text."""
+    """Return the entries of active and disabled layers, in the order of the source text."""
     entries = []
     for layer in population.plan.layers:
         span = layer.span
@@ -183,7 +184,7 @@ def _list_items(session: PreviewSession) -> list[dict[str, Any]]:
 
 
 def _find_initial_amounts(session: PreviewSession, name: str, amount: ItemAttribute) -> list[float]:
-    """Return the initial amount of each item, in the author's unit."""
+    """Return the initial amount of each item, in the unit that authors use."""
     unit_mm, dt = session.world.setting.unit_mm, session.world.dt
     usual, one = convert_constant(amount.default, unit_mm, dt), find_unit_size(choose_unit(amount), unit_mm, dt)
     return [each.attributes.get(amount.name, usual) / one for each in session.world.setting.items[name]]

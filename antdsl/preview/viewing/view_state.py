@@ -1,4 +1,4 @@
-"""The input and the interface of the views that create packets."""
+"""The inputs and the interface of the classes that make packets."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SlotPackets = Iterator[tuple[str, bytes]]
 
 @dataclass(frozen=True, slots=True)
 class PageInterest:
-    """All data that at least one page displays."""
+    """The data that at least one page displays."""
 
     columns: frozenset[tuple[str, str]] = frozenset()  # species and attribute
     fields: frozenset[str] = frozenset()
@@ -30,7 +30,7 @@ class PageInterest:
 
     @classmethod
     def from_displays(cls, looks: Iterable[SetDisplay]) -> PageInterest:
-        """Return the union of the data that pages with these requests display."""
+        """Return the union of the data that pages with these display settings show."""
         looks = list(looks)
         followed = dict.fromkeys(look.follow for look in looks if look.follow is not None)
         planned = [look.planned for look in looks if look.planned is not None]
@@ -47,14 +47,14 @@ class PageInterest:
 
 @dataclass(frozen=True, slots=True)
 class ViewState:
-    """A snapshot of the inputs of all views.
+    """A snapshot of the inputs from which packets are made.
 
-    `session`, `look_ahead`: the session, and its simulated future frames.
-    `is_edited`: the frames of the session with the edits that pages added.
+    `session`, `look_ahead`: the session and its simulated future frames.
+    `is_edited`: the session's frames with the edits that users added.
     `interest`: the data that pages display.
-    `stored_frame`: the stored frame that is displayed instead of the session's own, or None.
+    `stored_frame`: the stored frame that is displayed instead of the session's current one, or None.
     `time`: the time in seconds.
-    `is_advancing`: whether the session plays or is on its way to a frame."""
+    `is_advancing`: whether the session plays or is simulating towards a frame."""
 
     session: PreviewSession
     look_ahead: LookAheadSimulation
@@ -74,6 +74,6 @@ class ViewState:
 
 
 class PacketMaker(Protocol):
-    """Creates the packets of one kind, and returns only packets that changed."""
+    """An object that makes the packets of one kind. It yields only packets that have changed."""
 
     def make_packets(self, view_state: ViewState) -> SlotPackets: ...
