@@ -1,1 +1,1 @@
-"""Bodies of agents and shapes of food, nests and other items: agent definitions, small procedural meshes, and skinned meshes."""
+"""Bodies of agents (agent definitions and skinned meshes), and shapes of items such as food and nests (procedural meshes)."""

@@ -1,4 +1,4 @@
-"""Rotations that align bodies with the ground, and normals of meshes."""
+"""Computes rotations that align bodies with the ground, and vertex normals of meshes."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def compute_vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.float32]:
-    """Return unit normals (n, 3) of vertices: the mean of their faces, weighted by area. A vertex without faces gets +y."""
+    """Return unit vertex normals (n, 3): the mean normals of adjacent faces, weighted by area. A vertex without faces gets +y."""
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     total = np.stack(
@@ -34,8 +34,8 @@ def normalise_normals(normals: NDArray[Any], tolerance: float = 0.0) -> NDArray[
 def build_orientations(heading: Array, up: Array) -> Array:
     """Return quaternions (n, 4) as x, y, z, w that rotate +x to `heading` (n, 3) and +y to `up` (n, 3).
 
-    The rotated +y equals `up` exactly: the heading is first projected onto the plane perpendicular to `up`. If the two define no
-    frame (zero or parallel), any heading perpendicular to `up` is used.
+    The rotated +y equals `up` exactly: the heading is first projected onto the plane perpendicular to `up`. If the two vectors
+    are parallel or one is zero, any heading perpendicular to `up` is used.
     """
     up = normalise_or_fallback(up, np.array([0.0, 1.0, 0.0]))
     ahead = heading - up * (heading * up).sum(axis=1, keepdims=True)
@@ -47,7 +47,7 @@ def build_orientations(heading: Array, up: Array) -> Array:
 
 
 def rotate_vectors(orient: Array, vectors: Array) -> Array:
-    """Return vectors (n, …, 3) rotated by the quaternions `orient` (n, 4) of the same row."""
+    """Return vectors (n, …, 3), each row rotated by its quaternion in `orient` (n, 4)."""
     matrix = build_rotation_matrices(orient).astype(vectors.dtype)
     return np.asarray(np.einsum("nij,n...j->n...i", matrix, vectors, optimize=True))
 

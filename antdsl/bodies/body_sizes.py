@@ -1,4 +1,4 @@
-"""Sizes of species and of their bodies: proportions of standing bodies, and warnings about numbers that do not fit."""
+"""Compares the sizes of species with those of their bodies: proportions of standing bodies, and warnings about mismatches."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _STANDING_BODIES = ("person",)  # library bodies with a fixed size; animals of o
 def measure_standing_proportions(
     program: Program, definitions: Mapping[str, Definition], words: Mapping[str, str]
 ) -> dict[str, BodyProportions]:
-    """Return the proportions of the bodies of species that set their height. `definitions`: bodies from files. `words`: the
-    library's bodies by species."""
+    """Return, by species, the proportions of the bodies of all species that have a `height`. `definitions`: bodies from files, by
+    species. `words`: names of library bodies, by species."""
     return {
         name: _measure_proportions(definitions.get(name) or load_library_body(words[name]), words.get(name))
         for name, species in program.species.items()
@@ -35,7 +35,7 @@ def measure_standing_proportions(
 
 
 def _measure_proportions(body: Definition, word: str | None) -> BodyProportions:
-    """Return the proportions of a standing body. `word`: its name in the library, None for a body from a file."""
+    """Return the proportions of a standing body. `word`: its name in the library; None for a body from a file."""
     low, high = compute_standing_box(body, find_base_layer(body))
     if word in CAPSULE_BY_BODY:
         return BodyProportions(1.0 / max(float(high[1] - low[1]), 1e-3), CAPSULE_BY_BODY[word].width / 2)
@@ -46,9 +46,9 @@ def _measure_proportions(body: Definition, word: str | None) -> BodyProportions:
 def report_odd_sizes(
     scene: Scene, program: Program, definitions: Mapping[str, Definition], words: Mapping[str, str], report: Report
 ) -> None:
-    """Report a warning where `size`, `height`, `radius` and the body of a species differ by more than a factor of 2.
+    """Report a warning where the `size`, `height` or `radius` of a species differs from its body by more than a factor of 2.
 
-    Only constants are compared. For a random number, its first argument is compared."""
+    Only constants are compared. For a random value such as `uniform(3 mm, 5 mm)`, the first length is compared."""
     for line in scene.model.crowd:
         species = program.species.get(line.species)
         word = words.get(line.species)
@@ -60,7 +60,7 @@ def report_odd_sizes(
 def _report_odd_sizes_of_species(
     scene: Scene, program: Program, species: Species, body: Definition, word: str | None, report: Report
 ) -> None:
-    """Report a warning where the sizes of one species and of its body differ. `word`: the library's name of the body, or None."""
+    """Report a warning where the sizes of one species differ from its body. `word`: the library's name for the body, or None."""
     own = {a.name: a for a in species.attributes if a.is_builtin and a.span != species.span}
     lengths = {
         name: _find_first_length(own[name].default, program, scene) for name in ("size", "height", "radius") if name in own
@@ -81,9 +81,9 @@ def _report_odd_sizes_of_species(
 
 
 def _report_if_different(attribute: AttributeDecl, length: float, body_length: float, words: str, report: Report) -> None:
-    """Report a warning if an attribute's `length` (mm) and the body's length (mm) differ by more than the greatest ratio.
+    """Report a warning if an attribute's `length` (mm) and the corresponding `body_length` (mm) differ by too large a factor.
 
-    `words`: a description of the body's length, with `{}` in place of the length."""
+    `words`: text about the body's length, with `{}` in place of the length."""
     if length > 0 and body_length > 0 and not 1 / _MAX_LENGTH_RATIO <= length / body_length <= _MAX_LENGTH_RATIO:
         has = words.format(_describe_length(body_length))
         message = f"`{attribute.name}` is about {_describe_length(length)}, but {has}"
@@ -93,12 +93,12 @@ def _report_if_different(attribute: AttributeDecl, length: float, body_length: f
 
 
 def _describe_length(length: float) -> str:
-    """Return a length (mm) as text in a common unit."""
+    """Return a length (mm) as text in metres or millimetres."""
     return f"{length / 1000:.3g} m" if length >= 300 else f"{length:.3g} mm"
 
 
 def _find_first_length(expression: Expr, program: Program, scene: Scene) -> float | None:
-    """Return the first length in an expression such as `uniform(3 mm, 5 mm)`, in millimetres; None without one."""
+    """Return the first length in an expression such as `uniform(3 mm, 5 mm)`, in millimetres; None if it contains no length."""
     stack: list[Expr | None] = [expression]
     while stack:
         part = stack.pop()

@@ -1,6 +1,6 @@
 """The bodies of a scene's crowd: agent definitions from files, checked against the clips, groups and marks that the species use.
 
-Also the body data that a run needs: clip lengths, strides and marks, and the collision size of each body."""
+Also computes the body data that a run needs: clip durations, strides and marks, and the collision size of each body."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ _MAX_LISTED_NAMES = 12  # maximum number of names in a message
 
 @dataclass(frozen=True, slots=True)
 class NamedBody:
-    """A body of a species. The scene names it, or it has the name of the species.
+    """A body of a species. The scene names it, or it is chosen by the name of the species.
 
-    `key`: its key, as `scene.body_choice` makes it.
-    `written_name`: the library word or the path in the scene.
-    `place`: the location at which the scene names it.
-    `weight`: its share among the bodies of the species."""
+    `key`: the key of the body, built by `scene.body_choice`.
+    `written_name`: the name of a library body, or a path, as in the scene.
+    `place`: the location in the scene that names the body.
+    `weight`: the body's weight when agents of the species draw their bodies."""
 
     key: str
     species: str
@@ -53,7 +53,7 @@ class NamedBody:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdBodies:
-    """The bodies of a crowd, by their keys (`scene.body_choice`). The key of a species' only body is the species.
+    """The bodies of a crowd, by their keys (`scene.body_choice`). If a species has only one body, its key is the species' name.
 
     `definitions`: the definitions of bodies from files; bodies from the same file share one object.
     `clips`: the data of the clips of each species.
@@ -82,7 +82,7 @@ class LegsByBody(Mapping[str, LegsData]):
 
     @cached_property
     def _legs_by_body(self) -> dict[str, LegsData]:
-        """Return the leg data of all bodies that have legs, by key."""
+        """Return the leg data of all bodies that have legs and gaits, by key."""
         definitions = {name: load_library_body(body) if isinstance(body, str) else body for name, body in self._bodies.items()}
         return {name: build_legs_data(body) for name, body in definitions.items() if body.legs and body.gaits}
 
@@ -99,7 +99,7 @@ class LegsByBody(Mapping[str, LegsData]):
 def load_crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
     """Return the bodies of a scene's crowd, from files and from the library, and a report of mismatches.
 
-    A finding is located where the scene names the body. Its label marks where the program uses the missing part."""
+    A finding is located at the body's name in the scene. Its label marks the place in the program that uses the missing part."""
     report = Report()
     files: dict[str, Definition | None] = {}
     named = list_named_bodies(scene, tuple(program.species))
@@ -150,14 +150,14 @@ def load_crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Repo
 
 
 def _select_first_bodies(bodies: Mapping[str, BodyType]) -> dict[str, BodyType]:
-    """Return by species the first of its bodies. `bodies`: by key."""
+    """Return the first body of each species, by species. `bodies`: bodies by key."""
     return {find_species_of_key(key): body for key, body in bodies.items() if find_number_of_key(key) == 0}
 
 
 def _check_layers(
     scene: Scene, program: Program, bodies: Iterable[NamedBody], definitions: Mapping[str, Definition], report: Report
 ) -> None:
-    """Report worn layers that the body of the species does not have. Also report more layers than can be distinguished."""
+    """Report worn layers that a body does not have, and species that wear more layers than are possible."""
     layers: dict[str, set[str]] = {}
     keys_by_species: dict[str, list[str]] = {}
     for each in bodies:
@@ -181,7 +181,8 @@ def _check_layers(
 def _check_worn_layers(
     species: str, body: Definition, worn_layers: Iterable[str], has_other_bodies: bool, place: Span, report: Report
 ) -> None:
-    """Report layers of a crowd line that a body does not have. `has_other_bodies`: the species has other bodies too."""
+    """Report worn layers of a crowd line that a body does not have. `has_other_bodies`: whether the species also has other
+    bodies."""
     for name in worn_layers:
         if name not in body.layers:
             near = find_nearest_name(name, list(body.layers))
@@ -194,7 +195,7 @@ def _check_worn_layers(
 
 
 def build_clip_data(clip: Clip, body: Definition) -> ClipData:
-    """Return a clip's data for a run, in seconds, body lengths and cycles."""
+    """Return the data of a clip that a run needs. Its duration is in seconds, its stride in body lengths, its marks in cycles."""
     seconds = clip.duration
     marks = {name: mark_time / seconds if seconds > 0 else 0.0 for name, mark_time in clip.marks.items()}
     return ClipData(seconds, clip.stride / body.length, clip.loop, marks)
@@ -203,9 +204,9 @@ def build_clip_data(clip: Clip, body: Definition) -> ClipData:
 def compute_collision_size(body: Definition, is_standing: bool = False) -> BodyCapsuleData:
     """Return the collision size of a body.
 
-    It is the body's own capsule. Without a capsule, it is the length and width of the box of the layer `collision` in the rest
-    pose, or in the idle clip if the body `is_standing`. Without that layer, the base layer is used. The length is never less than
-    the width."""
+    It is the capsule of the definition. Without one, it is the length and width of the bounding box of the layer `collision`, or
+    without this layer, of the base layer. The box is that of the rest pose; if `is_standing`, that of the idle clip. The length
+    is never less than the width."""
     if body.capsule is not None:
         length, width, height, ahead = (each / body.length for each in body.capsule)
         return BodyCapsuleData(max(length, width), width, height, ahead)
@@ -221,7 +222,7 @@ def compute_collision_size(body: Definition, is_standing: bool = False) -> BodyC
 
 
 def _get_library_collision_size(word: str) -> BodyCapsuleData:
-    """Return the collision size of a library body, which has the name `word`."""
+    """Return the collision size of the library body called `word`."""
     capsule = CAPSULE_BY_BODY[word]
     return BodyCapsuleData(capsule.length, capsule.width, capsule.height, capsule.forward_offset)
 
@@ -229,8 +230,8 @@ def _get_library_collision_size(word: str) -> BodyCapsuleData:
 def list_named_bodies(scene: Scene, species: Iterable[str] = ()) -> list[NamedBody]:
     """Return the bodies of all species of the crowd, and of the additional `species`.
 
-    These are the bodies of the first crowd line of the species that names any, else the library body that matches the species'
-    name."""
+    The bodies of a species are those of its first crowd line that names any. If no line does, it is the library body that matches
+    the species' name."""
     lines: dict[str, int] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.body is not None:
@@ -254,8 +255,8 @@ def list_named_bodies(scene: Scene, species: Iterable[str] = ()) -> list[NamedBo
 def _check_body(
     species: Species, body: Definition, text: str, place: Span, report: Report, chosen_by_species: bool = False
 ) -> None:
-    """Report the clips, transform groups and marks that a species needs and its body lacks. `chosen_by_species`: no crowd line
-    names a body, so the body was chosen by the species' name."""
+    """Report the clips, transform groups and marks that a species needs and its body lacks. `chosen_by_species`: whether the body
+    was chosen by the species' name, because no crowd line names a body."""
     lacks: dict[str, tuple[str, Label]] = {}  # help text and place of each missing name
 
     def require_name(noun: str, name: str, known_names: Iterable[str], label: Label) -> None:
@@ -297,9 +298,9 @@ def _check_body(
 
 
 def _find_misplaced_marks(species: Species, body: Definition) -> Iterator[tuple[str, str, Label]]:
-    """Yield misplaced marks, each with a message, a help text and its location.
+    """Yield a message, a help text and a location for each misplaced mark.
 
-    A mark is misplaced if a state waits for it, the state's clip lacks it, but other clips of the body have it."""
+    A mark is misplaced if a state waits for it, and other clips of the body have it, but the state's clip does not."""
     having: dict[str, list[str]] = {}
     for clip in body.clips.values():
         for mark in clip.marks:
@@ -332,6 +333,6 @@ def _iterate_play_lines(machine: Machine) -> Iterator[Play]:
 
 
 def _iterate_display_lines(machine: Machine) -> Iterator[Wear | Channel | Look]:
-    """Yield the statements of a machine's states that display something in addition to clips: worn layers, channels and looks."""
+    """Yield the statements of a machine's states that change a body in addition to clips: worn layers, channels and looks."""
     for state in machine.states:
         yield from (line for line in state.body if isinstance(line, (Wear, Channel, Look)))

@@ -1,4 +1,4 @@
-"""The definitions of the bodies in antdsl's library. Each is read on first use."""
+"""Loads the definitions of the bodies in antdsl's library, each on first use."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from antdsl.scene.library_bodies import BODY_WORDS
 
 @cache
 def load_library_body(body_name: str) -> Definition:
-    """Return the body called `body_name`. Raises KeyError if it is not in BODY_WORDS, BodyError if its file is damaged."""
+    """Return the body called `body_name`. Raises KeyError if the name is not in BODY_WORDS, and BodyError if the body's file is
+    damaged."""
     if body_name not in BODY_WORDS:
         raise KeyError(body_name)
     definition, report = read_definition(resources.body_file(f"{body_name}.json"))

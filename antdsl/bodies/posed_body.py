@@ -1,7 +1,7 @@
 """An agent definition prepared for drawing: one mesh with vertices that follow the poses of many agents.
 
-Agents that are small in a picture get coarse shapes: all points in a grid cell become one point (vertex clustering; J. Rossignac
-and P. Borrel, Multi-resolution 3D approximations for rendering complex scenes, 1993).
+Agents that are small in a picture get coarser shapes: all points in a grid cell are merged into one point (vertex clustering; J.
+Rossignac and P. Borrel, Multi-resolution 3D approximations for rendering complex scenes, 1993).
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ _GOLDEN_RATIO_FRACTION = (5**0.5 - 1) / 2  # its multiples, modulo 1, are spread
 
 
 class PosedBody:
-    """A body of length 1 along +x (its heading), up +y, posed by the clips that each agent plays.
+    """A body that can be posed for many agents at once. It has length 1 along +x, its heading; +y is up.
 
     The drawn shapes are those of the base layer and of `layers`; layers that the body lacks are ignored. The base layer is `body`
     if it exists, else the first layer not called `collision`.
 
-    `faces`: int32[m, 3].
-    `material_colours`: float32[v, 3], linear colours of materials, times the colours of points (`Cd`), which include textures.
-        The material `state` and vertices without a material have natural colours.
-    `tint_weights`: float32[v]. 1 takes the agent's colour, 0 that of the material. Vertices without a material, or with one named
-        `state`, have 1.
+    `faces`: int32[m, 3], triangles of vertices.
+    `material_colours`: float32[v, 3], linear colours of vertices: the material's colour times the point's colour (`Cd`), which
+        includes textures.
+    `tint_weights`: float32[v], 1 for vertices that have the agent's colour, 0 for those that have the material's colour. It is 1
+        for the material `state` and for vertices without a colour.
     `material_names`: [v], the name of each vertex's material.
-    `point_indices`: int[v], the point of each vertex, counted through the shapes of all `bindings`.
-    `fine`, `coarse`, `distant`: the same body with more or fewer triangles, for agents that are large, small, or only some pixels
-        long in a picture."""
+    `point_indices`: int[v], the point of each vertex, as an index into the points of all `bindings` in sequence.
+    `fine_body`, `coarse_body`, `distant_body`: the same body with more or fewer triangles, for agents that are large, small, or a
+        few pixels long in a picture."""
 
     def __init__(self, definition: Definition, clips: Sequence[tuple[str, str] | PlayedClip], layers: Sequence[str] = ()) -> None:
         self.clips, self.layers, self._full_definition, self.name = tuple(clips), tuple(layers), definition, definition.name
@@ -81,9 +81,10 @@ class PosedBody:
         self.material_names = np.concatenate([np.zeros(0, "U1"), *(part[4] for part in parts)])
 
     def compute_colours(self, driven_pose: PoseAdjustments) -> Floats:
-        """Return the linear colours of vertices by their materials, float32[n, v, 3], or [1, v, 3] if all agents have the same.
+        """Return the linear colours of vertices from their materials, float32[n, v, 3], or [1, v, 3] if they are equal for all
+        agents.
 
-        The variation of the material `state` is left out, see `compute_natural_colours`."""
+        The variation of the material `state` is not included; see `compute_natural_colours`."""
         variation = self._definition.variation
         own = replace(variation, materials={n: c for n, c in variation.materials.items() if n != STATE_MATERIAL})
         return compute_vertex_colours(own, driven_pose.variation_draws, self.material_names, self.material_colours)
@@ -91,7 +92,7 @@ class PosedBody:
     def compute_natural_colours(self, driven_pose: PoseAdjustments, count: int) -> Floats:
         """Return the linear colour of the material `state` for `count` agents, float32[count, 3], with their variation.
 
-        Bodies without this material give a neutral grey."""
+        For a body without this material, it is a neutral grey."""
         own = np.array([self._full_definition.materials.get(STATE_MATERIAL, NEUTRAL_COLOUR)], np.float32)
         variation = self._full_definition.variation
         colours = compute_vertex_colours(variation, driven_pose.variation_draws, np.array([STATE_MATERIAL]), own)
@@ -104,7 +105,7 @@ class PosedBody:
 
     @cached_property
     def reach(self) -> float:
-        """Return the distance from the origin to the farthest point of the box of the rest pose, in body lengths."""
+        """Return the distance from the origin to the farthest corner of the rest pose's bounding box, in body lengths."""
         drawn = Layer(
             BODY_LAYER_NAME, tuple(b for b in self._bindings if not b.deformer), tuple(b for b in self._bindings if b.deformer)
         )
@@ -113,7 +114,7 @@ class PosedBody:
 
     @cached_property
     def fine_body(self) -> PosedBody:
-        """Return the body for agents that are large in a picture, with the layer `close` if it exists."""
+        """Return the body for agents that are large in a picture. If there is a layer `close`, it replaces the layer `body`."""
         close = self._full_definition.layers.get(CLOSE_LAYER_NAME)
         if close is None:
             return self
@@ -128,7 +129,7 @@ class PosedBody:
     def coarse_body(self) -> PosedBody:
         """Return the body with fewer triangles, for agents that are small in a picture.
 
-        If there is a layer `close`, the layer `body` is used unchanged."""
+        If there is a layer `close`, this is the body itself, because its layer `body` is then already coarse."""
         return (
             self
             if CLOSE_LAYER_NAME in self._full_definition.layers
@@ -145,9 +146,9 @@ class PosedBody:
         return PosedBody(coarsen_definition(replace(self._full_definition, layers=layers, shapes=drawn)), self.clips, self.layers)
 
     def build_idle_clips(self, ids: NDArray[Any], seconds: float) -> tuple[MachineClips, ...]:
-        """Return the idle clip of each agent with these ids. It begins at a different time for each agent.
+        """Return the idle clip as played by the agents with these ids. Each agent starts at a different time in the clip.
 
-        `seconds`: time since frame 0. Empty if there is no idle clip."""
+        `seconds`: the time since frame 0. The result is empty if there is no idle clip."""
         clip = self._full_definition.clips.get(self._full_definition.idle)
         if clip is None or clip.duration <= 0:
             return ()
@@ -158,14 +159,14 @@ class PosedBody:
 
     @cached_property
     def mesh(self) -> SkinnedMesh:
-        """Return the vertices with their bones, for skinning by graphics hardware."""
+        """Return the mesh of vertices and bones, for skinning by graphics hardware."""
         return build_skinned_mesh(self._definition, self._bindings, self.point_indices)
 
     @cached_property
     def layer_masks(self) -> NDArray[np.uint64]:
-        """Return the mask of each vertex, uint64[v]: bit k means that layer number k of `layers` shows the vertex.
+        """Return a bit mask for each vertex, uint64[v]. Bit k means that layer number k of `layers` shows the vertex.
 
-        Vertices that are always visible have 0."""
+        The mask of vertices that are always visible is 0."""
         own, layers = find_base_layer(self._full_definition), self._full_definition.layers
         vertex_masks = []
         for binding in self._bindings:
@@ -182,7 +183,7 @@ class PosedBody:
 
     @property
     def definition(self) -> Definition:
-        """Return the agent definition."""
+        """Return the complete agent definition."""
         return self._full_definition
 
     @property
@@ -211,8 +212,8 @@ class PosedBody:
     ) -> WorldPoses:
         """Return the transforms and channels of `count` agents, in the definition's space.
 
-        `machines`: the clips that agents play. `feet`: if given, legs bend to reach these feet, and trunks move with them.
-        `driven_pose`: values that drive poses in addition to clips. `needs_local`: also return local transforms."""
+        `machines`: the clips that agents play. `feet`: if given, legs bend so that feet are at these positions, and trunks move
+        accordingly. `driven_pose`: values that drive poses in addition to clips. `needs_local`: also return local transforms."""
         playing = build_machine_playback(self._table, self._played, machines, count, driven_pose.lean)
         poses = blend_poses(self._table, self._definition.groups, playing, needs_local=needs_local, threads=threads)
         poses = set_pose_channels(self._table, poses, driven_pose.channels)
@@ -243,14 +244,14 @@ class PosedBody:
         *,
         driven_pose: PoseAdjustments = NO_DRIVEN_POSE,
     ) -> tuple[Floats, Floats]:
-        """Return vertices and unit normals float32[n, v, 3] of `count` agents, in body lengths. The arguments are those of
-        `compute_poses`."""
+        """Return the vertices, in body lengths, and the unit normals of `count` agents, both float32[n, v, 3]. The arguments are
+        those of `compute_poses`."""
         points, normals = self.compute_shape_points(self.compute_poses(machines, count, feet, threads, driven_pose=driven_pose))
         return points[:, self.point_indices], normals[:, self.point_indices]
 
     def compute_shape_points(self, poses: WorldPoses) -> tuple[Floats, Floats]:
-        """Return points and unit normals float32[n, p, 3] of the shapes of all bindings, one after the other. Lengths are body
-        lengths; front is +x, up +y."""
+        """Return the points and unit normals of all bindings in sequence, both float32[n, p, 3]. Points are in body lengths, with
+        front +x and up +y."""
         deformed_shapes = [deform_binding(self._definition, binding, poses) for binding in self._bindings]
         none = np.zeros((len(poses.world_transforms), 0, 3), np.float32)
         points = np.concatenate([none, *(each.points for each in deformed_shapes)], axis=1)
@@ -259,14 +260,15 @@ class PosedBody:
 
 
 def find_base_layer(definition: Definition) -> Layer:
-    """Return the layer that is always drawn. A body without one gets a layer without shapes."""
+    """Return the layer that is always drawn: `body`, or without it the first layer that is not for collisions. A body without
+    layers gets an empty layer."""
     layers = definition.layers
     worn = [layer for name, layer in layers.items() if name != COLLISION_LAYER_NAME]
     return layers.get(BODY_LAYER_NAME) or next(iter(worn), Layer(BODY_LAYER_NAME))
 
 
 def _select_needed_shapes(definition: Definition, names: Iterable[str]) -> dict[str, SkinShape]:
-    """Return the shapes called `names` and the shapes that they blend with, by name."""
+    """Return, by name, the shapes called `names` and all shapes that these blend towards."""
     shapes: dict[str, SkinShape] = {}
     left = list(names)
     while left:
@@ -285,7 +287,7 @@ def _select_visible_bindings(definition: Definition, layers: Sequence[str]) -> t
 
 
 def _list_layer_bindings(layer: Layer) -> tuple[Binding, ...]:
-    """Return the static bindings of a layer, then the deforming ones."""
+    """Return all bindings of a layer, the static ones first."""
     return (*layer.static, *layer.deforming)
 
 
@@ -299,10 +301,10 @@ def _add_missing_normals(shape: SkinShape) -> SkinShape:
 def _split_by_material(
     shape: SkinShape, colours: Mapping[str, tuple[float, float, float]]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32], NDArray[np.str_]]:
-    """Return the vertices of a shape; a point with several materials becomes several vertices.
+    """Split the points of a shape into vertices. A point with several materials becomes several vertices.
 
-    The results are the point of each vertex, triangles of vertices, linear colours, weights of the agent's colour (0 or 1), and
-    material names."""
+    Return the point of each vertex and the triangles of vertices. Also return the linear colour, the tint weight (0 or 1) and the
+    material name of each vertex."""
     material = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material.astype(np.int64)
     names = shape.materials or ("",)
     pairs = shape.faces.astype(np.int64) * len(names) + material[:, None]
@@ -330,10 +332,11 @@ def coarsen_definition(definition: Definition) -> Definition:
 
 
 def coarsen_shape(shape: SkinShape, cell: float) -> SkinShape:
-    """Return a shape in which one point replaces all points of each cell of a grid with the edge `cell`: their mean.
+    """Return a shape in which the points of each cell of a regular grid are replaced by their mean. `cell`: the edge length of
+    cells.
 
-    The mean follows the joints of the first point of the cell. Triangles with two corners in one cell are omitted. The bounding
-    box keeps its size, so that the shape does not get thinner."""
+    The new point follows the joints of the first point in the cell. Triangles with two corners in one cell are omitted. The shape
+    is then enlarged a little, so that its bounding box does not shrink."""
     if not len(shape.points):
         return shape
     size = min(cell, float(np.ptp(shape.points, axis=0).max()) / COARSE_CELLS_PER_SHAPE) or cell
@@ -371,6 +374,6 @@ def coarsen_shape(shape: SkinShape, cell: float) -> SkinShape:
 
 
 def _remove_blending(binding: Binding) -> Binding:
-    """Return a binding without the deformer for blend shapes."""
+    """Return a binding without the blend-shape deformer."""
     steps = [step for step in binding.deformer.split("+") if step != "blendshape"]
     return replace(binding, deformer="+".join(steps))

@@ -1,6 +1,6 @@
-"""Small meshes computed from numbers: spheres, stones, and the shapes of items.
+"""Builds small procedural meshes: spheres, stones, and the shapes of items.
 
-`ITEM_SHAPES` has a function for each shape of items.
+`ITEM_SHAPES` has a function for each item shape.
 """
 
 from collections.abc import Callable
@@ -80,8 +80,8 @@ def _build_ring() -> ColouredMesh:
 
 
 def _build_mound() -> ColouredMesh:
-    """Return a low ring of loose soil with a dark hole, as ants pile it up around a nest entrance. It is lower than an ant, so
-    that it hides no ant."""
+    """Return a low ring of loose soil with a dark hole, as around the entrance of an ants' nest. It is lower than an ant, so that
+    it hides none."""
     rings, around = 22, 40
     reach = np.linspace(0, 1.25, rings)
     turn = np.arange(around) * 2 * np.pi / around
@@ -252,7 +252,8 @@ def _build_flag() -> ColouredMesh:
 
 
 def _triangulate_grid(rows: int, columns: int) -> NDArray[np.int32]:
-    """Return the triangles of a grid of points, row by row. They face the direction of (rows × columns) by the left-hand rule."""
+    """Return the triangles of a grid of points that are listed row by row. They face the direction rows × columns by the
+    left-hand rule."""
     row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns - 1), indexing="ij")
     a = (row * columns + column).reshape(-1)
     b, c, d = a + 1, a + columns, a + columns + 1
@@ -279,7 +280,7 @@ ITEM_SHAPES: dict[str, Callable[[], ColouredMesh]] = {
 
 @cache
 def build_item_mesh(shape: str) -> ColouredMesh:
-    """Return vertices, faces and display colours (0 to 1) of the item shape with the name `shape`."""
+    """Return the vertices, faces and display colours (0 to 1) of the item shape called `shape`."""
     arrays = ITEM_SHAPES[shape]()
     for array in arrays:
         array.setflags(write=False)
@@ -307,9 +308,10 @@ def build_sphere(detail: int = 2) -> MeshArrays:
 def compute_wave_noise(
     points: NDArray[np.float64], seed: int, wavelength: float, octaves: int, *, fade: float = 0.5, count: int = 7
 ) -> NDArray[np.float64]:
-    """Return smooth noise of about unit size at `points` (n, d), a sum of `count` sines per octave in random directions.
+    """Return smooth noise (n,) with an amplitude of about 1 at `points` (n, d). Each octave is a sum of `count` sine waves in
+    random directions.
 
-    Each octave has half the wavelength and `fade` times the height of the previous octave."""
+    Each octave has half the wavelength and `fade` times the amplitude of the previous octave."""
     draw = np.random.Generator(np.random.Philox(seed))
     total = np.zeros(len(points))
     for octave in range(octaves):
@@ -323,9 +325,9 @@ def compute_wave_noise(
 
 
 def build_stone(seed: int, radii: tuple[float, float, float], *, detail: int = 2, roughness: float = 0.16) -> MeshArrays:
-    """Return an irregular stone around the origin with approximately these half axes.
+    """Return an irregular stone around the origin. `radii`: its approximate half axes.
 
-    It is a sphere that is cut flat by planes and then dented by noise."""
+    It is a sphere that is flattened by several planes and then dented by noise."""
     vertices, faces = build_sphere(detail)
     draw = np.random.Generator(np.random.Philox(seed))
     cuts = draw.normal(size=(9, 3))
@@ -340,7 +342,7 @@ def build_stone(seed: int, radii: tuple[float, float, float], *, detail: int = 2
 def build_flat_grid(x: NDArray[np.float64], z: NDArray[np.float64]) -> MeshArrays:
     """Return a horizontal grid at y = 0 with vertices at all pairs of `x` (a,) and `z` (b,).
 
-    The vertices (a · b) are ordered by x, then by z. Faces look up."""
+    The a · b vertices are ordered by x, then by z. Faces point up."""
     a, b = len(x), len(z)
     grid = np.stack(np.meshgrid(x, z, indexing="ij"), axis=-1).reshape(-1, 2)
     vertices = np.stack([grid[:, 0], np.zeros(a * b), grid[:, 1]], axis=1)

@@ -1,6 +1,6 @@
-"""An agent definition for graphics hardware: one mesh in which each vertex follows up to four bones, and its blend shapes.
+"""Converts an agent definition for graphics hardware: to one mesh in which each vertex follows up to four bones.
 
-Blend shapes become targets with a weight for each agent."""
+Blend shapes become morph targets with a weight for each agent."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ class SkinnedMesh:
 def build_skinned_mesh(definition: Definition, bindings: Sequence[Binding], vertex_points: NDArray[np.integer]) -> SkinnedMesh:
     """Return the skinned mesh of the given bindings, with shapes that have normals.
 
-    `vertex_points`: int[v], the point of each vertex, counted through all bindings.
+    `vertex_points`: int[v], the point of each vertex, as an index into the points of all bindings in sequence.
 
-    A static shape follows its joint only. If a point follows more than four joints, the four with the largest weights remain.
-    Deformers other than linear skinning are not applied: dual quaternions become linear, and blend shapes have their base shape.
-    `compute_blend_targets` returns the differences from that base."""
+    A static shape follows only its joint. If a point follows more than four joints, those with the four largest weights are used.
+    Other deformers are replaced by linear skinning. Blend shapes have their base shape; `compute_blend_targets` returns the
+    offsets from it."""
     bone_table = _BoneTable(definition)
     parts = [
         (_build_skinned_part if _is_skinned(each) else _build_static_part)(definition, each, bone_table) for each in bindings
@@ -90,7 +90,7 @@ class _BoneTable:
         self.inverses: list[Matrix] = []
 
     def get_bone_number(self, joint: int, inverse_matrix: Matrix) -> int:
-        """Return the number of the bone with this joint and inverse matrix. A new pair gets the next number."""
+        """Return the number of the bone with this joint and inverse matrix. A bone that does not exist is added."""
         for number, (other, known) in enumerate(zip(self.joints, self.inverses, strict=True)):
             if other == joint and np.abs(known - inverse_matrix).max() <= _EQUAL_MATRIX_TOLERANCE * max(
                 1.0, float(np.abs(inverse_matrix[:, :3]).max())
@@ -102,14 +102,14 @@ class _BoneTable:
 
 
 def _is_skinned(binding: Binding) -> bool:
-    """Return whether a binding moves its points by the joints that they follow."""
+    """Return whether a binding has a skinning deformer, so that its points follow several joints."""
     return bool(binding.deformer) and any(step in SKINNING_DEFORMERS for step in find_deformers(binding.deformer))
 
 
 def _build_static_part(definition: Definition, binding: Binding, bone_table: _BoneTable) -> _MeshPart:
     """Return the vertices of a static shape, at the position of its joint in the rest pose.
 
-    In this position, the shape shares its bone with shapes that are skinned to the joint."""
+    At this position, the shape can share a bone with shapes that are skinned to the joint."""
     shape = definition.shapes[binding.shape]
     points, normals = shape.points.astype(np.float64), _get_normals_or_zeros(shape).astype(np.float64)
     bones = np.zeros((len(points), MAX_JOINTS_PER_VERTEX), np.int32)
@@ -146,7 +146,7 @@ def _build_skinned_part(definition: Definition, binding: Binding, bone_table: _B
 
 
 def _select_strongest_joints(capture: SkinWeights) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the joints with the largest weights of each point, at most four, and these weights."""
+    """Return, for each point, the up to four joints with the largest weights, and these weights."""
     joints, weights = capture.joints, capture.weights
     if joints.shape[1] < MAX_JOINTS_PER_VERTEX:
         wide = ((0, 0), (0, MAX_JOINTS_PER_VERTEX - joints.shape[1]))
@@ -160,16 +160,16 @@ def _select_strongest_joints(capture: SkinWeights) -> tuple[NDArray[np.int32], N
 
 
 def _get_normals_or_zeros(shape: SkinShape) -> NDArray[np.float32]:
-    """Return the normals of a shape; zeros if it has none."""
+    """Return the normals of a shape, or zeros if it has none."""
     return np.zeros_like(shape.points) if shape.normals is None else shape.normals
 
 
 @dataclass(frozen=True, slots=True)
 class BlendTarget:
-    """One shape of a blend-shape input.
+    """One shape of a blend-shape input: its primary shape or an in-between.
 
     `channel`: the channel that weights the input.
-    `knots`: the weights at which the input has shapes.
+    `knots`: the weights at which the input's shapes apply in full.
     `knot_index`: the index of this shape in `knots`.
     """
 
@@ -183,8 +183,9 @@ def compute_blend_targets(
 ) -> dict[BlendTarget, NDArray[np.float32]]:
     """Return the offsets that each target at weight 1 adds to the rest pose of a skinned mesh.
 
-    The offsets are float32[v, 6]: three numbers for points and three for normals. Only shapes with blending as their first
-    deformer have targets. `vertex_points`: int[v], the point of each vertex, counted through all bindings."""
+    The offsets are float32[v, 6]: three numbers for the point and three for the normal. Only shapes with blending as their first
+    deformer have targets. `vertex_points`: int[v], the point of each vertex, as an index into the points of all bindings in
+    sequence."""
     sizes = [len(definition.shapes[each.shape].points) for each in bindings]
     starts = np.cumsum([0, *sizes])
     offsets_by_target: dict[BlendTarget, NDArray[np.float32]] = {}
@@ -204,7 +205,8 @@ def compute_blend_targets(
 def _compute_target_offsets(
     definition: Definition, shape: SkinShape, rotation: NDArray[np.float64]
 ) -> list[tuple[BlendTarget, NDArray[np.intp], NDArray[np.float64]]]:
-    """Return the targets of a shape: each target, the points that it moves, and their offsets, rotated by `rotation`."""
+    """Return the targets of a shape, each with the indices of the points that it moves and their offsets, rotated by
+    `rotation`."""
     blend = shape.blend
     assert blend is not None
     target_offsets = []
@@ -233,8 +235,8 @@ def compute_target_weights(targets: Sequence[BlendTarget], rig: Rig, channels: F
 
 
 def reduce_to_channels(definition: Definition) -> Definition:
-    """Return the definition reduced to its channels: one static joint, and clips with only channel values. Its poses have the
-    same channel values as those of the definition."""
+    """Return the definition reduced to its channels: one static joint, and clips with channel values only. Its poses have the
+    same channel values as the poses of the complete definition."""
 
     def reduce_clip(clip: Clip) -> Clip:
         empty = np.zeros((clip.sample_count, 0, 3), np.float32)

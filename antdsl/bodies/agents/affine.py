@@ -1,11 +1,11 @@
 """Rotations, scales, shears and affine matrices of many joints of many agents, one array per component.
 
-Components are the first axes: a quaternion is [4, …], a matrix [3, 4, …]. The remaining axes are equal for all arguments. Every
-number is computed from sums, products, quotients and roots in one fixed order. So neither the number of agents nor the processor
-changes a bit. BLAS and `einsum` are not used, because they choose instructions and orders at run time.
+The component axes come first: a quaternion is [4, …], a matrix [3, 4, …]. The remaining axes are equal in all arguments. Every
+number is computed from sums, products, quotients and roots in a fixed order. So results are bit-identical for any number of
+agents and on any processor. BLAS and `einsum` are not used: they choose instructions and order at run time.
 
-A local transform is translation · rotation · shear · scale of column vectors. A point is scaled first, then sheared (`x += shear1
-y + shear2 z`, `y += shear3 z`), rotated, and translated.
+A local transform is the product translation · rotation · shear · scale, for column vectors. So a point is scaled first, then
+sheared (`x += shear1 y + shear2 z`, `y += shear3 z`), rotated, and translated.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def normalise_quaternions(rotation: NumberArray) -> NumberArray:
 
 
 def multiply_quaternions(a: NumberArray, b: NumberArray) -> NumberArray:
-    """Return quaternions [4, …] of the rotation by b and then by a."""
+    """Return the products a · b of quaternions [4, …], which rotate by `b` first, then by `a`."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return np.stack([
@@ -112,7 +112,8 @@ def compute_determinants(m: NumberArray, cofactor: NumberArray) -> NumberArray:
 
 
 def invert_and_transpose(m: NumberArray) -> NumberArray:
-    """Return the transposed inverse [3, 3, …], which transforms normals. Where a matrix has no inverse, return its cofactors."""
+    """Return the transposed inverse [3, 3, …], which transforms normals. A matrix without an inverse gives its cofactors
+    instead."""
     inverse = compute_cofactors(m)
     determinant = compute_determinants(m, inverse)
     inverse /= np.where(determinant == 0, m.dtype.type(1), determinant)
@@ -122,9 +123,9 @@ def invert_and_transpose(m: NumberArray) -> NumberArray:
 def extract_rotation_matrices(m: NumberArray) -> NumberArray:
     """Return the rotation [3, 3, …] nearest to each matrix, from its polar decomposition M = R S.
 
-    If M mirrors, S contains the mirroring, so R never mirrors. For a matrix without an inverse, R is the identity. Uses Newton's
-    iteration, scaled by Frobenius norms, in float64, with the same number of steps for every matrix (N. J. Higham, Computing the
-    Polar Decomposition, SIAM J. Sci. Stat. Comput. 7, 1986).
+    If M mirrors, the mirroring is in S, so R is always a rotation. For a matrix without an inverse, R is the identity. Uses
+    Newton's iteration, scaled by Frobenius norms, in float64, with the same number of steps for every matrix (N. J. Higham,
+    Computing the Polar Decomposition, SIAM J. Sci. Stat. Comput. 7, 1986).
     """
     rotation = m[:, :3].astype(np.float64)
     determinant = compute_determinants(rotation, compute_cofactors(rotation))
@@ -152,8 +153,8 @@ def _sum_squares(m: NumberArray) -> NumberArray:
 def matrices_to_quaternions(m: NumberArray) -> NumberArray:
     """Return unit quaternions [4, …] of rotation matrices [3, 3 or 4, …], with w not negative.
 
-    Of four formulas, the one with the largest divisor is used (S. W. Shepperd, Quaternion from Rotation Matrix, J. Guidance and
-    Control 1, 1978)."""
+    Of the four possible formulas, the one with the largest divisor is used for each matrix (S. W. Shepperd, Quaternion from
+    Rotation Matrix, J. Guidance and Control 1, 1978)."""
     trace = (m[0, 0] + m[1, 1]) + m[2, 2]
     sizes = np.stack([m[0, 0], m[1, 1], m[2, 2], trace])
     best = sizes.argmax(axis=0)
@@ -170,11 +171,11 @@ def matrices_to_quaternions(m: NumberArray) -> NumberArray:
 
 
 def decompose_matrices(matrices: NDArray[np.float64]) -> tuple[NumberArray, NumberArray, NumberArray, NumberArray]:
-    """Return translation [3, J], rotation [4, J], scale and shear [3, J], float64, of matrices [J, 4, 4].
+    """Split matrices [J, 4, 4] into translation [3, J], rotation [4, J], scale [3, J] and shear [3, J], float64.
 
     `compose_matrices` is the inverse. Uses Gram-Schmidt orthogonalisation, column by column. A mirroring matrix has a negative
-    scale along x. A column of length 0 is an axis scaled by 0. A column in the plane of the previous columns cannot result from a
-    shear of an axis scaled by 0. It is moved off that plane by a millionth of its length.
+    scale along x. A column of length 0 gives the scale 0. Shear cannot express a column that depends linearly on the previous
+    columns. Such a column is therefore moved away from them by a millionth of its length.
     """
     m = np.moveaxis(np.asarray(matrices, np.float64)[:, :3], 0, -1)
     columns = [m[:, c].copy() for c in range(3)]
@@ -199,7 +200,7 @@ def decompose_matrices(matrices: NDArray[np.float64]) -> tuple[NumberArray, Numb
 
 
 def _find_perpendicular(axes: list[NumberArray], count: int) -> NumberArray:
-    """Return a unit vector [3, count] perpendicular to the axes that exist."""
+    """Return unit vectors [3, count] that are perpendicular to each array of `axes` [3, count]; there are at most two."""
     if len(axes) == 2:
         a, b = axes
         return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

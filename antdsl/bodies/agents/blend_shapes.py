@@ -1,10 +1,10 @@
-"""Blend shapes: a shape moves towards other shapes of the library, weighted by each agent's channel values, with in-betweens.
+"""Blend shapes: a shape moves towards other shapes of the library, by the weights in each agent's channels.
 
 Each input adds its difference from the base shape, times its weight. Weights are not normalised and may be below 0 or above 1. An
-input with in-betweens is piecewise linear: base at weight 0, each corrective shape at its own weight, primary shape at weight 1.
-The outermost pieces are extrapolated. An in-between that lacks an attribute is skipped for that attribute. Points are matched by
-an attribute (`id` unless the base names another) if both shapes have it, else by number. Points without a match stay as in the
-base.
+input may have in-betweens: corrective shapes that apply in full at a given weight. It is then piecewise linear between the base
+(weight 0), the in-betweens, and the primary shape (weight 1). The outermost pieces are extrapolated. An in-between that lacks an
+attribute is skipped for that attribute. Points are matched by an attribute (`id`, unless the base names another one) if both
+shapes have it, else by index. Points without a match stay as in the base.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ _MIN_KNOT_SPACING = 1e-6  # in-betweens with weights nearer to each other than t
 def apply_blend_shapes(
     deformed_shape: DeformedShape, shape: SkinShape, definition: Definition, poses: WorldPoses
 ) -> DeformedShape:
-    """Return the shape with the inputs of its blend shape added, weighted by the channels of each agent.
+    """Return the deformed shape after adding its blend-shape inputs, weighted by the channels of each agent.
 
-    Only the attributes that the shape blends change (default: P and N). Primitives have no attributes in antdsl, so
+    Only the attributes that `shape` lists for blending change (default: P and N). Primitives have no attributes in antdsl, so
     `Blend.primitive_id` is not matched. Raises ValueError for a shape without blend shapes, for different numbers of inputs and
     channels, and for in-betweens at weight 0 or 1. Raises KeyError for shapes that the library lacks, and for channels that the
     rig lacks."""
@@ -78,8 +78,8 @@ def _split_components(values: Floats | None, n: int) -> Floats:
 
 
 def list_blend_knots(definition: Definition, name: str) -> tuple[list[SkinShape], NDArray[np.float64]]:
-    """Return the shapes of an input, its primary shape and in-betweens, and the weight at which each applies in full,
-    ascending."""
+    """Return the primary shape and the in-betweens of the input `name`, and the weights at which they apply in full. Both are in
+    ascending order of weight."""
     primary = definition.shapes[name]
     between = primary.in_betweens
     pairs = [(1.0, primary)]
@@ -97,10 +97,10 @@ def list_blend_knots(definition: Definition, name: str) -> tuple[list[SkinShape]
 
 
 def compute_knot_shares(weights: Floats, knots: NDArray[np.float64]) -> Floats:
-    """Return the factor of each of K shapes in an input with weights [n], float32[K, n].
+    """Return the factors of an input's K shapes, float32[K, n], for the input's weights [n].
 
-    A factor multiplies the shape's difference from the base. Weights are interpolated between the two nearest knots; the base is
-    the knot at 0."""
+    A factor multiplies the difference of a shape from the base. `knots`: [K], the weight at which each shape applies in full.
+    Between two knots, factors are linear; the base is a knot at weight 0."""
     all_knots = np.sort(np.append(knots, 0.0))
     weight = weights.astype(np.float64)
     piece = np.clip(np.searchsorted(all_knots, weight, side="right") - 1, 0, len(all_knots) - 2)
@@ -114,7 +114,7 @@ def compute_knot_shares(weights: Floats, knots: NDArray[np.float64]) -> Floats:
 
 
 def match_points(base: SkinShape, target: SkinShape, point_id: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the indices of the matched points in the base shape, and the indices of the same points in the target shape."""
+    """Return two arrays of indices: the matched points in the base shape, and the corresponding points in the target shape."""
     own, other = base.attributes.get(point_id), target.attributes.get(point_id)
     if own is None or other is None:
         both = np.arange(min(len(base.points), len(target.points)))
@@ -136,7 +136,7 @@ def get_point_attribute(shape: SkinShape, name: str) -> NDArray[np.generic] | No
 def compute_attribute_offsets(
     base: SkinShape, target: SkinShape, name: str, base_points: NDArray[np.intp], target_points: NDArray[np.intp]
 ) -> Floats:
-    """Return the target shape's attribute minus that of the base at matched points, float32[components, matched]."""
+    """Return the differences (target minus base) of an attribute at matched points, float32[components, matched]."""
     mine, others = get_point_attribute(base, name), get_point_attribute(target, name)
     assert mine is not None and others is not None
     delta = others[target_points].astype(np.float32) - mine[base_points].astype(np.float32)

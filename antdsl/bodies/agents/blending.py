@@ -1,24 +1,24 @@
-"""Blends clips by a tree of layers: from the clips that agents play to the resulting poses.
+"""Blends the clips that agents play into poses, following a tree of layers.
 
-An agent has a list of clips. Each clip has a time, a weight, a transform group and the layer that it is an input of. Layers have
-a mode, a weight and a parent layer. Inputs of a layer are its clips in list order, then its layers in list order. The root layer,
-with parent -1, gives the pose; its weight is unused.
+An agent has a list of clips. Each clip has a time, a weight, a transform group, and the layer to which it is an input. Layers
+have a mode, a weight and a parent layer. The inputs of a layer are its clips in list order, then its child layers in list order.
+The root layer, with parent -1, gives the pose; its weight is unused.
 
-- `INTERPOLATE_BLEND_MODE`: at each joint the weighted mean of the inputs. A weight is that of the input times its transform
-  group's weight for the joint. Where all weights are 0, the layer leaves the joint out: the joint finally gets the rest pose,
-  and the layer is no input to its parent at this joint. The weight of a nested layer is multiplied by the mean of the group
-  weights below it, so a layer with one input equals that input. Translations, scales, shears and channels are linear means.
-  Rotations are a normalised sum of quaternions, each with its sign aligned to the sum of the previous ones.
-- `ADDITIVE_BLEND_MODE`: the first input in full, whatever its weight. Each other input adds its difference times its weight and
-  its group's weight, not normalised. Differences are translation minus that of the rest pose, rotation relative to the rest
-  pose, and channels minus their defaults. Scales and shears are those of the first input.
+- `INTERPOLATE_BLEND_MODE`: the weighted mean of the inputs at each joint. The weight of an input is multiplied by its transform
+  group's weight for the joint. Where all weights are 0, the layer does not affect the joint: it does not count in its parent, and
+  without other inputs the joint has its rest pose. The weight of a nested layer is multiplied by the mean of the group weights
+  below it. So a layer with one input equals that input. Translations, scales, shears and channels are linear means. Rotations are
+  a normalised sum of quaternions, each with its sign aligned to the sum of the previous ones.
+- `ADDITIVE_BLEND_MODE`: the first input counts in full, whatever its weight. Each other input adds its difference from the rest
+  pose, times its weight and its group's weight. Weights are not normalised. Differences are translation minus rest translation,
+  rotation relative to the rest rotation, and channels minus their defaults. Scales and shears are those of the first input.
 - `OVERRIDE_BLEND_MODE`: each input replaces the previous ones at each joint, by its weight times its group's weight, at most 1.
-  The rest pose lies below the first. This mode is not in the documented form. It combines the state machines of an agent, such
-  as a wave of the arms over a walk. A layer that fades out reveals the layers below.
+  The first input replaces the rest pose. This mode is antdsl's own; Houdini's documentation does not have it. It combines the
+  state machines of an agent, such as waving arms over a walk. A layer that fades out reveals the layers below.
 
-Additive inputs are measured from the rest pose: a joint that a clip lacks has the rest pose, and so adds nothing. So any clip can
-be added without a prepared difference clip. The added rotation is on the parent's side: the joint is posed by the first input and
-then rotated. A share of a rotation is nlerp from the identity; weights above 1 add more.
+A joint that an additive clip lacks adds nothing. Any clip can be additive; no separate difference clip is needed. The added
+rotation is applied in the parent's space, after the rotation of the first input. A part of a rotation is an nlerp from the
+identity; weights above 1 extrapolate.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _MAX_WEIGHT, _MIN_TOTAL_WEIGHT = np.float32(1e18), np.float32(1e-30)
 
 @dataclass(frozen=True, slots=True)
 class ClipBlendTree:
-    """The clip tree that several agents share, with S clips and L layers. Raises ValueError if this is not a tree with one root.
+    """A tree of L layers with S clips, which several agents may share. Raises ValueError if the layers do not form one tree.
 
     `layers`: the layer of each clip (agentcliplayerids).
     `groups`: the transform group of each clip (agentcliptransformgroups); "" is the complete rig.
@@ -100,14 +100,14 @@ class ClipBlendTree:
     @staticmethod
     def build_flat(count: int, *groups: str) -> ClipBlendTree:
         """Return a tree in which one layer blends `count` clips by their weights. `groups`: the transform groups of the first
-        clips."""
+        clips; the other clips move the complete rig."""
         return ClipBlendTree((0,) * count, (*groups, *("",) * (count - len(groups))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClipPlayback:
-    """The clips that each of n agents plays. S is the largest number of clips in a tree. Entries beyond an agent's tree are not
-    read.
+    """The clips that each of n agents plays. S and L are the largest numbers of clips and layers in a tree. Entries beyond an
+    agent's tree are ignored.
 
     `tree_indices`: int32[n], indices into `trees`.
     `clips`: int32[n, S], numbers of a `ClipTable`, -1 for none (agentclipnames).
@@ -137,11 +137,11 @@ class ClipPlayback:
 def blend_poses(
     table: ClipTable, groups: Mapping[str, TransformGroup], playback: ClipPlayback, *, needs_local: bool = False, threads: int = 1
 ) -> WorldPoses:
-    """Return the poses of all agents, with transforms and channel values, for the clips that they play.
+    """Return the poses (transforms and channel values) of all agents, blended from the clips that they play.
 
-    `needs_local`: also return local transforms. `threads` and the order of agents change no bit. Raises KeyError for a transform
-    group that does not exist, or that names a joint or channel that the rig lacks. Raises IndexError for a clip or tree number
-    out of range. Raises ValueError for arrays that do not match each other or the trees."""
+    `needs_local`: also return local transforms. Results have the same bits for any number of `threads` and order of agents.
+    Raises KeyError for a transform group that does not exist, or that names a joint or channel that the rig lacks. Raises
+    IndexError for a clip or tree number out of range. Raises ValueError for arrays that do not match each other or the trees."""
     _check_shapes(playback)
     n, joints = len(playback.tree_indices), len(table.joint_order)
     if n and not 0 <= int(playback.tree_indices.min()) <= int(playback.tree_indices.max()) < len(playback.trees):
@@ -175,7 +175,7 @@ def blend_poses(
 
 
 def _check_shapes(playback: ClipPlayback) -> None:
-    """Raise ValueError for arrays with shapes that do not match the trees."""
+    """Check that the shapes of all arrays match the trees. Raises ValueError if they do not."""
     n = len(playback.tree_indices)
     slots = max((len(tree.layers) for tree in playback.trees), default=0)
     layers = max((len(tree.modes) for tree in playback.trees), default=0)
@@ -201,8 +201,8 @@ class _BlendInput:
 
     `pose`: the local poses of n agents.
     `weight`: [n], the weight of the input in the layer.
-    `joint_coverage`, `channel_coverage`: how strongly the input sets each joint and channel, from 0 to 1: [n], or [J, n] and [C,
-        n]."""
+    `joint_coverage`, `channel_coverage`: how strongly the input sets each joint ([J, n]) or channel ([C, n]), from 0 to 1. [n] if
+        it is equal for all joints or channels."""
 
     pose: LocalPose
     weight: Floats
@@ -214,7 +214,8 @@ def blend_agents(
     table: ClipTable, group_weights: Mapping[str, tuple[Floats, Floats]], tree: ClipBlendTree, playback: ClipPlayback,
     agents: slice | NDArray[np.intp],
 ) -> LocalPose:  # fmt: skip
-    """Return the local poses of `agents`, which all share `tree`. `group_weights`: weights of transform groups by name."""
+    """Return the local poses of `agents`, which all share `tree`. `group_weights`: by group name, the weights of joints and of
+    channels."""
     clips = _select_agent_columns(playback.clips, agents)
     times, weights = (
         _select_agent_columns(playback.times, agents),
@@ -285,7 +286,7 @@ def _blend_mean(inputs: list[_BlendInput], rest: LocalPose) -> _BlendInput:
 
 
 def _use_single_input(input_layer: _BlendInput, rest: LocalPose) -> _BlendInput:
-    """Return the weighted mean of a single input: the input where its weight is not 0, elsewhere the rest pose."""
+    """Return the weighted mean of a single input: the input itself where its weight is above 0, the rest pose elsewhere."""
     joints = input_layer.joint_coverage * (input_layer.weight > 0)
     channels = input_layer.channel_coverage * (input_layer.weight > 0)
     _set_unweighted_to_rest(input_layer.pose, rest, joints == 0, channels == 0)
@@ -293,9 +294,10 @@ def _use_single_input(input_layer: _BlendInput, rest: LocalPose) -> _BlendInput:
 
 
 def _compute_shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats, NDArray[np.bool_]]:
-    """Return the share of each input, the mean coverage, and a mask of entries that no input covers. The shares add up to 1.
+    """Return the share of each input, the mean coverage, and a mask of entries that no input covers.
 
-    `weights`: the weight and the coverage of each input."""
+    `weights`: the weight and the coverage of each input. For each entry, the shares are proportional to weight times coverage and
+    add up to 1."""
     products = [weight * presence for weight, presence in weights]
     total, weight_sum = products[0], weights[0][0]
     for each, (weight, _) in zip(products[1:], weights[1:], strict=True):
@@ -309,7 +311,8 @@ def _compute_shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats],
 
 
 def _add_rotations(target: Floats, addend: Floats, share: Floats, scratch: Floats) -> None:
-    """Add quaternions times `share` to the sum `target`, each with its sign aligned to the sum.
+    """Add the quaternions `addend`, multiplied by `share`, to the sum `target` in place. Each one first gets the sign that is
+    closer to the sum.
 
     `scratch`: an array for intermediate results."""
     np.multiply(target, addend, out=scratch)
@@ -322,7 +325,7 @@ def _add_rotations(target: Floats, addend: Floats, share: Floats, scratch: Float
 
 
 def _set_unweighted_to_rest(pose: LocalPose, rest: LocalPose, no_joint: NDArray[np.bool_], no_channel: NDArray[np.bool_]) -> None:
-    """Set joints that no input covers to the rest pose, in place, and such channels to their defaults."""
+    """Set the joints in `no_joint` to the rest pose, and the channels in `no_channel` to their defaults, in place."""
     if no_joint.any():
         parts = (pose.translation, pose.rotation, pose.scale, pose.shear)
         for into, still in zip(parts, (rest.translation, rest.rotation, rest.scale, rest.shear), strict=True):
@@ -352,7 +355,7 @@ def _blend_additive(inputs: list[_BlendInput], rest: LocalPose) -> _BlendInput:
 
 
 def _blend_override(inputs: list[_BlendInput], rest: LocalPose) -> _BlendInput:
-    """Return the inputs laid over each other: each replaces the previous ones by its weight, the first replaces the rest pose."""
+    """Return the inputs laid over the rest pose in sequence. Each replaces the result so far in proportion to its weight."""
     parts = (rest.translation, rest.rotation, rest.scale, rest.shear, rest.channels)
     pose = LocalPose(*(None if each is None else each.copy() for each in parts))  # type: ignore[arg-type]
     joints, channels = np.float32(0), np.float32(0)

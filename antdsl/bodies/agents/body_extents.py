@@ -1,4 +1,4 @@
-"""Extents of standing bodies, measured in the idle clip, because a rest pose may have spread arms."""
+"""Extents of standing bodies. They are measured in the idle clip, because the arms may be spread in the rest pose."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def compute_standing_box(body: Definition, layer: Layer) -> Corners:
-    """Return the lowest and the highest corner [3] of the box around a layer at the start of the idle clip, in agent space.
+    """Return the lowest and the highest corner [3] of a layer's bounding box at the start of the idle clip, in agent space.
 
     Units are body lengths, with front +x and up +y. Without an idle clip, the rest pose is used."""
     own = replace(body, layers={layer.name: layer})
@@ -29,8 +29,8 @@ def compute_standing_box(body: Definition, layer: Layer) -> Corners:
 
 
 def rotate_box_to_agent_space(body: Definition, box: Corners) -> Corners:
-    """Return a box of the definition's space in agent space: its lowest and highest corner in body lengths, front +x and up
-    +y."""
+    """Convert a box from the definition's space to agent space: body lengths, front +x, up +y. Return its lowest and highest
+    corner."""
     corners = np.array([[box[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
     turned = corners @ body.compute_base_matrix()[:3, :3].T
     return turned.min(axis=0), turned.max(axis=0)

@@ -1,8 +1,9 @@
-"""Bounding boxes of agents, from the shapes of their collision layers, else from their current layers.
+"""Bounding boxes of agents, computed from the shapes of their collision layers, or without these from their current layers.
 
 A static shape's box is scaled by its binding's bounds scale and then transformed by its joint. A deforming shape's box is the
-scaled box of the positions of its captured joints (Houdini 20.5, Agent Primitives, Bounding Box). A deforming shape that follows
-a single joint moves like a static shape. Boxes are scaled about their centre, so the result does not depend on their position.
+scaled bounding box of the positions of the joints that it follows (Houdini 20.5, Agent Primitives, Bounding Box). A deforming
+shape that follows a single joint moves like a static shape. Boxes are scaled about their centre, so the result does not depend on
+their position.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def compute_agent_boxes(
     definition: Definition, worlds: Floats, worn_layers: Sequence[tuple[str, ...]], collision_layers: Sequence[tuple[str, ...]],
     worn_indices: NDArray[np.integer], collision_indices: NDArray[np.integer],
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Return boxes as `compute_layer_boxes` does, for agents with different layers.
+    """Return the boxes of agents that have different layers. The result is as in `compute_layer_boxes`.
 
     Agent i wears `worn_layers[worn_indices[i]]` and collides with `collision_layers[collision_indices[i]]`. The box is that of
     the collision layers if there are any, else that of the worn layers."""
@@ -77,13 +78,14 @@ def _compute_binding_box(definition: Definition, binding: Binding, worlds: Float
 
 
 def _scale_box(extent: tuple[Floats, Floats], scale: Floats) -> tuple[Floats, Floats]:
-    """Return the centre of a box, and its half widths multiplied by `scale`, in the dtype of `scale`."""
+    """Return the centre [3] and half widths [3] of a box that is scaled about its centre, in the dtype of `scale`."""
     low, high = extent
     return ((low + high) / 2).astype(scale.dtype), ((high - low) / 2).astype(scale.dtype) * scale
 
 
 def _transform_box(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats, local_matrix: Floats) -> tuple[Floats, Floats]:
-    """Transform a box by its scale, by `local_matrix` [4, 4] and by each of `worlds` [n, 4, 4]. Return the bounding boxes."""
+    """Scale a box about its centre, transform it by `local_matrix` [4, 4] and then by each of `worlds` [n, 4, 4]. Return the
+    bounding boxes of the results."""
     matrices = worlds
     if (local_matrix != np.eye(4)).any():
         local_matrix = local_matrix.astype(worlds.dtype)
@@ -101,8 +103,7 @@ def _transform_box(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats,
 
 
 def _compute_joint_box(worlds: Floats, joints: list[int]) -> tuple[Floats, Floats]:
-    """Return the lowest and highest corners of the box around the positions of `joints`. The loop over joints avoids copying
-    matrices."""
+    """Return the lowest and highest corners [n, 3] of the boxes around the positions of `joints`."""
     low = worlds[:, joints[0], :3, 3].copy()
     high = low.copy()
     for joint in joints[1:]:
@@ -112,13 +113,13 @@ def _compute_joint_box(worlds: Floats, joints: list[int]) -> tuple[Floats, Float
 
 
 def _list_capture_joints(shape: SkinShape) -> list[int]:
-    """Return the indices of the captured joints that move at least one point of a shape."""
+    """Return the joints that move at least one point of a shape, as indices into `capture.names`."""
     assert shape.capture is not None
     return [int(number) for number in np.unique(shape.capture.joints[shape.capture.weights > 0])]
 
 
 def _compute_shape_extent(definition: Definition, shape: SkinShape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lowest and the highest corner of the box around a shape and all shapes that it may be blended with."""
+    """Return the lowest and the highest corner of the box around a shape and all of its blend-shape targets."""
     inputs = [definition.shapes[name] for name in (shape.blend.shapes if shape.blend else ())]
     shapes = [shape, *inputs]
     shapes += [definition.shapes[name] for each in inputs if each.in_betweens for name in each.in_betweens.shapes]
@@ -132,18 +133,16 @@ def _compute_shape_extent(definition: Definition, shape: SkinShape) -> tuple[NDA
 
 
 def compute_rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lowest and the highest corner of the box around all shapes of all layers in the rest pose. It defines a body's
-    length.
+    """Return the lowest and the highest corner of the box around all shapes of all layers in the rest pose.
 
-    Without shapes, return the box of the joints."""
+    It defines a body's length. Without shapes, it is the box of the joints."""
     return compute_posed_box(definition, compute_world_matrices(definition.rig.parents, definition.rig.rest_matrices))
 
 
 def compute_posed_box(definition: Definition, world: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lowest and the highest corner of the box around all shapes of all layers, with joint world matrices `world` [J,
-    4, 4].
+    """Return the lowest and the highest corner of the box around all shapes of all layers in a pose.
 
-    Without shapes, return the box of the joints."""
+    `world`: [J, 4, 4], the world matrices of the joints. Without shapes, the box is that of the joints."""
     point_sets = [world[:, :3, 3]]
     for layer in definition.layers.values():
         for binding in (*layer.static, *layer.deforming):
@@ -157,7 +156,7 @@ def compute_posed_box(definition: Definition, world: NDArray[np.float64]) -> tup
 def _compute_rest_points(
     definition: Definition, binding: Binding, shape: SkinShape, world: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the points [P, 3] of a binding's shape in the rest pose."""
+    """Return the points [P, 3] of a binding's shape in a pose. `world`: [J, 4, 4], the world matrices of the joints."""
     points = shape.points.astype(np.float64)
     if shape.capture is None or binding.deformer in ("", "blendshape"):
         return _transform_points(world[definition.rig.find_joint(binding.transform)], points) if binding.transform else points
@@ -172,5 +171,5 @@ def _compute_rest_points(
 
 
 def _transform_points(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return points [P, 3] transformed by one matrix [4, 4], or each point by its own matrix of [P, 4, 4]."""
+    """Return transformed points [P, 3]. `matrix`: one matrix [4, 4] for all points, or one for each point [P, 4, 4]."""
     return apply_transforms(matrix[..., :3, :], points)

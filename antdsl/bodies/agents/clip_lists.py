@@ -1,4 +1,4 @@
-"""Converts lists of the clips that agents play, as a file of agents has them, to a `ClipPlayback`.
+"""Converts the clip lists of agents, in the form of Houdini's agent attributes, to a `ClipPlayback`.
 
 Each agent has a list of clip names, with lists of their times, weights, transform groups and layers."""
 
@@ -30,7 +30,8 @@ def build_playback(
     layer_weights: Numbers | None = None,
     parents: Numbers | None = None,
 ) -> ClipPlayback:
-    """Return the `ClipPlayback` of n agents, from the concatenated lists of all agents.
+    """Return the `ClipPlayback` of n agents. Each argument except `counts` and `layer_counts` concatenates the lists of all
+    agents.
 
     `counts`: [n], the number of clips of each agent.
     `names`, `times`, `weights`: agentclipnames (text), agentcliptimes (s) and agentclipweights.
@@ -39,11 +40,11 @@ def build_playback(
     `layer_counts`: [n], the number of layers of each agent.
     `modes`, `layer_weights`, `parents`: agentcliplayermodes, agentcliplayerweights and agentcliplayerparents.
 
-    Without layers, the clips are blended by their weights. Agents with equal lists of groups, layer ids, modes and parents share
-    a tree.
+    Without layers, clips are blended by their weights. Agents with equal lists of groups, layer ids, modes and parents share a
+    tree.
 
-    Raises KeyError for a clip that the definition does not have. Raises ValueError, which names the agent, for lists that do not
-    match each other or do not form a tree with one root.
+    Raises KeyError for a clip that the definition does not have. Raises ValueError if the lists of an agent do not match each
+    other or do not form one tree; the message names the agent.
     """
     n, counts = len(counts), np.asarray(counts, np.int64)
     if layer_counts is None:
@@ -74,13 +75,14 @@ def build_playback(
 
 
 def _look_up_numbers(names: Numbers, number: Callable[[str], int]) -> NDArray[np.int64]:
-    """Return the number of each name. `number` looks up the number of one name, and is called once for each distinct name."""
+    """Return a number for each name. The function `number` looks up one name; it is called once for each distinct name."""
     known, which = np.unique(np.asarray(names, np.str_), return_inverse=True)
     return np.array([number(str(name)) for name in known], np.int64)[which.reshape(-1)]
 
 
 def _find_distinct_names(names: Numbers | None, count: int) -> tuple[tuple[str, ...], NDArray[np.int64]]:
-    """Return the distinct names, and for each of `count` entries the index of its name among them."""
+    """Return the distinct names, and for each of `count` entries the index of its name. None means an empty name for each
+    entry."""
     if names is None:
         return ("",), np.zeros(count, np.int64)
     known, which = np.unique(np.asarray(names, np.str_), return_inverse=True)
@@ -88,7 +90,7 @@ def _find_distinct_names(names: Numbers | None, count: int) -> tuple[tuple[str, 
 
 
 def _pad_lists(values: Numbers | None, counts: NDArray[np.int64], fill_value: float) -> Numbers:
-    """Return concatenated lists as rows [n, longest length], padded with `fill_value`. `counts`: the lengths of the lists."""
+    """Convert concatenated lists to rows [n, longest length], padded with `fill_value`. `counts`: the length of each list."""
     flat_values = np.asarray([] if values is None else values)
     kind = flat_values.dtype if len(flat_values) else np.asarray(fill_value).dtype
     padded_rows = np.full((len(counts), int(counts.max(initial=0))), fill_value, kind)
@@ -101,7 +103,7 @@ def _build_agent_tree(
     agent: int, group_names: tuple[str, ...], group: Numbers, layer: Numbers, mode: Numbers, parent: Numbers, counts: Numbers,
     layer_counts: Numbers,
 ) -> ClipBlendTree:  # fmt: skip
-    """Return the clip tree of an agent."""
+    """Return the clip tree of one agent, from the concatenated lists of all agents."""
     clips, layers = slice(int(counts[agent])), slice(int(layer_counts[agent]))
     layer_ids, modes, parents = (row.tolist() for row in (layer[agent, clips], mode[agent, layers], parent[agent, layers]))
     try:

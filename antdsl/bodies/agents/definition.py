@@ -1,4 +1,4 @@
-"""An agent definition: the data that all agents of one kind share, with names as the language writes them.
+"""An agent definition: the data that all agents of one kind share, with names in the spelling of the language.
 
 For example, the clip `Armature|Walk` of a file is `armature_walk` in `play armature_walk`.
 """
@@ -17,9 +17,9 @@ _NON_NAME_CHARACTERS = re.compile(r"[^a-z0-9_]+")
 
 
 class BodyError(Exception):
-    """Error for a problem with a body file. The message fits after the file's name, such as `has no meshes`.
+    """Error for a problem with a body file. The message is a predicate that follows the file's name, such as `has no meshes`.
 
-    `code`: a diagnostic's code. `help`: a correction."""
+    `code`: the code of the diagnostic. `help`: how to correct the file."""
 
     def __init__(self, message: str, help: str | None = None, code: str = "bad-body") -> None:
         super().__init__(message)
@@ -28,7 +28,8 @@ class BodyError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A number that clips animate, in addition to joints. `transform`: the joint that the channel belongs to, "" for none."""
+    """A named number that clips can animate, in addition to joints. `transform`: the joint that the channel belongs to, "" for
+    none."""
 
     name: str
     default: float = 0.0
@@ -40,7 +41,7 @@ class Rig:
     """A tree of J joints with a rest pose, and channels.
 
     `names`: the names of the joints, parents before children.
-    `parents`: int32[J], the number of each joint's parent, -1 for a root.
+    `parents`: int32[J], the index of each joint's parent, -1 for a root.
     `rest_matrices`: float64[J, 4, 4], local matrices."""
 
     names: tuple[str, ...]
@@ -49,21 +50,21 @@ class Rig:
     channels: tuple[Channel, ...] = ()
 
     def find_joint(self, name: str) -> int:
-        """Return the number of a joint. Raises KeyError."""
+        """Return the index of the joint called `name`. Raises KeyError if there is none."""
         try:
             return self.names.index(name)
         except ValueError:
             raise KeyError(name) from None
 
     def find_channel(self, name: str) -> int:
-        """Return the number of a channel. Raises KeyError."""
+        """Return the index of the channel called `name`. Raises KeyError if there is none."""
         for number, each in enumerate(self.channels):
             if each.name == name:
                 return number
         raise KeyError(name)
 
     def find_descendants(self, joint: int) -> NDArray[np.intp]:
-        """Return the numbers of a joint and of all its descendants, parents before children."""
+        """Return the indices of a joint and all its descendants, parents before children."""
         inside = np.zeros(len(self.names), bool)
         inside[joint] = True
         for number in range(joint + 1, len(self.names)):
@@ -82,12 +83,12 @@ STATE_MATERIAL = "state"  # the material with the colour of the agent's state
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinWeights:
-    """The joints that each of P points follows.
+    """The joints that each of P points follows, and how strongly.
 
-    `names`: of the J captured joints.
+    `names`: the names of the J joints that points follow.
     `joints`: int32[P, K], indices into `names`.
-    `weights`: float32[P, K], which add up to 1 for each point.
-    `inverse_matrices`: float64[J, 4, 4], transforms a point of the rest pose to the space of each joint at capture.
+    `weights`: float32[P, K], the weights of these joints, which add up to 1 for each point.
+    `inverse_matrices`: float64[J, 4, 4], the inverse bind matrices: from the shape's rest space to the space of each joint.
     """
 
     names: tuple[str, ...]
@@ -98,9 +99,9 @@ class SkinWeights:
 
 @dataclass(frozen=True, slots=True)
 class BlendTargets:
-    """The inputs of a blend shape.
+    """The inputs of a blend shape: target shapes, and the channels that weight them.
 
-    `shapes`: the library shape of each input.
+    `shapes`: the library shape that each input blends towards.
     `channels`: the channel that weights each input.
     `attributes`: the point attributes that are blended.
     `point_id`: the point attribute by which points are matched; `primitive_id`: the same for primitives."""
@@ -114,7 +115,8 @@ class BlendTargets:
 
 @dataclass(frozen=True, slots=True)
 class InBetweens:
-    """Corrective shapes of a blend shape's input. Each applies in full at its weight in `weights`, which is neither 0 nor 1."""
+    """The corrective shapes of a blend-shape input. Each shape applies in full at its entry of `weights`, which is never 0 or
+    1."""
 
     shapes: tuple[str, ...]
     weights: tuple[float, ...]
@@ -125,8 +127,8 @@ class SkinShape:
     """A mesh of P points and M triangles.
 
     `normals`: float32[P, 3] or None; `uvs`: float32[P, 2] or None.
-    `materials`: names; `material` int32[M]: the material number of each triangle.
-    `attributes`: further point attributes by name, including an `id` and a blend attribute.
+    `materials`: the names of materials. `material`: int32[M], the index into `materials` for each triangle.
+    `attributes`: other point attributes by name, such as `id`, and the attribute that `dual_quaternion_blend` names.
     """
 
     name: str
@@ -145,8 +147,8 @@ class SkinShape:
 
 @dataclass(frozen=True, slots=True)
 class Binding:
-    """A shape at a joint. `transform`: the joint, "" for a deforming shape that follows many joints. `deformer`: "" for a static
-    shape."""
+    """The binding of a shape to a joint. `transform`: the joint, "" for a deforming shape that follows several joints.
+    `deformer`: the name of its deformers, "" for a static shape."""
 
     transform: str
     shape: str
@@ -177,7 +179,7 @@ class TransformGroup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clip:
-    """F samples of the full local transforms of K joints and of C channels, `rate` samples per second.
+    """An animation clip: F samples of the local transforms of K joints and the values of C channels, `rate` samples per second.
 
     `translation`: float32[F, K, 3], in the definition's units.
     `rotation`: float32[F, K, 4], unit quaternions x y z w.
@@ -215,15 +217,15 @@ class Clip:
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A leg with two bones and a knee. The knee bends so that the foot stands on the ground.
+    """A leg with two bones and a knee, which bends so that the foot stands on the ground.
 
     `upper`: the joint of the hip, the start of the thigh (femur).
     `lower`: the joint of the knee, the start of the shank (tibia); a descendant of `upper`.
     `foot`: the joint of the part that touches the ground; a descendant of `lower`.
-    `ankle`: the joint about which the sole turns flat onto the ground: `foot`, or a joint between `lower` and `foot`. Empty if
-    the foot keeps its rotation in the clip.
+    `ankle`: the joint about which the sole turns until it lies flat on the ground: `foot`, or a joint between `lower` and `foot`.
+    If empty, the foot keeps its rotation from the clip.
 
-    Other joints may lie between these."""
+    There may be other joints between these."""
 
     name: str
     upper: str
@@ -232,24 +234,24 @@ class Leg:
     ankle: str = ""
 
     def to_entry(self) -> dict[str, str]:
-        """Return the leg as in a definition file, without an empty ankle."""
+        """Return the leg as an entry of a definition file. An empty ankle is omitted."""
         ankle = {"ankle": self.ankle} if self.ankle else {}
         return {"name": self.name, "upper": self.upper, "lower": self.lower} | ankle | {"foot": self.foot}
 
 
 @dataclass(frozen=True, slots=True)
 class Gait:
-    """The timing of feet at one speed.
+    """The stepping pattern of the feet at one speed.
 
     `speed`: in length units of the definition per second.
-    `stride`: distance of the body in one cycle.
+    `stride`: the distance that the body covers in one cycle.
     `duty`: share of the cycle in which each foot is on the ground.
     `lift`: height of a swinging foot, in length units.
-    `phases`: for each leg in order, its lead as a share of the cycle.
+    `phases`: for each leg in order, how far it is ahead in the cycle, as a fraction of the cycle.
 
-    Between two gaits of a definition, stride, duty and lift are linear in the speed, and the phases are those of the slower gait.
-    Below the slowest and above the fastest gait, that gait applies. Above the fastest, only the stride changes: it grows with the
-    speed, so that the number of cycles per second stays constant.
+    At speeds between two gaits of a definition, stride, duty and lift are interpolated linearly, and phases are those of the
+    slower gait. Below the slowest gait, that gait applies. Above the fastest gait, that gait applies with a stride that grows
+    with the speed, so that the number of cycles per second stays constant.
     """
 
     name: str
@@ -265,10 +267,11 @@ RgbColour = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Variation:
-    """Differences between bodies.
+    """Random differences between the bodies of agents.
 
     `scales`: for each transform group, its smallest and largest scale.
-    `materials`: for each material, colours (linear, 0 to 1). Each agent's colour lies on the path through these colours.
+    `materials`: for each material, a list of linear colours (0 to 1). Each agent's colour is between two neighbours in this
+    list.
     """
 
     scales: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -287,17 +290,17 @@ DEFAULT_UP = (0.0, 1.0, 0.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Definition:
-    """An agent definition.
+    """An agent definition: everything that all agents of one kind share.
 
-    `front` and `up`: the forward and upward axes of its space.
-    `length`: its extent along `front` in its own units; an agent's `size` scales it.
-    `unit`: millimetres per unit.
+    `front` and `up`: the forward and upward axes of the definition's space.
+    `length`: the extent of the body along `front`, in the definition's units. In a scene, it is scaled to an agent's `size`.
+    `unit`: millimetres per unit of length.
     `materials`: base colours (linear, 0 to 1) by name.
-    `gaits`: from slow to fast.
+    `gaits`: the gaits, from slow to fast.
     `idle`: the clip of agents that play no other clip; "" means the rest pose.
     `variation`: differences between bodies.
-    `capsule`: the collision shape, in its own units: length and width of the trunk, height of its centre above the feet, and
-        distance of its centre ahead of the origin. None: measured from the shapes.
+    `capsule`: the collision shape, in the definition's units: length and width of the trunk, height of its centre above the feet,
+        and distance of its centre ahead of the origin. If None, it is measured from the shapes.
     """
 
     name: str
@@ -328,7 +331,7 @@ class Definition:
 
 
 def to_language_name(text: str) -> str:
-    """Return a name in the spelling of the language: lower-case letters, digits and `_`, with a letter first.
+    """Convert a name to the spelling of the language: lower-case letters, digits and `_`, beginning with a letter.
 
     Each run of other characters becomes one `_`."""
     name = _NON_NAME_CHARACTERS.sub("_", text.lower()).strip("_")
@@ -336,9 +339,9 @@ def to_language_name(text: str) -> str:
 
 
 def map_language_names(names: Iterable[str]) -> dict[str, str]:
-    """Return the display name of each name. Names that are valid in the language do not change.
+    """Return, for each of `names`, its unique name in the spelling of the language. Names that are already valid do not change.
 
-    If the display names of other names collide, the later ones get `_2`, `_3` and so on."""
+    If the names of others collide, the later ones get the suffix `_2`, `_3` and so on."""
     names = list(names)
     translations = {name: name for name in names if to_language_name(name) == name}
     taken = set(translations)
@@ -354,7 +357,7 @@ def map_language_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def use_language_names(body: Definition) -> Definition:
-    """Return the definition with the display names of its clips (also the idle clip), marks, layers and transform groups.
+    """Return the definition with clips (also the idle clip), marks, layers and groups renamed to the spelling of the language.
 
     Channel names do not change, because clips and shapes refer to them."""
     clips, groups, layers = (map_language_names(each) for each in (body.clips, body.groups, body.layers))

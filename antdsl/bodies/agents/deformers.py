@@ -1,8 +1,8 @@
 """Deformers by name: functions that make a shape of the library follow the transforms and channel values of n agents.
 
-`DEFORMER_BY_NAME` has the documented ones: `linearskinning`, `dualquatskinning`, `dualquatblendskinning` and `blendshape`. Names
-joined by `+` are applied in sequence (`blendshape+linearskinning`); any deformers may be joined. `register_deformer` adds new
-ones. A binding without a deformer is a static shape that moves rigidly with its joint.
+`DEFORMER_BY_NAME` has those of Houdini's documentation: `linearskinning`, `dualquatskinning`, `dualquatblendskinning` and
+`blendshape`. Any names can be joined by `+` (`blendshape+linearskinning`); the deformers are then applied in sequence.
+`register_deformer` adds a deformer. A binding without a deformer is a static shape that moves rigidly with its joint.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ SKINNING_DEFORMERS = (apply_linear_skinning, apply_dual_quaternion_skinning, ble
 
 
 def register_deformer(name: str, deformer: Deformer) -> None:
-    """Add a deformer under a name for use by bindings. Raises ValueError for a name that is taken, empty, or contains `+`."""
+    """Add a deformer that bindings can use by its name. Raises ValueError if the name exists, is empty, or contains `+`."""
     if not name or "+" in name or name in DEFORMER_BY_NAME:
         raise ValueError(
             f"`{name}` cannot be the name of a deformer: it is empty, has a `+`, or is one of {', '.join(DEFORMER_BY_NAME)}"
@@ -63,7 +63,8 @@ def register_deformer(name: str, deformer: Deformer) -> None:
 
 
 def find_deformers(name: str) -> tuple[Deformer, ...]:
-    """Return the deformers that a name lists, in the order of application. Raises KeyError with the existing names."""
+    """Return the deformers of a name such as `blendshape+linearskinning`, in the order of application. Raises KeyError for an
+    unknown deformer; the message lists the existing names."""
     missing = [part for part in name.split("+") if part not in DEFORMER_BY_NAME]
     if missing:
         raise KeyError(f"there is no deformer `{missing[0]}`; there are {', '.join(DEFORMER_BY_NAME)}, and these joined by `+`")
@@ -71,10 +72,10 @@ def find_deformers(name: str) -> tuple[Deformer, ...]:
 
 
 def deform_binding(definition: Definition, binding: Binding, poses: WorldPoses) -> DeformedShape:
-    """Return the shape of a binding after its deformers, for each of n agents, in agent space.
+    """Return the shape of a binding, deformed for each of n agents.
 
-    A shape with points that follow no joints moves with the binding's joint. Raises KeyError for a missing shape, joint or
-    deformer, and the errors of its deformers."""
+    A shape that no skinning deformer moves follows the binding's joint rigidly. Raises KeyError for a missing shape, joint or
+    deformer, and the errors of the deformers."""
     shape = definition.shapes[binding.shape]
     n = len(poses.world_transforms)
     named = shape.blend.attributes if shape.blend else ()

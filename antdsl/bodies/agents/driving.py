@@ -1,4 +1,4 @@
-"""Pose controls other than clips: values of channels, and directions in which parts of a body look."""
+"""Pose controls other than clips: channel values, look directions of parts of a body, and joint offsets."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from antdsl.bodies.agents.varied_bodies import VariationDraws
 class PoseAdjustments:
     """Values that drive the poses of n agents in addition to clips.
 
-    `channels`: float32[n] by display name. A value overrides the clips for a channel of the rig; NaN leaves the value of the
-        clips.
+    `channels`: float32[n] by display name. A value replaces that of the clips; NaN means that the clips decide.
     `look_directions`: float32[n, 3] by transform group, unit vectors in the agent's space (+x ahead, +y up); (1, 0, 0) is
         straight ahead.
     `variation_draws`: the sources of random differences between the bodies.
-    `lean`: float32[n, 2], how much each agent turns (positive: left) and climbs, from -1 to 1; None if no clip depends on it.
-    `joint_offsets`: float32[n, 7] by joint, a shift in body lengths and a rotation x y z w, both in the agent's space."""
+    `lean`: float32[n, 2], how much each agent turns (-1 right to 1 left) and climbs (-1 down to 1 up); None if no clip depends on
+    it. `joint_offsets`: float32[n, 7] by joint: a translation in body lengths and a rotation x y z w, both in the agent's
+    space."""
 
     channels: Mapping[str, Floats] = field(default_factory=dict)
     look_directions: Mapping[str, Floats] = field(default_factory=dict)
@@ -35,7 +35,8 @@ class PoseAdjustments:
 
 
 def set_pose_channels(table: ClipTable, poses: WorldPoses, channels: Mapping[str, Floats]) -> WorldPoses:
-    """Return poses with the given channel values set where they are finite. Channels that the rig lacks are ignored."""
+    """Return the poses with channel values replaced by those of `channels`, where these are finite. Channels that the rig lacks
+    are ignored."""
     names = {
         language_name: k for k, language_name in enumerate(map_language_names(each.name for each in table.rig.channels).values())
     }
@@ -56,12 +57,12 @@ def rotate_joints_to_look_directions(
     groups: Mapping[str, TransformGroup],
     base: NDArray[np.float64],
 ) -> WorldPoses:
-    """Rotate transform groups towards their look directions. Return the new poses.
+    """Return the poses with transform groups rotated towards their look directions.
 
-    Each joint of a group rotates about its own position, together with all joints below it. Its rotation is a share, by its
-    weight, of the shortest rotation from straight ahead to the direction. The joints of one chain together rotate by at most that
-    full rotation. `base` [3, 3] transforms from the body's space to that of agents. Groups that the body does not have are
-    ignored. If a joint was rotated, `local` is None."""
+    Each joint of a group rotates about its own position, together with all joints below it. Its weight is the fraction that it
+    takes of the shortest rotation from straight ahead to the look direction. The joints of a chain together take at most the full
+    rotation. `base` [3, 3] transforms from the definition's space to agent space. Groups that the body does not have are ignored.
+    If a joint was rotated, `local_transforms` is None."""
     known_looks = {name: look for name, look in looks.items() if name in groups and len(look)}
     if not known_looks:
         return poses
@@ -77,10 +78,10 @@ def rotate_joints_to_look_directions(
 
 
 def offset_joints(table: ClipTable, poses: WorldPoses, offsets: Mapping[str, Floats], base: NDArray[np.float64]) -> WorldPoses:
-    """Return poses in which joints are shifted and rotated about their own positions, together with all joints below them.
+    """Return the poses with joints translated, and rotated about their own positions, together with all joints below them.
 
-    `base` [3, 3] transforms from the body's space to that of agents. Joints that the rig does not have are ignored. If a joint
-    was moved, `local` is None."""
+    `base` [3, 3] transforms from the definition's space to agent space. Joints that the rig does not have are ignored. If a joint
+    was moved, `local_transforms` is None."""
     known = {table.rig.names.index(name): offset for name, offset in offsets.items() if name in table.rig.names and len(offset)}
     if not known:
         return poses
@@ -100,9 +101,9 @@ def offset_joints(table: ClipTable, poses: WorldPoses, offsets: Mapping[str, Flo
 
 
 def iterate_look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
-    """Yield each joint of a group, and its share of the rotation towards a look direction.
+    """Yield each joint of a group with the fraction that it takes of the rotation towards a look direction.
 
-    The share is the joint's weight, limited to the remainder that its ancestors leave."""
+    The fraction is the joint's weight, limited so that the joints of a chain together take at most 1."""
     left = np.ones(len(rig.names))
     for joint, weight in sorted((rig.find_joint(member), weight) for member, weight in group.members):
         share = min(weight, float(left[joint]))
@@ -114,7 +115,7 @@ def iterate_look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, 
 def _compute_shortest_rotation(direction: Sequence[Floats], ahead: Floats) -> Floats:
     """Return the shortest rotations from `ahead` [3] to each direction, as quaternions float32[n, 4].
 
-    `direction`: the x, y and z [n] of unit vectors. `ahead`: a unit vector."""
+    `direction`: three arrays [n], the x, y and z of unit vectors. `ahead`: a unit vector."""
     x, y, z = ahead
     quaternions = np.stack([
         y * direction[2] - z * direction[1], z * direction[0] - x * direction[2], x * direction[1] - y * direction[0],
@@ -126,14 +127,14 @@ def _compute_shortest_rotation(direction: Sequence[Floats], ahead: Floats) -> Fl
 
 
 def _scale_rotation_angle(turn: Floats, weight: float) -> Floats:
-    """Return the share `weight` of rotations [n, 4], by nlerp (normalised linear interpolation) from the identity."""
+    """Return rotations [n, 4] reduced to the fraction `weight`, by nlerp (normalised linear interpolation) from the identity."""
     part = turn * np.float32(weight)
     part[:, 3] += np.float32(1 - weight)
     return np.ascontiguousarray(normalise_quaternions(np.ascontiguousarray(part.T)).T)
 
 
 def _rotate_joints(world: Floats, joint: int, moved_joints: NDArray[np.intp], rotation: Floats) -> None:
-    """Rotate the joints `moved_joints` of world matrices [n, J, 3, 4] about the position of `joint`, in place."""
+    """Rotate `moved_joints` in the world matrices `world` [n, J, 3, 4] about the position of `joint`, in place."""
     x, y, z, w = rotation.T
     matrix = np.empty((len(rotation), 3, 3), np.float32)
     matrix[:, 0] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=1)

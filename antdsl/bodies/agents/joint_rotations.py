@@ -1,6 +1,6 @@
-"""Rotations of the joints of many agents, and arithmetic of vectors [3, n], components first.
+"""Joint rotations of many agents, and arithmetic with vectors [3, n], in which the component axis comes first.
 
-Every sum has one fixed order, so the number of agents does not change a bit."""
+Sums are in a fixed order, so results have the same bits for any number of agents."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ def build_rotation_matrices(quaternions: NDArray[np.floating]) -> NumberArray:
 
 
 def compute_heel_rotation(arch: Floats, to_hip: Floats, reach: Floats) -> Floats:
-    """Return the vectors [3, n] from foot joints to ankles, rotated towards the hip until it is at most `reach` [n] away.
+    """Return the vectors [3, n] from foot joints to ankles, with heels raised so far that the bones can reach the ankles.
 
-    `arch` [3, n]: the vectors with flat soles. `to_hip` [3, n]: from the foot joints to the hips."""
+    `arch` [3, n]: these vectors with flat soles. `to_hip` [3, n]: from the foot joints to the hips. `reach` [n]: the greatest
+    distance from hip to ankle."""
     size, far = measure_lengths(arch), measure_lengths(to_hip)
     towards = normalise(to_hip)
     along = dot(arch, towards)
@@ -34,18 +35,19 @@ def compute_heel_rotation(arch: Floats, to_hip: Floats, reach: Floats) -> Floats
 
 
 def rotate_vectors(matrices: Floats, vectors: Floats) -> Floats:
-    """Return vectors [3, n] multiplied by matrices [3, 3, n]."""
+    """Return vectors [3, n] rotated by matrices [3, 3, n]."""
     return np.stack([(m[0] * vectors[0] + m[1] * vectors[1]) + m[2] * vectors[2] for m in matrices])
 
 
 def rotate_vectors_by_inverse(matrices: Floats, vectors: Floats) -> Floats:
-    """Return vectors [3, n] multiplied by the transposed matrices [3, 3, n] or [3, 3]."""
+    """Return vectors [3, n] rotated by the inverses (transposes) of rotation matrices [3, 3, n] or [3, 3]."""
     m, (x, y, z) = matrices, vectors
     return np.stack([(m[0, r] * x + m[1, r] * y) + m[2, r] * z for r in range(3)])
 
 
 def rotate_joints(world: Floats, joints: Joints, turn: Floats, pivots: Floats) -> None:
-    """Rotate `joints` of world matrices by the matrices `turn` [3, 3, n] about the points `pivots` [3, n], in place."""
+    """Rotate `joints` in the world matrices `world` [3, 4, J, n] by `turn` [3, 3, n] about the points `pivots` [3, n], in
+    place."""
     old = world[:, :, joints]
     old[:, 3] -= pivots[:, None]
     for r in range(3):
@@ -67,7 +69,7 @@ def build_axis_rotation(axis: Floats, cosine: Floats, sine: Floats) -> Floats:
 
 
 def build_rotation_between(a: Floats, b: Floats) -> Floats:
-    """Return matrices [3, 3, n] of the shortest rotations from unit vectors `a` to unit vectors `b`, [3, n] each."""
+    """Return matrices [3, 3, n] of the shortest rotations from unit vectors `a` [3, n] to unit vectors `b` [3, n]."""
     axis, cosine = cross(a, b), dot(a, b)
     x, y, z = axis
     by = 1 / np.maximum(1 + cosine, np.float32(1e-6))

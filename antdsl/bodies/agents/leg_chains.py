@@ -17,9 +17,9 @@ Joints = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LegChain:
-    """A leg by joint numbers.
+    """A leg, with joints given by their indices in the rig.
 
-    `upper`, `lower`, `ankle`, `foot`: the joints of hip, knee, ankle and foot. Without an ankle, it is the foot.
+    `upper`, `lower`, `ankle`, `foot`: the joints of hip, knee, ankle and foot. If the leg has no ankle, `ankle` equals `foot`.
     `thigh_joints`: `upper` and its descendants that are not at or below `lower`.
     `shank_joints`: `lower` and its descendants that are not at or below `ankle`.
     `arch_joints`: `ankle` and its descendants that are not at or below `foot`.
@@ -57,9 +57,10 @@ def _build_descendant_mask(rig: Rig, joint: int) -> NDArray[np.bool_]:
 
 
 def compute_standing_joints(body: Definition) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the positions and axes of the joints in the standing pose.
+    """Return the positions [J, 3] of joints in the standing pose, in agent space, and their world matrices [J, 3, 3] without
+    translation.
 
-    The standing pose is the first sample of the idle clip, or else the rest pose."""
+    The standing pose is the first sample of the idle clip, or without an idle clip the rest pose."""
     table = build_clip_table(body)
     number = table.find_clip(body.idle) if body.idle in body.clips else REST_CLIP
     world = compute_transforms(table, sample_poses(table, np.array([number]), np.zeros(1)))[1]
@@ -71,7 +72,7 @@ def compute_standing_joints(body: Definition) -> tuple[NDArray[np.float64], NDAr
 
 
 def build_legs_data(body: Definition) -> LegsData:
-    """Return the leg data for runs of a body that has legs, in body lengths."""
+    """Return the leg data that a run needs of a body with legs, in body lengths."""
     positions, _ = compute_standing_joints(body)
     chains = [build_leg_chain(body.rig, leg) for leg in body.legs]
     hip, knee, ankle, foot = (positions[[getattr(each, name) for each in chains]] for name in ("upper", "lower", "ankle", "foot"))

@@ -1,12 +1,13 @@
 """Bends legs so that feet reach their footholds: two-bone inverse kinematics of many agents, one leg after the other.
 
-The law of cosines opens or closes the knee in its plane in the pose. Then the complete leg rotates about the hip by the shortest
-rotation to the goal, so the knee does not change its side. Joints in between keep their local transforms. The foot and all joints
-below it keep their rotation, so the foot's angle to the ground is that of the clip. If the goal is out of reach, the leg
-stretches towards it.
+First, the knee opens or closes by the law of cosines, in the plane in which it bends in the pose. Then the complete leg rotates
+about the hip by the shortest rotation to the goal, so the knee still points to the same side. Joints between these do not change
+their local transforms. The foot and all joints below it do not rotate, so the foot's angle to the ground is that of the clip. A
+leg that cannot reach the goal is extended towards it.
 
-A leg with an ankle has a flat sole: the parts at and below the ankle turn until they are as in the standing pose, but along the
-normal of the ground. The bones then lead to the ankle. If they are too short for that, the heel rises about the foot joint.
+A leg with an ankle has a flat sole. The parts at and below the ankle get the rotation of the standing pose, tilted so that its up
+direction is the ground's normal. The two bones then reach for the ankle. If they are too short, the heel rises about the foot
+joint.
 """
 
 from __future__ import annotations
@@ -52,13 +53,14 @@ LEG_BENDING_LIMITS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodySpaceFeet:
-    """The feet of n agents relative to their bodies, in body lengths along the axes ahead, up and aside.
+    """The feet of n agents relative to their bodies, in body lengths. Axes are x ahead, y up, and z to the side.
 
-    `positions`: float32[n, L, 3], the ground below each foot, or the position of a swinging foot.
+    `positions`: float32[n, L, 3], the point on the ground below each foot; for a swinging foot, its position in the air.
     `is_on_ground`: bool[n, L], whether the foot is on the ground.
     `trunk_rise`: float32[n], height of the trunk above its rest position.
     `trunk_tilt`: float32[n, 4], rotation of the trunk from its rest orientation, x y z w.
-    `normals`: float32[n, L, 3], unit normals of the ground below each foot; 0, or None for all: flat soles are level."""
+    `normals`: float32[n, L, 3], unit normals of the ground below each foot. A zero vector, or None for all feet, means level
+    ground."""
 
     positions: Floats
     is_on_ground: NDArray[np.bool_]
@@ -67,7 +69,7 @@ class BodySpaceFeet:
     normals: Floats | None = None
 
     def scale_trunk_motion(self, weights: Floats) -> BodySpaceFeet:
-        """Return the same feet, with the rise and tilt of trunks scaled by `weights` [n], from 0 to 1."""
+        """Return the same feet, with the rise and tilt of the trunks multiplied by `weights` [n], from 0 to 1."""
         tilt = self.trunk_tilt * weights[:, None]
         tilt[:, 3] += 1 - weights
         return replace(self, trunk_rise=self.trunk_rise * weights, trunk_tilt=tilt)
@@ -82,7 +84,7 @@ class PlacedFeet:
     `phase`: float32[n], the phase of the gait.
     `rise`: float32[n], height of the trunk above its rest position.
     `tilt`: float32[n, 4], rotation of the trunk from its rest orientation, x y z w.
-    `normals`: float32[n, L, 3], normals of the ground below each foot along the axes of the body; None without flat soles."""
+    `normals`: float32[n, L, 3], normals of the ground below each foot, in the axes of the body; None without flat soles."""
 
     P: Floats
     is_on_ground: NDArray[np.uint8]
@@ -94,10 +96,10 @@ class PlacedFeet:
     def convert_to_body_space(
         self, position: NDArray[np.floating], orient: NDArray[np.floating], scale: NDArray[np.floating]
     ) -> BodySpaceFeet:
-        """Return the feet in the space of their bodies, which have `position` [n, 3], rotation `orient` [n, 4] and length `scale`
+        """Return the feet in the space of their bodies. `position`: [n, 3]; `orient`: quaternions [n, 4]; `scale`: body lengths
         [n].
 
-        Numbers that are not finite count as 0."""
+        Values that are not finite are replaced by 0."""
         with np.errstate(all="ignore"):
             away = np.asarray(self.P, np.float64) - np.asarray(position, np.float64)[:, None]
             across = build_rotation_matrices(orient)
@@ -149,11 +151,11 @@ class LegIkSolver:
 
     @property
     def has_flat_soles(self) -> bool:
-        """Return whether a leg has an ankle, about which its sole turns flat onto the ground."""
+        """Return whether at least one leg has an ankle, and thus a flat sole."""
         return any(each.has_flat_sole for each in self._chains)
 
     def get_local_up_axes(self, joint: int) -> Floats:
-        """Return the up direction of the standing body in the space of a joint, a unit vector float32[3]."""
+        """Return the standing body's up direction in the space of a joint, as a unit vector float32[3]."""
         return np.asarray(self._local_up_axes[:, joint])
 
     def get_arch(self, leg: LegChain) -> Floats:
@@ -161,15 +163,15 @@ class LegIkSolver:
         return np.asarray(self._standing_positions[:, leg.ankle] - self._standing_positions[:, leg.foot])
 
     def get_straight_axes(self) -> Floats:
-        """Return the bend axes float32[L, 3] of knees that are straight in a pose, in the definition's space."""
+        """Return the axes float32[L, 3] about which knees bend if they are straight in a pose, in the definition's space."""
         return np.concatenate([self._get_straight_axis(each) for each in self._chains], axis=1).T
 
     def compute_stance_weights(
         self, clips: Sequence[tuple[str, str] | PlayedClip], machines: Sequence[MachineClips], count: int
     ) -> Floats:
-        """Return how strongly the feet of `count` agents are placed on the ground, float32[n] from 0 to 1.
+        """Return how strongly the feet of `count` agents are held at their footholds, float32[n] from 0 (as in the clips) to 1.
 
-        Clips that do not place feet reduce it, according to their layers and weights in the pose."""
+        Clips that do not place feet reduce the value, in proportion to their part of the pose."""
         stands = np.ones(count, np.float32)
         played = [PlayedClip(*each) for each in clips]
         free = np.array([each.clip in self._clips_without_feet for each in played] + [False])
@@ -188,8 +190,8 @@ class LegIkSolver:
         return stands.astype(np.float32)
 
     def bend_legs(self, poses: WorldPoses, feet: BodySpaceFeet, stance_weights: Floats) -> WorldPoses:
-        """Return poses with the feet at the positions of `feet`, weighted by `stance_weights` [n], and with trunks moved by
-        `rise` and `tilt`. `local` of the poses is None."""
+        """Return poses with the feet at the positions of `feet`, weighted by `stance_weights` [n], and with trunks moved by the
+        rise and tilt of `feet`. `local_transforms` of the result is None."""
         world = np.array(poses.world_transforms.transpose(2, 3, 1, 0), np.float32, order="C")
         goals, normals = self._compute_foot_goals(feet), self._compute_sole_normals(feet)
         self._lower_bodies(world, goals, normals, feet.is_on_ground, stance_weights)
@@ -199,7 +201,7 @@ class LegIkSolver:
         return replace(poses, world_transforms=world.transpose(3, 2, 0, 1), local_transforms=None)
 
     def _compute_foot_goals(self, feet: BodySpaceFeet) -> list[Floats]:
-        """Return the goal position of each foot joint, float32[3, n], in the definition's space before the trunk moves."""
+        """Return the goal positions of each foot joint, float32[3, n], in the definition's space before trunk rise and tilt."""
         turn = build_rotation_matrices(feet.trunk_tilt).astype(np.float32)
         goals = []
         for k in range(len(self._chains)):
@@ -209,9 +211,10 @@ class LegIkSolver:
         return goals
 
     def _compute_sole_normals(self, feet: BodySpaceFeet) -> list[Floats | None]:
-        """Return the normal of the ground below each flat sole, float32[3, n], in the definition's space before the trunk moves.
+        """Return the ground normals below the flat sole of each leg, float32[3, n], in the definition's space before trunk rise
+        and tilt.
 
-        None for other legs."""
+        The entry of a leg without a flat sole is None."""
         turn = build_rotation_matrices(feet.trunk_tilt).astype(np.float32)
         level = np.broadcast_to(np.array([[0], [1], [0]], np.float32), (3, len(feet.trunk_rise)))
         normals = [level if feet.normals is None else feet.normals[:, k].T for k in range(len(self._chains))]
@@ -232,10 +235,11 @@ class LegIkSolver:
         is_on_ground: NDArray[np.bool_],
         stance_weights: Floats,
     ) -> None:
-        """Lower bodies until the feet that are on the ground can reach it: the trunk of a clip may be too high for the stance.
+        """Lower the bodies in `world`, in place, until their feet that are on the ground can reach it. The trunk of a clip may be
+        too high.
 
-        Bodies sink a little to keep heels down. Where a slope moves the ankle of a flat sole down, they also follow it. So heels
-        rise only for long steps."""
+        Bodies also sink a little so that heels stay down, and as far as a slope lowers the ankle of a flat sole. So heels rise
+        only in long steps."""
         most = np.zeros(len(stance_weights), np.float32)
         for k, (each, goal, normal) in enumerate(zip(self._chains, goals, normals, strict=True)):
             hip, knee, ankle, foot = (world[:, 3, joint] for joint in (each.upper, each.lower, each.ankle, each.foot))
@@ -253,13 +257,14 @@ class LegIkSolver:
         world[:, 3] -= self._up_axis[:, None, None] * (most * stance_weights)
 
     def _measure_unreachable_distance(self, displacement: Floats, length: Floats) -> Floats:
-        """Return how far hips are too high for legs of `length` [n] that lead from them by `displacement` [3, n]."""
+        """Return by how much hips are too high for legs of `length` [n] to reach goals at `displacement` [3, n] from them; below
+        0 if low enough."""
         high = dot(displacement, self._up_axis[:, None])
         level = np.maximum(length * length - np.maximum(dot(displacement, displacement) - high * high, 0), 0)
         return np.asarray(-np.sqrt(level) - high)
 
     def _bend_leg(self, world: Floats, leg: LegChain, goal: Floats, normal: Floats | None, stance_weights: Floats) -> None:
-        """Bend a leg in `world` so that its foot reaches `goal` [3, n], weighted by `stance_weights` [n], in place.
+        """Bend a leg in `world` in place, so that its foot reaches `goal` [3, n]. `stance_weights` [n]: from 0 (no change) to 1.
 
         `normal` [3, n]: the normal of the ground below a flat sole; None for a foot that keeps its rotation."""
         hip, knee, foot = (world[:, 3, joint].copy() for joint in (leg.upper, leg.lower, leg.foot))
@@ -294,11 +299,11 @@ class LegIkSolver:
     def _rotate_sole_to_ground(
         self, world: Floats, leg: LegChain, goal: Floats, normal: Floats, stance_weights: Floats
     ) -> Floats:
-        """Turn the parts at and below an ankle in `world` so that the sole lies flat, in place. Return the goal of the ankle
+        """Rotate the parts at and below an ankle in `world`, in place, so that the sole lies flat. Return the goal of the ankle
         [3, n].
 
-        `goal` [3, n]: that of the foot joint. If the bones cannot reach the ankle's goal, the heel rises about the foot joint as
-        far as they need."""
+        `goal` [3, n]: the goal of the foot joint. If the bones cannot reach the ankle's goal, the heel rises about the foot joint
+        as far as necessary."""
         hip, knee, ankle, foot = (world[:, 3, joint].copy() for joint in (leg.upper, leg.lower, leg.ankle, leg.foot))
         turns = []
         for joint, part, pivot in ((leg.ankle, leg.arch_joints, ankle), (leg.foot, leg.sole_joints, foot)):
@@ -313,7 +318,8 @@ class LegIkSolver:
         return goal + raised
 
     def _compute_knee_axis(self, world: Floats, leg: LegChain, thigh: Floats, shank: Floats, size: Floats) -> Floats:
-        """Return the unit axis [3, n] about which the knee opens. For a straight leg, this is the axis in the standing pose."""
+        """Return the unit axes [3, n] about which the knees open. For a leg that is straight in the pose, use the axis in the
+        standing pose."""
         axis = cross(thigh, shank)
         rest = self._get_straight_axis(leg)
         straight = measure_lengths(axis) <= np.float32(_MIN_KNEE_SINE) * size
@@ -329,7 +335,7 @@ class LegIkSolver:
         return rest
 
     def _move_trunk(self, world: Floats, feet: BodySpaceFeet) -> None:
-        """Move all joints of `world` by `rise` and `tilt` of the feet, in place."""
+        """Move all joints of `world` by the trunk rise and tilt of `feet`, in place."""
         base, turn = self._base_rotation, build_rotation_matrices(feet.trunk_tilt)
         half = [
             [(turn[a, 0] * base[0, s] + turn[a, 1] * base[1, s]) + turn[a, 2] * base[2, s] for s in range(3)] for a in range(3)

@@ -1,6 +1,6 @@
-"""Converts the clips that the state machines of agents play to a tree of clip layers.
+"""Converts the clips that state machines of agents play to clips in a tree of layers.
 
-Each machine has one layer, above the layers of the machines before it."""
+Each machine has one layer, which lies above the layers of the previous machines."""
 
 from __future__ import annotations
 
@@ -26,14 +26,13 @@ from antdsl.bodies.agents.poses import REST_CLIP, ClipTable
 @dataclass(frozen=True, slots=True, eq=False)
 class MachineClips:
     """The clips that one state machine of each of n agents plays. At most three clips overlap: the clip of the current state
-    (`clip`), the previous clip, which fades out (`before`), and a clip that was still fading out when `before` began to
-    (`earlier`).
+    (`clip`), the previous clip, which fades out (`before`), and the clip before that, if it still fades out (`earlier`).
 
     `clip`, `before`, `earlier`: int[n], indices into the clips that the species plays, -1 for none.
-    `turns`, `before_turns`, `earlier_turns`: float32[n], how many cycles of the clip were played, with fractions.
+    `turns`, `before_turns`, `earlier_turns`: float32[n], the number of cycles of the clip played so far, including fractions.
     `weight`, `before_weight`, `earlier_weight`: float32[n], the weights of the clips, from 0 to 1.
-    `fade`: float32[n], the share of the pose that `before` and `earlier` still have.
-    `earlier_fade`: the share of `fade` that belongs to `earlier`.
+    `fade`: float32[n], the fraction of the pose that still comes from `before` and `earlier`.
+    `earlier_fade`: float32[n], the fraction of `fade` that belongs to `earlier`.
 
     The fields of `earlier` are None if no agent has such a clip."""
 
@@ -50,9 +49,9 @@ class MachineClips:
     earlier_fade: Floats | None = None
 
     def iterate_clip_slots(self) -> Iterator[tuple[NDArray[np.int16], Floats, Floats]]:
-        """Yield each of the overlapping clips, from the oldest clip that fades out to the current clip.
+        """Yield the overlapping clips, from the oldest to the current one.
 
-        The results are the clip's index, the number of its played cycles, and its share of the pose, [n] each."""
+        Each item has three arrays [n]: the clip's index, the number of cycles played, and its weight in the pose."""
         fade = np.clip(self.fade, 0, 1)
         if self.earlier is None or self.earlier_turns is None or self.earlier_weight is None or self.earlier_fade is None:
             part = np.zeros_like(fade)
@@ -68,12 +67,12 @@ EARLIER_CLIP_FIELDS = ("earlier", "earlier_turns", "earlier_weight", "earlier_fa
 
 
 class PlayedClip(NamedTuple):
-    """A clip that a line of a state plays on the joints of a transform group.
+    """A clip that a statement of a state plays on the joints of a transform group.
 
     `group`: the transform group, "" for the complete rig.
-    `add`: whether the clip's differences from the rest pose are added over all other clips.
-    `left_turn_clip`, `right_turn_clip`, `climbing_clip`, `descending_clip`: the clips that replace it as an agent turns, climbs
-        or descends; "" for none."""
+    `add`: whether the clip is additive: its differences from the rest pose are added to the result of all other clips.
+    `left_turn_clip`, `right_turn_clip`, `climbing_clip`, `descending_clip`: the clips that replace `clip` while an agent turns,
+        climbs or descends; "" for none."""
 
     clip: str
     group: str = ""
@@ -86,14 +85,14 @@ class PlayedClip(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ClipSlot:
-    """One clip of each agent that a machine contributes to the pose.
+    """For each of n agents, one clip that a machine contributes to its pose.
 
     `machine`: the number of the machine.
     `is_additive`: whether the clip is additive.
-    `clips`: the clip's number in the `ClipTable`.
-    `times`: seconds in the clip.
-    `weights`: the clip's share of the machine's layer.
-    `groups`: the index of the clip's transform group."""
+    `clips`: int32[n], the clip's number in the `ClipTable`.
+    `times`: float64[n], the time in the clip, in seconds.
+    `weights`: float32[n], the clip's weight in the machine's layer.
+    `groups`: int64[n], the index of the clip's transform group."""
 
     machine: int
     is_additive: bool
@@ -107,14 +106,14 @@ def build_machine_playback(
     table: ClipTable, clips: Sequence[tuple[str, str] | PlayedClip], machines: Sequence[MachineClips], count: int,
     lean: Floats | None = None,
 ) -> ClipPlayback:  # fmt: skip
-    """Return the `ClipPlayback` of `count` agents.
+    """Return the `ClipPlayback` of `count` agents, from the clips that their state machines play.
 
-    `clips`: the clips that the states of their machines play; a name that the table lacks means no clip.
-    `lean`: float32[n, 2], from -1 to 1, how much each agent turns (positive: left) and climbs.
+    `clips`: all clips of the species, which `machines` refers to by index. A name that the table lacks means no clip.
+    `lean`: float32[n, 2], how much each agent turns (-1 right to 1 left) and climbs (-1 down to 1 up).
 
-    A machine's layer is the mean of its clips by fade and weight. It covers the layers of the previous machines by its total
-    weight; where it fades out completely, those layers are visible. Additive clips lie over all layers, in the order of
-    machines."""
+    A machine's layer is the mean of its clips, weighted by fade and weight. It replaces the layers of the previous machines in
+    proportion to its total weight, so that they show where it fades out. Additive clips are added to the result of all layers, in
+    the order of the machines."""
     played = [PlayedClip(*each) for each in clips]
     groups = ["", *sorted({each.group for each in played} - {""})]
     slots = [
@@ -180,9 +179,9 @@ def _iterate_slots(
 
 
 def _iterate_lean_shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Floats | None]:
-    """Yield the share of each agent's clip [n], then those of the variants that replace it: left, right, climbing, descending.
+    """Yield the weights [n] of each agent's clip, then those of the variants that replace it: left, right, climbing, descending.
 
-    For a variant that no agent uses, yield None."""
+    The item of a variant that no agent uses is None."""
     ones = np.ones(len(numbers), np.float32)
     if lean is None or not (numbers[:, 1:] != REST_CLIP).any():
         yield ones
@@ -196,5 +195,5 @@ def _iterate_lean_shares(numbers: NDArray[np.int32], lean: Floats | None) -> Ite
 
 
 def _find_clip_number(table: ClipTable, name: str) -> int:
-    """Return the number of a clip, REST_CLIP if the table does not have it."""
+    """Return the number of the clip called `name`, or REST_CLIP if the table does not have it."""
     return table.names.index(name) if name in table.names else REST_CLIP

@@ -1,4 +1,4 @@
-"""Converts an agent definition to other axes and another unit of length. The body itself does not change."""
+"""Converts an agent definition to other axes and another unit of length, without changing the body."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ Floats = NDArray[np.float64]
 
 
 def convert_definition_axes(body: Definition, front: AxisVector, up: AxisVector, unit: float) -> Definition:
-    """Return the definition with other forward and upward axes, and with `unit` millimetres per unit of length. Both axes are
-    coordinate axes.
+    """Return the definition converted to other forward and upward axes, and to `unit` millimetres per unit of length. Both must
+    be coordinate axes, such as +x.
 
-    All local spaces are transformed in the same way. So joints keep their names, and posed points their positions in a scene, up
-    to the last digits of float32."""
+    All local spaces are transformed in the same way. Joint names do not change. Posed points have the same positions in a scene,
+    up to rounding in float32."""
     turn = _build_axis_frame(front, up) @ _build_axis_frame(body.front, body.up).T
     size = body.unit / unit
     if size == 1.0 and (turn == np.eye(3)).all():
@@ -50,13 +50,13 @@ def _scale_capsule(capsule: tuple[float, float, float, float] | None, size: floa
 
 
 def _build_axis_frame(front: AxisVector, up: AxisVector) -> Floats:
-    """Return the matrix [3, 3] with the columns front, up and side."""
+    """Return the matrix [3, 3] with the columns front, up and side (front × up)."""
     ahead, above = np.array(front, np.float64), np.array(up, np.float64)
     return np.stack([ahead, above, np.cross(ahead, above)], axis=1)
 
 
 def _convert_clip(clip: Clip, rotation: Floats, inverse_rotation: Floats) -> Clip:
-    """Return a clip in other axes. `rotation` converts vectors, `inverse_rotation` is its inverse."""
+    """Return a clip converted to other axes. `rotation` [3, 3] converts vectors; `inverse_rotation` is its inverse."""
     if not clip.joints:
         return clip
     move, turn, scale = (each.astype(np.float64) for each in (clip.translation, clip.rotation, clip.scale))
@@ -75,7 +75,7 @@ def _convert_clip(clip: Clip, rotation: Floats, inverse_rotation: Floats) -> Cli
 
 
 def _convert_shape(shape: SkinShape, rotation: Floats, inverse_rotation: Floats) -> SkinShape:
-    """Return a shape in other axes. `rotation` converts vectors, `inverse_rotation` is its inverse."""
+    """Return a shape converted to other axes. `rotation` [3, 3] converts vectors; `inverse_rotation` is its inverse."""
     axis = rotation[:3, :3] / np.abs(np.linalg.det(rotation[:3, :3])) ** (1 / 3)
     capture = shape.capture
     if capture is not None:
@@ -88,7 +88,7 @@ def _convert_shape(shape: SkinShape, rotation: Floats, inverse_rotation: Floats)
 
 
 def _convert_layer(layer: Layer, axis_map: Floats) -> Layer:
-    """Return a layer with the bounds scales permuted to the new axes."""
+    """Return a layer with the bounds scales of its bindings in the order of the new axes. `axis_map` [3, 3]: converts vectors."""
 
     def convert_scale(scale: tuple[float, float, float]) -> tuple[float, float, float]:
         x, y, z = (axis_map @ np.array(scale)).tolist()

@@ -1,7 +1,8 @@
-"""Converts an agent definition to a few plain arrays, and back. Caches store this form.
+"""Converts an agent definition to a few plain arrays, the form that caches store, and back.
 
-`text` uint8: a JSON document of all names, counts and bindings. In this document, an array of the definition is
-`[kind, first, shape]`: a range of the arrays `f4`, `f8`, `i4` or `i8`. Metadata is left out, because drawing does not need it.
+The array `text` (uint8) is a JSON document with all names, counts and bindings. In it, an array of the definition is `[kind,
+first, shape]`: the elements from index `first` of the array `kind`, which is `f4`, `f8`, `i4` or `i8`. Metadata is omitted,
+because drawing does not need it.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def pack_definition(body: Definition) -> Arrays:
-    """Return the arrays `ARRAY_NAMES` of a definition. Equal definitions give equal bytes."""
+    """Return a definition as arrays, by the names in `ARRAY_NAMES`. Equal definitions give equal bytes."""
     flat: dict[str, list[NDArray[Any]]] = {kind: [] for kind in NUMBER_KINDS}
     used = dict.fromkeys(NUMBER_KINDS, 0)
 
@@ -100,7 +101,7 @@ def pack_definition(body: Definition) -> Arrays:
 
 @lru_cache(maxsize=16)
 def hash_definition(body: Definition) -> str:
-    """Return a hash of everything that `pack_definition` stores of a definition. The definition must not change afterwards."""
+    """Return a hash of everything that `pack_definition` stores. It is cached, so the definition must not change afterwards."""
     hasher = hashlib.blake2b(digest_size=16)
     for name, array in pack_definition(body).items():
         hasher.update(f"{name} {array.size} ".encode())
@@ -109,10 +110,10 @@ def hash_definition(body: Definition) -> str:
 
 
 def unpack_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
-    """Return the definition that `pack_definition` stored in these arrays.
+    """Return the definition that was stored in `arrays` by `pack_definition`.
 
-    Raises BodyError for damaged arrays: none of their content is trusted. Every range, type, shape and index is checked. Names by
-    which parts refer to each other are not checked here, but by `body_arrays.unpack_checked_definition` of caches."""
+    The arrays are not trusted: every range, type, shape and index is checked. Raises BodyError if they are damaged. Names by
+    which parts refer to each other are checked separately, by `body_arrays.unpack_checked_definition`."""
     try:
         definition = _read_definition(arrays)
         _check_bounds(definition)
@@ -122,7 +123,7 @@ def unpack_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
 
 
 def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
-    """Return the definition in these arrays. Raises errors of many types for damaged arrays."""
+    """Return the definition that was stored in `arrays`. Damaged arrays raise errors of many types."""
     text = arrays["text"]
     if text.dtype != np.uint8 or text.ndim != 1 or text.size > limits.MAX_BODY_JSON_BYTES:
         raise ValueError
@@ -131,7 +132,8 @@ def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         raise ValueError
 
     def read_array(place: Any, *expected_sides: int | None, kind: str = "f4") -> NDArray[Any]:
-        """Return an array of the given kind. `expected_sides`: its number of rows along each axis; None allows any number."""
+        """Return the array that `place` (`[kind, first, shape]`) refers to. `expected_sides`: its length along each axis; None
+        allows any length."""
         own, first, shape = place
         sides = tuple(_read_integer(side) for side in shape)
         if (
@@ -235,7 +237,7 @@ def _read_capsule(sizes: Any) -> tuple[float, float, float, float] | None:
 
 
 def _read_variation(scales: Any, materials: Any) -> Variation:
-    """Return the variation from its group scales and material colours. Raises errors of many types for damaged values."""
+    """Return the variation with these group scales and material colours. Damaged values raise errors of many types."""
     ranges = {_read_text(name): _read_numbers(ends) for name, ends in scales.items()}
     colours = {_read_text(name): tuple(map(_read_three_numbers, choices)) for name, choices in materials.items()}
     if any(len(ends) != 2 or not 0 < ends[0] <= ends[1] for ends in ranges.values()) or any(len(c) < 2 for c in colours.values()):
@@ -251,7 +253,7 @@ def _read_gait(name: Any, speed: Any, stride: Any, duty: Any, lift: Any, phases:
 
 
 def _check_bounds(body: Definition) -> None:
-    """Raise ValueError if a number of a definition is out of range or not finite."""
+    """Check that the numbers of a definition are finite and in their ranges. Raises ValueError if they are not."""
     rig, count = body.rig, len(body.rig.names)
     fits = [
         0 < count <= limits.MAX_RIG_JOINTS,
@@ -289,7 +291,7 @@ def _is_valid_gait(gait: Gait) -> bool:
 
 
 def _is_within(numbers: NDArray[Any], count: int) -> bool:
-    """Return whether all numbers are indices below `count`."""
+    """Return whether all numbers are valid indices: at least 0 and below `count`."""
     return bool(((numbers >= 0) & (numbers < count)).all())
 
 

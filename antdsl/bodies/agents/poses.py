@@ -1,13 +1,12 @@
-"""Poses of many agents: the clips of a definition as one table, samples of it at each agent's own time, and the resulting
-transforms.
+"""Poses of many agents. The clips of a definition form one table, which is sampled at each agent's own time.
 
-The table has one row per sample, so that one gather reads the samples of all agents.
+The table has one row per clip sample, so that one gather reads the samples of all agents.
 
 Between two samples, translations, scales, shears and channels are interpolated linearly. Rotations are interpolated linearly
-along the shorter path, and then normalised (nlerp). Nlerp needs no sine, so all processors give the same bits. Only nlerp can
-also blend many clips without an order among them. Slerp works for two rotations only, but turns at a constant speed. For samples
-10 degrees apart the two differ by at most 0.0013 degrees, for 90 degrees by 0.92. A reader of keys that are far apart therefore
-samples them by slerp.
+along the shorter path, and then normalised (nlerp). Nlerp needs no sine, so all processors give the same bits. Nlerp can also
+blend any number of clips, independent of their order. Slerp works for two rotations only, but turns at a constant speed. For
+samples 10 degrees apart, the two differ by at most 0.0013 degrees; for 90 degrees, by 0.92. Readers of files therefore use slerp
+to sample keys that are far apart.
 """
 
 from __future__ import annotations
@@ -53,11 +52,11 @@ class LocalPose:
 class WorldPoses:
     """Transforms and channel values of n agents, joints and channels in the order of the rig.
 
-    `world_transforms` and `local_transforms`: float32[n, J, 3, 4], the upper three rows of each joint's matrix, in agent space
-        and in parent space; the fourth row is 0 0 0 1. `channels`: float32[n, C].
+    `world_transforms` and `local_transforms`: float32[n, J, 3, 4], the upper three rows of each joint's matrix, in agent space or
+        in the parent's space; the fourth row would be 0 0 0 1. `channels`: float32[n, C].
 
-    The arrays are views of [3, 4, J, n] memory, in which each component of a joint is contiguous over agents. Computations use
-    that layout. `numpy.ascontiguousarray` makes each agent contiguous.
+    The arrays are views of [3, 4, J, n] memory, in which each component of a joint is contiguous over agents. Computations need
+    this layout. Use `numpy.ascontiguousarray` to get contiguous matrices.
     """
 
     world_transforms: Floats
@@ -66,10 +65,11 @@ class WorldPoses:
 
 
 def sample_poses(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floating]) -> LocalPose:
-    """Return the pose of each of n agents in its own clip, `clips` int[n], at its own time in seconds, `times` [n].
+    """Return the poses of n agents. `clips`: int[n], the clip of each agent. `times`: [n], its time in the clip, in seconds.
 
-    A looping clip is periodic, also before time 0. Any other clip holds its first and its last sample. Clip -1 is the rest pose.
-    A time that is not finite counts as 0. Raises IndexError for a clip number out of range.
+    A looping clip is periodic, also before time 0. Any other clip holds its first sample before its start and its last sample
+    after its end. Clip -1 is the rest pose. A time that is not finite is replaced by 0. Raises IndexError for a clip number out
+    of range.
     """
     row, next_row, share = _find_sample_rows(table, clips, times)
     if not len(table.joint_order) + len(table.rig.channels):
@@ -99,17 +99,17 @@ def build_rest_pose(table: ClipTable, count: int) -> LocalPose:
 
 
 def compute_transforms(table: ClipTable, pose: LocalPose) -> tuple[Floats, Floats]:
-    """Return local and world matrices of poses, float32[3, 4, J, n] each, joints in the order of the table."""
+    """Return the local and the world matrices of poses, both float32[3, 4, J, n], with joints in the order of the table."""
     shape = (3, 4, *pose.rotation.shape[1:])
     local = compose_matrices(pose.translation, pose.rotation, pose.scale, pose.shear, np.empty(shape, np.float32))
     return local, _compute_world_matrices(table, local)
 
 
 def to_world_transforms(table: ClipTable, local_transforms: Floats) -> Floats:
-    """Return the world transforms float32[n, J, 3, 4] of local transforms, joints in the order of the rig.
+    """Return the world transforms for the given local transforms. Both are float32[n, J, 3, 4], with joints in the order of the
+    rig.
 
-    Use this for transforms that do not come from a clip, such as legs after inverse kinematics or a head that looks at a
-    point."""
+    Use it for transforms that do not come from a clip, such as those of legs after inverse kinematics."""
     world = np.empty((3, 4, local_transforms.shape[1], len(local_transforms)), np.float32)
     world[:, :, table.joint_order] = _compute_world_matrices(
         table, local_transforms.transpose(2, 3, 1, 0)[:, :, table.joint_order]
@@ -118,10 +118,11 @@ def to_world_transforms(table: ClipTable, local_transforms: Floats) -> Floats:
 
 
 def to_local_transforms(table: ClipTable, world: Floats) -> Floats:
-    """Return the local transforms float32[n, J, 3, 4] of world transforms, joints in the order of the rig.
+    """Return the local transforms for the given world transforms. Both are float32[n, J, 3, 4], with joints in the order of the
+    rig.
 
-    A local transform is the inverse of the parent's world transform times the joint's own. Below a parent with scale 0, the local
-    transforms are lost."""
+    A local transform is the inverse of the parent's world transform, times the joint's world transform. It cannot be recovered
+    below a parent with scale 0."""
     placed = world.transpose(2, 3, 1, 0)
     local = np.array(placed, np.float32)
     children = np.flatnonzero(np.asarray(table.rig.parents) >= 0)
@@ -135,7 +136,7 @@ def to_local_transforms(table: ClipTable, world: Floats) -> Floats:
 
 
 def to_square_matrices(matrices: Floats) -> Floats:
-    """Return matrices float32[…, 4, 4] from matrices of three rows, each agent contiguous. Matrices are for column vectors."""
+    """Return contiguous matrices float32[…, 4, 4] for column vectors, from matrices with three rows."""
     squares = np.zeros((*matrices.shape[:-2], 4, 4), np.float32)
     squares[..., :3, :] = matrices
     squares[..., 3, 3] = 1
@@ -143,9 +144,9 @@ def to_square_matrices(matrices: Floats) -> Floats:
 
 
 def _compute_world_matrices(table: ClipTable, local_transforms: Floats) -> Floats:
-    """Return the world matrices [3, 4, J, n] of local matrices, joints in the order of the table.
+    """Return the world matrices for the given local matrices. Both are [3, 4, J, n], with joints in the order of the table.
 
-    They are computed by depth of the rig: the world matrix of a joint is its parent's world matrix times its local matrix."""
+    They are computed from the roots down: the world matrix of a joint is its parent's world matrix times its local matrix."""
     world = np.empty(local_transforms.shape, np.float32)
     for begin, end, parents in table.depth_levels:
         if not len(parents):
@@ -158,7 +159,8 @@ def _compute_world_matrices(table: ClipTable, local_transforms: Floats) -> Float
 def _find_sample_rows(
     table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floating]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Return the table rows of the samples before and after each agent's time, and the fraction between the two."""
+    """Return two table rows per agent, the samples before and after its time, and the fraction of the time between them. All are
+    [n]."""
     clip = np.asarray(clips, np.int64) + 1
     if ((clip < 0) | (clip >= len(table.sample_counts))).any():
         raise IndexError(f"clips are numbered from 0 to {len(table.names) - 1}, and -1 for none")
@@ -174,7 +176,7 @@ def _find_sample_rows(
 
 
 def _split_rows(table: ClipTable, rows: Floats) -> LocalPose:
-    """Return the local poses that rows [W, n] of a table contain."""
+    """Split table rows [W, n] into the components of local poses."""
     joints, n = len(table.joint_order), rows.shape[1]
     at, parts = 0, []
     for width in (3, 4, *([3] if table.has_scale else []), *([3] if table.has_shear else [])):
@@ -187,17 +189,17 @@ def _split_rows(table: ClipTable, rows: Floats) -> LocalPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClipTable:
-    """Samples of all clips, for J joints and C channels of one rig.
+    """The samples of all clips of one rig, which has J joints and C channels.
 
     `names`: the clips; the index of a clip is its number.
-    `sample_rows`: float32[R, W]. Row 0 is the rest pose with the default values of channels. A row contains translations (3 J,
-        component by component), rotations (4 J), scales (3 J, if `has_scale`), shears (3 J, if `has_shear`) and channels (C).
-        Values that a clip does not set are those of the rest pose.
+    `sample_rows`: float32[R, W]. Row 0 is the rest pose with the default values of channels. A row contains translations (3 J
+        numbers: all x, all y, all z), rotations (4 J), scales (3 J, if `has_scale`), shears (3 J, if `has_shear`) and channels
+        (C). Values that a clip does not set are those of the rest pose.
     `first_sample_rows`: `first_sample_rows[clip + 1]` is the first row of a clip.
-    `joint_order`: int[J], the rig's number of each joint of the table; joints are ordered by depth in the rig's tree.
-    `depth_levels`: the joints of each depth as (begin, end, indices of their parents).
+    `joint_order`: int[J], for each joint of the table its index in the rig. Joints are ordered by depth in the rig's tree.
+    `depth_levels`: for each depth, the range of its joints in the table and the indices of their parents: (begin, end, parents).
 
-    Within a clip, signs of quaternions are such that interpolation takes the shorter path.
+    Within a clip, the signs of quaternions are chosen so that interpolation takes the shorter path.
     """
 
     rig: Rig
@@ -213,7 +215,7 @@ class ClipTable:
     has_shear: bool
 
     def find_clip(self, name: str) -> int:
-        """Return the number of a clip. Raises KeyError."""
+        """Return the number of the clip called `name`. Raises KeyError if there is none."""
         try:
             return self.names.index(name)
         except ValueError:
@@ -224,8 +226,8 @@ class ClipTable:
         return float(self.sample_counts[number + 1] - 1) / float(self.rates[number + 1])
 
     def compute_group_weights(self, group: TransformGroup) -> tuple[Floats, Floats]:
-        """Return the weights of a transform group: float32[J] of joints, in the order of the table, and float32[C] of channels. A
-        channel has 1 if the group names it, else 0. Raises KeyError for a name that the rig does not have."""
+        """Return the weights of a transform group: float32[J] for joints, in the order of the table, and float32[C] for channels.
+        A channel in the group has the weight 1, any other 0. Raises KeyError for a name that the rig does not have."""
         joints, channels = np.zeros(len(self.joint_order), np.float32), np.zeros(len(self.rig.channels), np.float32)
         for name, weight in group.members:
             joints[self.rig.find_joint(name)] = weight
@@ -237,8 +239,8 @@ class ClipTable:
 def build_clip_table(definition: Definition) -> ClipTable:
     """Return the table of a definition's clips.
 
-    Joints and channels of clips that the rig lacks are omitted, because clips are shared between rigs. Raises ValueError if
-    arrays of a clip do not match each other, or if the rig's tree has a cycle."""
+    Joints and channels of a clip that the rig lacks are omitted, because different rigs may share a clip. Raises ValueError if
+    the arrays of a clip do not match each other, or if the joints of the rig form a cycle."""
     rig = definition.rig
     order, levels = _order_by_depth(rig)
     clips = tuple(definition.clips.values())
@@ -279,14 +281,14 @@ def _order_by_depth(rig: Rig) -> tuple[NDArray[np.intp], tuple[tuple[int, int, N
 
 
 def _build_rest_row(rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp]) -> Floats:
-    """Return the row of a table that has the rest pose and the default values of channels."""
+    """Return the table row with the rest pose and the default values of channels, float32[1, W]."""
     return np.concatenate([*(part[:, order].reshape(-1) for part in rest), rig.channel_defaults]).astype(np.float32)[None]
 
 
 def _build_clip_rows(
     clip: Clip, rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp], has_scale: bool, has_shear: bool
 ) -> Floats:
-    """Return the rows of a clip. Joints that the clip animates have its samples, all others the rest pose."""
+    """Return the table rows of a clip, float32[F, W]. Joints that the clip does not animate have the rest pose."""
     count = clip.sample_count
     if count < 1 or not clip.rate > 0:
         raise ValueError(f"clip `{clip.name}` has no samples, or its rate is not above 0")
@@ -317,10 +319,10 @@ def _build_clip_rows(
 
 
 def _align_signs(rotation: NDArray[np.float64], rest: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return quaternions [4, F, J] as [F, 4, J], with signs that are continuous over the samples.
+    """Choose the signs of quaternions [4, F, J] so that they are continuous over the samples. Return them as [F, 4, J].
 
-    Each sample has the sign nearest to the previous sample, the first the sign nearest to `rest` [4, J]. Interpolation then takes
-    the shorter path without a test, and signs seldom change between clips."""
+    Each sample gets the sign that is closer to the previous sample, and the first one the sign that is closer to `rest` [4, J].
+    Interpolation then takes the shorter path without a test, and signs seldom differ between clips."""
     previous_rotation = np.concatenate([rest[:, None], rotation[:, :-1]], 1)
     near = previous_rotation * rotation
     dots = ((near[0] + near[1]) + near[2]) + near[3]

@@ -1,16 +1,18 @@
 """Skinning: points and normals of n agents that follow several joints each, by matrices or by dual quaternions.
 
-One matrix per joint transforms a point from capture to the joint's current position: world transform times `Capture.inverse`.
+One matrix per joint moves points from the capture pose to the current pose: world transform times inverse bind matrix.
 
-Linear skinning uses the mean of these matrices by the point's weights. Normals use the mean of the transposed inverses.
+Linear skinning transforms a point by the weighted mean of these matrices, and a normal by the weighted mean of their transposed
+inverses.
 
-Dual quaternion skinning (L. Kavan, S. Collins, J. Zara and C. O'Sullivan, Skinning with Dual Quaternions, I3D 2007) uses the mean
-of rigid transforms. The sign of each is aligned to that of the point's strongest joint. So a twisted joint does not lose volume.
-A dual quaternion holds only a rotation and a translation. So each matrix is decomposed, M = R S: R is the nearest rotation (polar
-decomposition), S the remaining scale, shear and mirroring. The point is first transformed by the linear mean of the S, in capture
-space, and then by the blended R with the translations. These two phases are as in L. Kavan et al., Geometric Skinning with
-Approximate Dual Quaternion Blending, ACM TOG 27, 2008, and in USD. For a point that follows one joint the result equals linear
-skinning. S is a linear mean between joints of different scale or shear; only rotations are free of collapse.
+Dual quaternion skinning (L. Kavan, S. Collins, J. Zara and C. O'Sullivan, Skinning with Dual Quaternions, I3D 2007) uses the
+weighted mean of rigid transforms, so a twisted joint does not lose volume. The sign of each dual quaternion is aligned with that
+of the point's strongest joint. A dual quaternion represents only a rotation and a translation. Therefore each matrix is
+decomposed into M = R S: R is the nearest rotation (polar decomposition), and S is the remaining scale, shear and mirroring. The
+point is first transformed by the linear mean of the S, in capture space, and then by the blended R with the translations. These
+two phases are as in L. Kavan et al., Geometric Skinning with Approximate Dual Quaternion Blending, ACM TOG 27, 2008, and in USD.
+For a point that follows one joint, the result equals linear skinning. Because S is a linear mean, only rotations blend without
+loss of volume.
 """
 
 from __future__ import annotations
@@ -50,8 +52,8 @@ class DeformedShape:
 def apply_linear_skinning(
     deformed_shape: DeformedShape, shape: SkinShape, definition: Definition, poses: WorldPoses
 ) -> DeformedShape:
-    """Return a shape after linear blend skinning. Raises ValueError for a shape without a capture, KeyError for joints that the
-    rig does not have."""
+    """Return a shape after linear blend skinning. Raises ValueError for a shape without a capture, and KeyError for joints that
+    the rig does not have."""
     joints, weights, matrices = _compute_joint_transforms(shape, definition, poses)
     x, y, z = _split_components(deformed_shape.points)
     points = np.empty((3, len(joints), matrices.shape[-1]), np.float32)
@@ -91,8 +93,8 @@ def apply_dual_quaternion_skinning(
 def blend_skinning_methods(
     deformed_shape: DeformedShape, shape: SkinShape, definition: Definition, poses: WorldPoses
 ) -> DeformedShape:
-    """Return the blend of linear (0) and dual quaternion skinning (1) by the point attribute that the shape's
-    `dual_quaternion_blend` names.
+    """Return a blend of linear and dual quaternion skinning. The point attribute named by `dual_quaternion_blend` is the weight,
+    from 0 (linear) to 1.
 
     Raises the errors of `apply_linear_skinning`, and ValueError if the shape lacks the attribute."""
     name = shape.dual_quaternion_blend
@@ -112,8 +114,7 @@ def blend_skinning_methods(
 
 
 def transform_points(matrices: NumberArray, points: Floats) -> Floats:
-    """Return points [n, P, 3], transformed by matrices [3, 3 or 4, P, n], as [3, P, n]. A matrix of three columns transforms a
-    direction."""
+    """Transform points [n, P, 3] by matrices [3, 4, P, n], or directions by matrices [3, 3, P, n]. Return them as [3, P, n]."""
     x, y, z = _split_components(points)
     products = np.stack([(m[0] * x + m[1] * y) + m[2] * z for m in matrices])
     if matrices.shape[1] == 4:
@@ -122,7 +123,7 @@ def transform_points(matrices: NumberArray, points: Floats) -> Floats:
 
 
 def transform_normals(normals: Floats, matrices: NumberArray) -> Floats:
-    """Return normals [n, P, 3] transformed by matrices [3, 3, P, n], normalised."""
+    """Transform normals [n, P, 3] by matrices [3, 3, P, n] and normalise them. Return them with the same shape."""
     return normalise_in_place(transform_points(matrices, normals)).transpose(2, 1, 0)
 
 
@@ -151,8 +152,8 @@ def rotate_points(points: Floats, rotation: Floats) -> None:
 def _compute_joint_transforms(
     shape: SkinShape, definition: Definition, poses: WorldPoses
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Return the captured joints of each point [P, K], their weights [P, K], and each joint's transform from the pose at
-    capture, float32[3, 4, joints, n]."""
+    """Return the joints that each point follows [P, K], their weights [P, K], and the matrices of joints, float32[3, 4, joints,
+    n]. A matrix transforms from the capture pose to the current pose."""
     capture = shape.capture
     if capture is None:
         raise ValueError(f"shape `{shape.name}` does not state which joints its points follow (capture)")
@@ -168,13 +169,13 @@ def _compute_joint_transforms(
 
 
 def _split_components(points: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return x, y and z of points, [P, n] each."""
+    """Return the x, y and z of points [n, P, 3] as three arrays [P, n]."""
     x, y, z = points.transpose(2, 1, 0)
     return x, y, z
 
 
 def _compute_weighted_mean(values: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
-    """Return the weighted mean [P, n] of joint values [joints, n] for each point."""
+    """Return, for each point, the weighted mean of the values [joints, n] of its joints, as [P, n]."""
     mean = values.take(joints[:, 0], axis=0)
     mean *= weights[:, 0, None]
     for k in range(1, joints.shape[1]):
@@ -185,12 +186,13 @@ def _compute_weighted_mean(values: Floats, joints: NDArray[np.intp], weights: Fl
 
 
 def _compute_matrix_means(matrices: Floats, joints: NDArray[np.intp], weights: Floats) -> Floats:
-    """Return the weighted mean [3, 3 or 4, P, n] of joint matrices [3, 3 or 4, joints, n] for each point."""
+    """Return, for each point, the weighted mean of its joints' matrices [3, 3 or 4, joints, n], as [3, 3 or 4, P, n]."""
     return np.stack([np.stack([_compute_weighted_mean(each, joints, weights) for each in row]) for row in matrices])
 
 
 def _remove_rotation(rotation: NDArray[np.float64], matrices: Floats) -> Floats:
-    """Return matrices M without their rotation R: S = R⁻¹ M, float32[3, 3, joints, n]."""
+    """Return the matrices S = R⁻¹ M, float32[3, 3, joints, n], which are `matrices` M without their rotation R. `rotation`:
+    quaternions [4, joints, n]."""
     m = matrices[:, :3].astype(np.float64)
     rest = np.empty(m.shape, np.float32)
     for r in range(3):
@@ -200,9 +202,10 @@ def _remove_rotation(rotation: NDArray[np.float64], matrices: Floats) -> Floats:
 
 
 def _blend_dual_quaternions(real: Floats, dual: Floats, joints: NDArray[np.intp], weights: Floats) -> tuple[Floats, Floats]:
-    """Return the rotation [4, P, n] and the translation [3, P, n] of each point's mean dual quaternion.
+    """Return the weighted mean of the joints' dual quaternions for each point, as a rotation [4, P, n] and a translation [3, P,
+    n].
 
-    `real`, `dual`: the parts of the joints' dual quaternions, [4, joints, n] each."""
+    `real`, `dual`: the real and the dual part of the joints' dual quaternions, both [4, joints, n]."""
     most = joints[np.arange(len(joints)), weights.argmax(axis=1)]
     pivot = real.take(most, axis=1)
     turn = np.zeros_like(pivot)

@@ -1,8 +1,8 @@
 """Local transforms as translation, rotation, shear and scale, and as matrices for column vectors.
 
-A point is scaled first, then sheared, then rotated, then translated: `T @ R @ H @ S`. `H` adds to x `shear1` times y and `shear2`
-times z, and to y `shear3` times z. Every invertible matrix has exactly one such form (Thomas, Decomposing a Matrix into Simple
-Transformations, in Graphics Gems II, 1991).
+A point is scaled first, then sheared, then rotated, then translated: `T @ R @ H @ S`. The shear `H` adds `shear1` times y plus
+`shear2` times z to x, and `shear3` times z to y. Every invertible matrix has exactly one such form (Thomas, Decomposing a Matrix
+into Simple Transformations, in Graphics Gems II, 1991).
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ def normalise_quaternion(quaternion: Floats) -> Floats:
 
 
 def multiply_quaternions(a: Floats, b: Floats) -> Floats:
-    """Return the rotation by `b` followed by `a`, as quaternions float64[..., 4]."""
+    """Return the products a · b of quaternions float64[..., 4], which rotate by `b` first, then by `a`."""
     return np.moveaxis(affine.multiply_quaternions(np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)), 0, -1)
 
 
 def angles_to_quaternion(angles: Floats, order: str) -> Floats:
-    """Return the unit quaternions float64[..., 4] of angles float64[..., 3] (rad) about x, y and z.
+    """Convert Euler angles float64[..., 3] (rad, about x, y and z) to unit quaternions float64[..., 4].
 
     The rotations are applied in `order`: "xyz" rotates about x first. Signs are continuous along the first array axis."""
     rotation = np.broadcast_to(np.array([0.0, 0.0, 0.0, 1.0]), (*angles.shape[:-1], 4))
@@ -73,7 +73,7 @@ def angles_to_quaternion(angles: Floats, order: str) -> Floats:
 
 
 def quaternion_to_angles(quaternion: Floats) -> Floats:
-    """Return the angles float64[..., 3] (rad) about x, y and z of rotations that are applied in this order.
+    """Convert unit quaternions to Euler angles float64[..., 3] (rad) about x, y and z, which are applied in this order.
 
     If the angle about y is 90 degrees, the angle about z is 0."""
     m = quaternion_to_matrix(quaternion)
@@ -85,8 +85,8 @@ def quaternion_to_angles(quaternion: Floats) -> Floats:
 
 
 def align_signs(quaternion: Floats) -> Floats:
-    """Return quaternions float64[F, ..., 4] with continuous signs: each has the sign that is closer to the previous
-    quaternion."""
+    """Return quaternions float64[F, ..., 4] with continuous signs: each gets the sign that is closer to the previous one along
+    the first axis."""
     if quaternion.ndim < 2 or len(quaternion) < 2:
         return quaternion
     turned = (quaternion[1:] * quaternion[:-1]).sum(axis=-1) < 0
@@ -95,8 +95,8 @@ def align_signs(quaternion: Floats) -> Floats:
 
 
 def slerp_quaternions(a: Floats, b: Floats, share: Floats) -> Floats:
-    """Return the rotation at `share` float64[...] of the shortest path from `a` to `b`, float64[..., 4] each. The angular speed
-    is constant (Shoemake, Animating Rotation with Quaternion Curves, 1985)."""
+    """Return the rotation at the fraction `share` float64[...] of the shortest path from `a` to `b`, quaternions float64[..., 4].
+    The angular speed is constant (Shoemake, Animating Rotation with Quaternion Curves, 1985)."""
     b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
     chord, along = np.sqrt(((a - b) ** 2).sum(axis=-1)), np.sqrt(((a + b) ** 2).sum(axis=-1))
     angle = 2 * atan2_float64(chord, along)
@@ -109,8 +109,8 @@ def slerp_quaternions(a: Floats, b: Floats, share: Floats) -> Floats:
 
 
 def compose_matrix(translation: Floats, rotation: Floats, scale: Floats, shear: Floats | None = None) -> Floats:
-    """Return matrices float64[..., 4, 4] of translations [..., 3], unit quaternions [..., 4], scales [..., 3] and shears [...,
-    3]."""
+    """Return matrices float64[..., 4, 4], composed of translations [..., 3], unit quaternions [..., 4], scales [..., 3] and
+    shears [..., 3]."""
     count = translation[..., 0].size
     matrices = np.zeros((count, 4, 4))
     matrices[:, 3, 3] = 1.0
@@ -121,7 +121,7 @@ def compose_matrix(translation: Floats, rotation: Floats, scale: Floats, shear: 
 
 
 def decompose_matrix(matrix: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return translations, unit quaternions, scales and shears of matrices float64[..., 4, 4], as `compose_matrix` takes them.
+    """Split matrices float64[..., 4, 4] into the arguments of `compose_matrix`: translations, unit quaternions, scales, shears.
 
     For mirroring matrices, the scale along z is negative. For singular matrices, the rotation is arbitrary."""
     x, y, z = (matrix[..., :3, column] for column in range(3))
@@ -151,14 +151,14 @@ def _compute_lengths(vectors: Floats) -> Floats:
 
 
 def _normalise_or_fallback(vectors: Floats, lengths: Floats, fallback: tuple[float, float, float]) -> Floats:
-    """Return unit vectors [..., k]; vectors with a length of at most 1e-30 become `fallback`."""
+    """Return vectors [..., k] divided by their `lengths`. A vector with a length of at most 1e-30 is replaced by `fallback`."""
     known = lengths > 1e-30
     return np.where(known[..., None], vectors / np.where(known, lengths, 1.0)[..., None], np.array(fallback))
 
 
 def compose_transforms(outer: Floats, inner: Floats) -> Floats:
-    """Return the matrix float64[..., 4, 4] of `inner` followed by `outer`. Sums are written out, so that every processor gives
-    the same bits."""
+    """Return the products `outer` · `inner` of matrices float64[..., 4, 4]. Sums are in a fixed order, so that every processor
+    gives the same bits."""
     a, b = outer[..., :, :, None], inner[..., None, :, :]
     matrix: Floats = ((a[..., 0, :] * b[..., 0, :] + a[..., 1, :] * b[..., 1, :]) + a[..., 2, :] * b[..., 2, :]) + a[
         ..., 3, :
@@ -167,7 +167,7 @@ def compose_transforms(outer: Floats, inner: Floats) -> Floats:
 
 
 def compute_world_matrices(parents: NDArray[np.int32], local_matrices: Floats) -> Floats:
-    """Return the world matrices float64[J, 4, 4] of a rig's local matrices; parents come before children."""
+    """Return the world matrices float64[J, 4, 4] of a rig, from its local matrices. Parents must come before children."""
     world = np.empty_like(local_matrices)
     for joint, parent in enumerate(parents):
         world[joint] = local_matrices[joint] if parent < 0 else compose_transforms(world[parent], local_matrices[joint])

@@ -1,4 +1,5 @@
-"""Bodies that differ by each agent's id: scales of parts and colours of materials, within the ranges of a definition."""
+"""Random differences between bodies, drawn from each agent's id: scales of parts and colours of materials, within the ranges of a
+definition."""
 
 from __future__ import annotations
 
@@ -23,19 +24,19 @@ class VariationDraws:
     species: str = ""
 
     def draw(self, property_name: str) -> Floats:
-        """Return a random number from 0 to 1 for each agent, float32[n], which is constant for the agent's life.
+        """Return a random number from 0 to 1 for each agent, float32[n], which never changes for an agent.
 
-        `property_name`: each property has other random numbers."""
+        `property_name`: the property that varies; each property has independent random numbers."""
         return draw_uniform(self.seed, 0, self.species, f"variation {property_name}", 0, self.ids)
 
 
 def scale_groups(
     table: ClipTable, poses: WorldPoses, variation: Variation, groups: Mapping[str, TransformGroup], draws: VariationDraws | None
 ) -> WorldPoses:
-    """Return poses with each transform group scaled by the agent's random scale.
+    """Return the poses with each transform group scaled by the agent's random scale for this group.
 
-    The uppermost joints of the group are scaled about their own positions, together with their descendants, in proportion to
-    their weights."""
+    The uppermost joints of a group are scaled about their own positions, together with their descendants, in proportion to their
+    weights in the group."""
     if draws is None or not variation.scales or not len(draws.ids):
         return poses
     world = np.array(poses.world_transforms, np.float32)
@@ -58,7 +59,7 @@ def draw_group_scale(variation: Variation, group: str, draws: VariationDraws) ->
 
 
 def iterate_scale_pivots(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
-    """Yield the number and the weight of each uppermost joint of a transform group. The group is scaled about these joints."""
+    """Yield the index and the weight of each uppermost joint of a transform group. The group is scaled about these joints."""
     members = {rig.find_joint(member): weight for member, weight in group.members}
     for joint, weight in members.items():
         if not any(
@@ -68,8 +69,8 @@ def iterate_scale_pivots(rig: Rig, group: TransformGroup) -> Iterator[tuple[int,
 
 
 def draw_colour_path_positions(variation: Variation, material: str, draws: VariationDraws) -> Floats:
-    """Return where each agent's colour lies on the path through a material's colours, float32[n]: 0 is the first colour, 1 the
-    second."""
+    """Return the position of each agent's colour in the list of a material's colours, float32[n]: 0 is the first colour, 1 the
+    second, and 0.5 halfway between them."""
     return draws.draw(f"material {material}") * np.float32(len(variation.materials[material]) - 1)
 
 

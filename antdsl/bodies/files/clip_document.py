@@ -1,6 +1,6 @@
-"""A clip as JSON text in antdsl's own form: built from the model of the text, and written as text.
+"""Builds a clip from a document in antdsl's own JSON form, and writes a clip in this form.
 
-The channels of joints have the documented names `joint:tx … joint:shear3`."""
+The channels of joints have the names of Houdini's documentation, `joint:tx … joint:shear3`."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _IDENTITY_PARTS = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 
 
 def build_clip(form: ClipForm, root: JsonNode, report: Report, rig: Rig | None = None) -> Clip | None:
-    """Return the clip of a document, or None if it has mistakes, which are reported.
+    """Return the clip of a document. If the document has mistakes, report them and return None.
 
-    Parts of a joint that the text omits are taken from the rig's rest pose, or from the identity transform if there is no rig.
+    Parts of a joint's transform that the text omits are taken from the rig's rest pose, or without a rig from the identity.
     Joints that the rig lacks are reported and omitted."""
     findings = Report()
     samples = max(len(each) for each in form.channels.values())
@@ -62,7 +62,8 @@ def build_clip(form: ClipForm, root: JsonNode, report: Report, rig: Rig | None =
 
 
 def _split_channels(form: ClipForm, root: JsonNode, report: Report, rig: Rig | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the joints that the clip's channels move, and the channels of the rig that it animates, in the order of the text."""
+    """Return the joints that the clip moves, and the rig channels that it animates, in the order of the text. Report unknown
+    names."""
     joints: dict[str, None] = {}
     numbers: list[str] = []
     rig_channels = None if rig is None else {each.name for each in rig.channels}
@@ -85,7 +86,7 @@ def _split_channels(form: ClipForm, root: JsonNode, report: Report, rig: Rig | N
 
 
 def check_marks(marks: Mapping[str, float], seconds: float, root: JsonNode, report: Report) -> None:
-    """Report marks after the end of a clip."""
+    """Report marks that are after the end of a clip, which is `seconds` long."""
     for name, mark_time in marks.items():
         if mark_time > seconds:
             words, place = f"the mark `{name[:40]}` is after the end of the clip", find_span(root, ("marks", name))
@@ -93,8 +94,8 @@ def check_marks(marks: Mapping[str, float], seconds: float, root: JsonNode, repo
 
 
 def _compute_rest_parts(joints: tuple[str, ...], rig: Rig | None) -> Floats:
-    """Return the twelve parts of each joint's transform in the rest pose, in the order of TRANSFORM_PARTS. Angles are in
-    radians."""
+    """Return the parts [J, 12] of each joint's transform in the rest pose, in the order of TRANSFORM_PARTS. Angles are in
+    radians. Without a rig, the transforms are identities."""
     if rig is None:
         return np.tile(np.array(_IDENTITY_PARTS), (len(joints), 1))
     chosen = rig.rest_matrices[[rig.names.index(joint) for joint in joints]].reshape(-1, 4, 4)
@@ -103,7 +104,7 @@ def _compute_rest_parts(joints: tuple[str, ...], rig: Rig | None) -> Floats:
 
 
 def write_clip(clip: Clip) -> str:
-    """Return a clip as text, with the channels of `list_clip_channels`."""
+    """Return a clip as JSON text, with the channels of `list_clip_channels`."""
     channels = {name: _to_json_samples(column) for name, column in list_clip_channels(clip).items()}
     return format_json(
         {
@@ -115,7 +116,7 @@ def write_clip(clip: Clip) -> str:
 
 
 def list_clip_channels(clip: Clip) -> dict[str, NDArray[np.float64]]:
-    """Return the samples (n,) of a clip's channels by name, `joint:tx` to `joint:shear3` and channels of the rig.
+    """Return the samples (n,) of a clip's channels by name: `joint:tx` to `joint:shear3` of each joint, and rig channels.
 
     Rotations are in degrees about x, then y, then z, without jumps of 360 degrees."""
     channels: dict[str, NDArray[np.float64]] = {}
@@ -130,11 +131,11 @@ def list_clip_channels(clip: Clip) -> dict[str, NDArray[np.float64]]:
 
 
 def _to_json_samples(column: NDArray[np.float64]) -> Any:
-    """Return the samples of a channel as JSON values, a single number for a constant channel."""
+    """Return the samples of a channel as a list of numbers, or as a single number if they are all equal."""
     short = shorten_samples(column)
     return short[0] if len(set(short)) == 1 and len(short) > 1 else short
 
 
 def shorten_samples(column: NDArray[np.float64]) -> list[float]:
-    """Return samples as numbers with as few digits as float32 values need."""
+    """Return samples rounded to nine digits, which represent any float32 value exactly."""
     return [float(f"{value:.9g}") for value in column.tolist()]

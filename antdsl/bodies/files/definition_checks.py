@@ -1,4 +1,4 @@
-"""Checks that need the complete definition: named parts exist, and deformers, legs and gaits have all their inputs.
+"""Checks that need the complete definition: whether named parts exist, and deformers, legs and gaits have all their inputs.
 
 Also measures the length of the body."""
 
@@ -25,11 +25,11 @@ DOCUMENTED_DEFORMERS = ("blendshape", *SKINNING_DEFORMER_NAMES, *(f"blendshape+{
 
 @dataclass(slots=True)
 class LocatedDefinition:
-    """A definition that was read from a file, with locations for findings about it.
+    """A definition that was read from a file, and the locations in this file for findings about it.
 
-    `span`: the location that names the file.
-    `nodes`: the node of each part in a document, by key and name; a list has its key and "". Parts from glTF, USD or a cache have
-        no nodes.
+    `span`: the location at which a scene names the file, if any.
+    `nodes`: the node of each part in the document, by the key of its list and its name; a list itself has the name "". Parts from
+        glTF, USD or a cache have no nodes.
     `needs_length`: whether the length must still be measured."""
 
     definition: Definition
@@ -38,18 +38,18 @@ class LocatedDefinition:
     needs_length: bool = True
 
     def find_part_span(self, key: str, name: str = "", path: Sequence[PathKey] = ()) -> Span | None:
-        """Return the location of a part, or of the value that `path` leads to inside the part."""
+        """Return the location of a part, or of the value at `path` inside the part; None if the part has no node."""
         node = self.nodes.get((key, name))
         return None if node is None else find_span(node, path)
 
     def find_text_span(self, key: str, name: str, text: str) -> Span | None:
-        """Return the location of a text inside a part."""
+        """Return the location of a text inside a part; None if the part has no node."""
         node = self.nodes.get((key, name))
         return None if node is None else find_text(node, text)
 
 
 def check_definition(parts: LocatedDefinition, report: Report) -> Definition | None:
-    """Return the definition, with its length measured if the document gives none. Return None if a finding is an error."""
+    """Check a definition and report findings. Return it with its length, measured if necessary, or None if there is an error."""
     definition = parts.definition
     sound = report.ok  # otherwise a shape may be missing because its file could not be read
     _check_sizes(definition, parts.span, report)
@@ -83,7 +83,7 @@ def check_definition(parts: LocatedDefinition, report: Report) -> Definition | N
 
 
 def _check_sizes(definition: Definition, place: Span | None, report: Report) -> None:
-    """Report a definition with too many points, shapes, layers or clips, or too many bytes of samples."""
+    """Report too many points, shapes, layers or clips of a definition, or too many bytes of clip samples."""
     points = sum(len(shape.points) for shape in definition.shapes.values())
     if points > limits.MAX_BODY_POINTS:
         words = f"together, the shapes have {points:,} points, more than {limits.MAX_BODY_POINTS:,}"
@@ -99,7 +99,7 @@ def _check_sizes(definition: Definition, place: Span | None, report: Report) -> 
 
 
 def _check_binding(parts: LocatedDefinition, layer: str, binding: Binding, report: Report, shapes_are_valid: bool) -> None:
-    """Report missing joints, shapes and deformers of a binding, and inputs that a deformer lacks."""
+    """Report joints, shapes and deformers of a binding that do not exist, and inputs that its deformers lack."""
     definition = parts.definition
     if binding.transform and binding.transform not in definition.rig.names:
         place = parts.find_text_span("layers", layer, binding.transform)
@@ -127,7 +127,7 @@ def _check_binding(parts: LocatedDefinition, layer: str, binding: Binding, repor
 
 
 def _check_shape(definition: Definition, shape: SkinShape, place: Span | None, report: Report) -> None:
-    """Report joints, blend shapes and channels that a shape names and the definition lacks."""
+    """Report joints, blend shapes and channels that a shape names but the definition lacks."""
     if shape.capture is not None:
         missing = [name for name in shape.capture.names if name not in definition.rig.names]
         if missing:
@@ -204,7 +204,8 @@ def _check_leg(parts: LocatedDefinition, leg: Leg, report: Report) -> None:
 
 
 def _measure_length(definition: Definition, parts: LocatedDefinition, report: Report) -> Definition | None:
-    """Return the definition with its measured length. Report a body without extent along `front`; its length is 1."""
+    """Return the definition with its measured length. If the body has no extent along `front`, report this and use the length
+    1."""
     if not parts.needs_length:
         return definition
     with np.errstate(all="ignore"):

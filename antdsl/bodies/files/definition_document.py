@@ -1,6 +1,7 @@
 """A definition file: antdsl's own JSON that names the parts of an agent definition.
 
-Each part is inline in its documented form, or `{"file": "rig.json"}`, a path below the file's folder or a granted root."""
+Each part is either inline, in the form that Houdini documents, or a reference such as `{"file": "rig.json"}`. The path must be
+below the file's folder or a granted root."""
 
 from __future__ import annotations
 
@@ -33,7 +34,8 @@ _PART_DESCRIPTIONS = {"rig": "a rig", "metadata": "metadata", "layers": "a layer
 
 
 def read_document(root: JsonNode, files: BodyFiles, name: str) -> LocatedDefinition | None:
-    """Return the definition in a file, before the checks that need the complete definition; None if it cannot be read."""
+    """Return the definition in a document, or None if it cannot be read. `definition_checks` must check the result. `name`: the
+    name of a definition that states none."""
     report = files.report
     if _report_part_file(root, report):
         return None
@@ -84,7 +86,7 @@ def read_document(root: JsonNode, files: BodyFiles, name: str) -> LocatedDefinit
 
 
 def _insert_files(root: JsonNode, files: BodyFiles) -> JsonNode:
-    """Return the tree of a definition in which the content of separate files replaces the references to them.
+    """Return the tree of a definition with references to separate files replaced by the content of these files.
 
     Files that cannot be read are left out."""
 
@@ -112,7 +114,7 @@ def _insert_files(root: JsonNode, files: BodyFiles) -> JsonNode:
 def _record_part_nodes(
     parts: LocatedDefinition, key: str, names: list[str], root: JsonNode, tree: JsonNode, report: Report
 ) -> None:
-    """Store the nodes of named parts, and report names that occur twice."""
+    """Store the node of each part in `names`, and report names that occur twice."""
     parts.nodes[key, ""] = find_node(root, (key,))
     first: dict[str, int] = {}
     for number, name in enumerate(names):
@@ -136,7 +138,7 @@ _PART_FILE_KEYS = (
 
 
 def _report_part_file(root: JsonNode, report: Report) -> bool:
-    """Return whether a file is only a part of a definition, and report this."""
+    """Return whether a file is only a part of a definition, such as a rig, and report this as an error."""
     if not isinstance(root.value, dict) or "antdsl_body" in root.value:
         return False
     for key, what, line in _PART_FILE_KEYS:
@@ -148,7 +150,7 @@ def _report_part_file(root: JsonNode, report: Report) -> bool:
 
 
 def _read_base(base: BaseForm, node: JsonNode, files: BodyFiles, name: str) -> Definition | None:
-    """Return the definition in the glTF or USD file that `from` names. The other parts of the document are added to it."""
+    """Return the definition in the glTF or USD file that the key `from` names, or None after an error."""
     place = find_span(node, ("file",))
     if files.is_closed_format(base.file, place):
         return None
@@ -166,7 +168,7 @@ def _read_base(base: BaseForm, node: JsonNode, files: BodyFiles, name: str) -> D
 
 
 def _read_axes(form: BodyForm, root: JsonNode, base: Definition, report: Report) -> dict[str, Any]:
-    """Return the fields `front` and `up` of a definition: the forward and upward axes of a body."""
+    """Return the forward and upward axes of a definition, as its fields `front` and `up`."""
     front, up = form.front or base.front, form.up or base.up
     if any(a and b for a, b in zip(front, up, strict=True)):
         node = root.get_inner("up") or root.get_inner("front")
@@ -181,7 +183,8 @@ def _read_axes(form: BodyForm, root: JsonNode, base: Definition, report: Report)
 def _read_clips(form: BodyForm, root: JsonNode, files: BodyFiles, rig: Rig, clips: dict[str, Clip]) -> dict[str, Clip]:
     """Return the clips that the document lists, by name.
 
-    An entry is an inline clip, a clip file, a glTF or USD file, or a clip of `from` with other settings."""
+    An entry is an inline clip, a clip file, a glTF or USD file, or a clip of the file under `from` with other settings. `clips`:
+    the clips of that file."""
     first: dict[str, Span] = {}
     for number, entry in enumerate(form.clips):
         node = find_node(root, ("clips", number))
@@ -231,7 +234,7 @@ def _resolve_clip_reference(
 
 
 def _read_clip_file(entry: ClipReference, path: str, place: Span, files: BodyFiles, rig: Rig) -> dict[str, Clip]:
-    """Return the clips of a file by name, without joints that the rig lacks. A text has one clip, a glTF or USD file any
+    """Return the clips of a file by name, without joints that the rig lacks. A text file has one clip, a glTF or USD file any
     number."""
     if get_file_ending(path) in (*GLTF_ENDINGS, *USD_ENDINGS):
         body = files.read_body(path, place, entry.prim or "", entry.rate or 0.0, rig)
@@ -250,7 +253,7 @@ def _read_clip_file(entry: ClipReference, path: str, place: Span, files: BodyFil
 
 
 def _fit_to_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
-    """Remove the joints and channels that `rig` lacks from a clip of another file, and report them."""
+    """Return a clip of another file without the joints and channels that `rig` lacks. Report these."""
     names, channels = set(rig.names), {each.name for each in rig.channels}
     joints = [number for number, joint in enumerate(clip.joints) if joint in names]
     numbers = [number for number, channel in enumerate(clip.channels) if channel in channels]

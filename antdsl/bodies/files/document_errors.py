@@ -1,4 +1,4 @@
-"""Reads a tree of JSON into a model of `document_model`, and reports each mistake at its location, with a correction."""
+"""Reads a JSON tree into a model of `document_model`. Each mistake becomes a finding with its location and a correction."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _CONTAINER_ERROR_TYPES = ("list_type", "tuple_type", "dict_type", "model_type")
 
 
 def read_form(form: type[FormType], root: JsonNode, report: Report) -> FormType | None:
-    """Return the model of a document, or None if the report has an error about it.
+    """Return the model of a document, or None if it has errors, which are then in the report.
 
     At most `_MAX_ERRORS` findings are reported, errors before warnings."""
     tree = _to_plain_values(root)
@@ -57,12 +57,12 @@ def read_form(form: type[FormType], root: JsonNode, report: Report) -> FormType 
 
 
 def _is_ignorable(form: type[Form], error: Any) -> bool:
-    """Return whether an error is about an unknown key in a documented form, which may have further keys."""
+    """Return whether an error is only about an unknown key in a form that may have further keys (`DocumentedForm`)."""
     return error["type"] == "extra_forbidden" and issubclass(_find_innermost_form(form, error["loc"])[0], DocumentedForm)
 
 
 def _to_plain_values(node: JsonNode) -> Any:
-    """Return a tree as values without locations."""
+    """Return a tree as plain dicts, lists and values, without locations."""
     if isinstance(node.value, dict):
         return {key: _to_plain_values(value) for key, value in node.value.items()}
     if isinstance(node.value, list) and not node.has_plain_numbers:
@@ -115,14 +115,14 @@ def _convert_error(form: type[Form], root: JsonNode, error: Any) -> Diagnostic:
 
 
 def _diagnose_model_error(root: JsonNode, path: Path, context: Any) -> Diagnostic:
-    """Return the finding about an error that `document_model` raised. Entries of `context`:
+    """Return the finding for an error that a model of `document_model` raised. The entries of `context`:
 
-    `words`, `help`: the message and the correction.
+    `words`, `help`: the message and the correction of the finding.
     `code`: the finding's code, by default `wrong-value`.
-    `at`: the path from the error's path to the location.
-    `key`: if present, the location is that of the key.
-    `complete`: if present, the location is the complete value.
-    `first`: the path from the error's path to another location, for a label."""
+    `at`: the location, as a path relative to the error's path.
+    `key`: if present, the finding marks the key instead of its value.
+    `complete`: if present, the finding marks the complete value.
+    `first`: another location, relative to the error's path, which gets a label."""
     is_key = "key" in context or path[-1:] == ("[key]",)
     labels = (Label(find_span(root, (*path, *context["first"])), "here first"),) if "first" in context else ()
     path = (*(path[:-1] if path[-1:] == ("[key]",) else path), *context.get("at", ()))
@@ -132,7 +132,7 @@ def _diagnose_model_error(root: JsonNode, path: Path, context: Any) -> Diagnosti
 
 
 def _diagnose_unknown_key(owner: type[Form], span: Span, key: str, suggestion: str | None) -> Diagnostic:
-    """Return the finding about a key that `owner` does not have."""
+    """Return the finding for a key that the form `owner` does not have."""
     near = suggestion or find_nearest_name(key, list_keys(owner))
     known = ", ".join(f"`{each}`" for each in list_keys(owner))
     help = f'write `"{near}"`' if near else f"known here: {known}"
@@ -141,7 +141,7 @@ def _diagnose_unknown_key(owner: type[Form], span: Span, key: str, suggestion: s
 
 
 def _describe_subject(path: Path, owner: type[Form]) -> str:
-    """Return the subject of an error, in words."""
+    """Return the part of a document that an error is about, as the subject of a message."""
     names = [key for key in path if isinstance(key, str) and not key.startswith("clip-")]
     if not names:
         return owner.noun
@@ -156,7 +156,7 @@ def _find_example(field: FieldInfo | None) -> str:
 
 
 def _find_innermost_form(form: type[Form], path: Sequence[PathKey]) -> tuple[type[Form], FieldInfo | None]:
-    """Return the innermost form that contains the value at `path`, and its last field on this path."""
+    """Return the innermost form that contains the value at `path`, and the field of this form that the path goes through."""
     kind: Any = form
     field: FieldInfo | None = None
     for key in path:
@@ -172,7 +172,7 @@ def _find_innermost_form(form: type[Form], path: Sequence[PathKey]) -> tuple[typ
 
 
 def _strip_annotations(kind: Any) -> Any:
-    """Return a type without its annotations, and without None if that is an alternative."""
+    """Return a type without `Annotated`, and without None if it is optional."""
     while True:
         arms = [arm for arm in get_args(kind) if arm is not NoneType]
         if get_origin(kind) is Annotated or (get_origin(kind) in (Union, UnionType) and len(arms) == 1):
@@ -182,7 +182,7 @@ def _strip_annotations(kind: Any) -> Any:
 
 
 def _find_inner_type(kind: Any, key: PathKey) -> Any:
-    """Return the type of the value at `key`: of an object's entry, of an array's item, or of the choice that a tag names."""
+    """Return the type of an object's values or an array's items. For a union, `key` is the tag of the alternative to return."""
     arms = get_args(kind)
     if get_origin(kind) in (Union, UnionType):
         return next((arm for arm in arms if Tag(str(key)) in getattr(arm, "__metadata__", ())), None)

@@ -1,5 +1,4 @@
-"""The JSON documents of a body as pydantic models: definition, rig, layers, transform groups, clips, and clip settings of glTF
-animations.
+"""Pydantic models of a body's JSON documents: definition, rig, layers, transform groups, clips, and settings in glTF files.
 
 `document_values` has the types of their values. `document_errors` turns mismatches into findings. A value that depends on other
 parts of the definition, such as the name of a joint, is checked when the definition is built."""
@@ -43,15 +42,15 @@ from antdsl.scene.values import make_value_error
 
 
 class Form(BaseModel):
-    """An object of a document in antdsl's own form. `noun`: the name of this kind of object, for messages."""
+    """An object in antdsl's own JSON form. `noun`: what messages call this kind of object, such as `a clip`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
     noun: ClassVar[str]
 
 
 class DocumentedForm(Form):
-    """An object in a form that Houdini's documentation describes. Later versions may have further keys, so an unknown key is only
-    a warning."""
+    """An object in a JSON form of Houdini's documentation. Later versions of Houdini may add keys, so an unknown key is only a
+    warning."""
 
 
 # ---- rig, layers, transform groups
@@ -64,7 +63,8 @@ class ChannelForm(DocumentedForm):
 
 
 class RigForm(DocumentedForm):
-    """A rig. `transforms`: the children of each joint, in any order. `antdsl_rest`: the local matrix of a joint, row by row."""
+    """A rig. `transforms`: the children of each joint, in any order. `antdsl_rest`: the local rest matrix of each joint, row by
+    row."""
 
     noun = "a rig"
     rig_version: Annotated[int, require_version(1)] = Field(examples=["1"])
@@ -151,7 +151,8 @@ class ClipForm(ClipSettings):
 
 
 class ClipReference(ClipSettings):
-    """A reference to clips of another file, or to a clip of `from`. Its settings replace those of the file."""
+    """A reference to the clips of another file, or to a clip of the file under `from`. Its settings override those of the
+    file."""
 
     file: Text | None = None
     clip: Text | None = None
@@ -168,7 +169,7 @@ class AnimationSettings(ClipSettings):
 
 
 def _choose_clip_form(value: Any) -> str:
-    """Return the tag of the model for an entry of `clips`: a clip with samples, or a reference to a file."""
+    """Return the tag of the model that an entry of `clips` has: a clip with samples, or a reference to a file."""
     return "clip-here" if isinstance(value, dict) and "antdsl_clip" in value else "clip-elsewhere"
 
 
@@ -181,8 +182,8 @@ ClipEntry = Annotated[
 
 
 class ShapeReference(Form):
-    """A reference to shapes of a file, or (without `file`) to an existing shape. It can change settings and blend-shape
-    attributes."""
+    """A reference to the shapes of a file, or without `file` to an existing shape. It can change their settings and blend
+    shapes."""
 
     noun = "a shape"
     file: Text | None = None
@@ -248,7 +249,7 @@ class VariationForm(Form):
 
 
 class BaseForm(Form):
-    """The glTF or USD file that provides all parts of a body."""
+    """The entry `from`: a glTF or USD file that provides the parts of a body."""
 
     noun = "a file to begin from"
     file: Text = Field(examples=['"body.glb"'])
@@ -260,7 +261,7 @@ BaseFile = Annotated[BaseForm, BeforeValidator(lambda value: {"file": value} if 
 
 
 class BodyForm(Form):
-    """A definition. `rig`, `layers`, `groups` and `metadata` have the same form inline and in separate files."""
+    """An agent definition. The parts `rig`, `layers`, `groups` and `metadata` have the same form inline and in separate files."""
 
     noun = "a definition"
     antdsl_body: Annotated[int, require_version(1)] = Field(examples=["1"])

@@ -1,6 +1,7 @@
-"""The kinds of values in JSON documents of a body, as pydantic types: texts, numbers in a range, units, axes, colours, lists.
+"""Pydantic types for the values in a body's JSON documents: texts, numbers in a range, units, axes, colours, lists.
 
-Texts, numbers and booleans are strict. Each type returns a value, or raises an error with a message and a correction.
+Texts, numbers and booleans are strict: other types are not converted. A wrong value raises an error with a message and a
+correction.
 """
 
 import re
@@ -23,7 +24,7 @@ _MIN_SCALE, _MAX_SCALE = 0.1, 10.0  # scale factors relative to the rest pose
 
 
 def _check_text(value: str) -> str:
-    """Return the text. Raises an error for too many characters and for the character 0."""
+    """Return the text. Raises an error if it is too long or contains a null character."""
     if len(value) > _MAX_NAME_CHARACTERS:
         raise make_value_error(f"this text has {len(value):,} characters, more than {_MAX_NAME_CHARACTERS:,}")
     if "\0" in value:
@@ -32,7 +33,7 @@ def _check_text(value: str) -> str:
 
 
 def _check_nonempty(value: str) -> str:
-    """Return the text. Raises an error for an empty text, and the errors of `_check_text`."""
+    """Return the text. Raises an error if it is empty, too long, or contains a null character."""
     if not value:
         raise make_value_error("expected a text here, but it is empty")
     return _check_text(value)
@@ -75,8 +76,8 @@ def limit_entries(limit_name: str, entry_noun: str, owner: str = "a body") -> Be
 
 
 def _reject_number_array(entries: Any) -> Any:
-    """Return the entries. Raises an error for an array of numbers, before its numbers are checked: a document may have
-    millions."""
+    """Return the entries. Raises an error for an array of numbers. Otherwise each of possibly millions of numbers would give an
+    error."""
     if isinstance(entries, list) and entries and all(type(entry) in (int, float) for entry in entries):
         raise make_value_error("this list must have names or entries `{ … }`, not numbers")
     return entries
@@ -94,13 +95,13 @@ def _check_names(entries: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def parse_unit_mm(text: object) -> float:
-    """Return the millimetres of a length unit such as `mm` or `6 mm`. Return 0 if the text is not a unit."""
+    """Return a length unit such as `mm` or `6 mm` in millimetres, or 0 if the text is not a unit."""
     match = _UNIT_PATTERN.fullmatch(text) if isinstance(text, str) else None
     return float(match[1] or 1) * UNIT_MM[match[2]] if match else 0.0
 
 
 def _read_unit(value: Any) -> float:
-    """Return the millimetres of a length unit. Raises for any other text."""
+    """Return a length unit in millimetres. Raises an error if the value is not a unit."""
     unit = parse_unit_mm(value)
     if not unit:
         known = ", ".join(f"`{word}`" for word in UNIT_MM)
@@ -109,7 +110,7 @@ def _read_unit(value: Any) -> float:
 
 
 def _read_axis(value: Any, info: ValidationInfo) -> Any:
-    """Return the unit vector of an axis such as `+x`. Raises for any other value."""
+    """Return the unit vector of an axis such as `+x`. Raises an error if the value is not an axis."""
     if not isinstance(value, str) or value not in AXIS_BY_WORD:
         letter = value if isinstance(value, str) and f"+{value}" in AXIS_BY_WORD else "z" if info.field_name == "front" else "y"
         raise make_value_error(
@@ -145,7 +146,7 @@ UniqueNames = AfterValidator(_check_names)
 
 
 def _check_matrix(rows: tuple[MatrixRow, MatrixRow, MatrixRow, MatrixRow]) -> tuple[MatrixRow, MatrixRow, MatrixRow, MatrixRow]:
-    """Return a matrix for column vectors. Raises if its last row is not 0 0 0 1."""
+    """Return the matrix, which is for column vectors. Raises an error if its last row is not 0 0 0 1."""
     if rows[3] != (0, 0, 0, 1):
         is_transposed = all(row[3] == 0 for row in rows[:3])
         help = "write the translation into the last column" if is_transposed else "write `[0, 0, 0, 1]`"
@@ -154,7 +155,7 @@ def _check_matrix(rows: tuple[MatrixRow, MatrixRow, MatrixRow, MatrixRow]) -> tu
 
 
 def _check_joints(joints: dict[str, Texts]) -> dict[str, Texts]:
-    """Return the joints of a rig. Raises for a rig without joints."""
+    """Return the joints of a rig. Raises an error if there are none."""
     if not joints:
         raise make_value_error("a rig has at least one joint", 'write `{"root": []}`', code="bad-rig")
     return joints
@@ -165,7 +166,7 @@ Joints = Annotated[dict[Text, Texts], AfterValidator(_check_joints)]
 
 
 def _reject_deformer(value: str) -> str:
-    """Return the empty deformer of a static shape. Raises for any other deformer."""
+    """Return the deformer of a static shape. Raises an error if it is not empty."""
     if value:
         words = f"a static shape cannot have a deformer, but this one has `{value[:60]}`"
         raise make_value_error(words, 'move it to `deforming`, or write `""`')
@@ -173,7 +174,7 @@ def _reject_deformer(value: str) -> str:
 
 
 def _check_colours(colours: tuple[RgbColour, ...]) -> tuple[RgbColour, ...]:
-    """Return the colours of a varied material. Raises for fewer than two, and for too many."""
+    """Return the colours of a varied material. Raises an error if there are fewer than two, or too many."""
     if not 2 <= len(colours) <= limits.MAX_BODY_PARTS:
         words = f"a material varies between two colours at least, not {len(colours)}"
         raise make_value_error(words, "write two colours, or more", code="wrong-count")
@@ -181,7 +182,7 @@ def _check_colours(colours: tuple[RgbColour, ...]) -> tuple[RgbColour, ...]:
 
 
 def _check_path_pair(paths: Any) -> Any:
-    """Return the two paths of an included library. Raises for a list of another length."""
+    """Return the two paths of an included library. Raises an error if there are not exactly two."""
     if isinstance(paths, list) and len(paths) != 2:
         words, help = f"a library needs two paths, but this list has {len(paths)}", 'write `["$HIP/lib.glb", "/…/lib.glb"]`'
         raise make_value_error(words, help, complete=True)
@@ -193,7 +194,7 @@ _NUMBERS_ADAPTER = TypeAdapter(Annotated[list[Number], FailFast()])
 
 
 def _read_samples(value: Any) -> NDArray[np.float64]:
-    """Return the samples of a channel. A single number is a constant channel."""
+    """Return the samples of a channel as an array. A single number becomes a constant channel."""
     return np.array(_NUMBERS_ADAPTER.validate_python(value if isinstance(value, list | dict) else [value]), np.float64)
 
 
@@ -201,7 +202,7 @@ Samples = Annotated[Any, PlainValidator(_read_samples)]
 
 
 def _check_channels(channels: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
-    """Return the channels of a clip. Raises for no channels, no samples, and different numbers of samples."""
+    """Return the channels of a clip. Raises an error if there are no channels or samples, or if the numbers of samples differ."""
     if not channels:
         raise make_value_error("a clip has at least one channel", f"write `{CHANNELS_EXAMPLE}`")
     longest, first = 1, ""

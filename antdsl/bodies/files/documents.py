@@ -1,7 +1,7 @@
-"""The documented parts of a definition: rig, layer, transform group and metadata, from their models and as text. The forms are
-those of the page Agent Primitives of Houdini 20.5.
+"""Builds rigs, layers, transform groups and metadata from the models of their documents, and writes them as text. The JSON forms
+are those of the page Agent Primitives of Houdini 20.5.
 
-The rest pose of a rig has no documented form. antdsl stores it in its own key `antdsl_rest`, one matrix per joint.
+Houdini's form has no rest pose for a rig. antdsl stores it in its own key `antdsl_rest`, one matrix per joint.
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ def build_rig(form: RigForm, root: JsonNode, report: Report) -> Rig | None:
 def _order_joints(form: RigForm, root: JsonNode, report: Report) -> tuple[tuple[str, ...], list[int]] | None:
     """Return the names of the joints, and the number of each joint's parent (-1 for a root). Return None after errors.
 
-    The order is that of the text if parents precede their children there, else from the roots down."""
+    Joints are in the order of the text if all parents precede their children there. Otherwise they are ordered from the roots
+    down."""
     joints = form.transforms
     parent: dict[str, tuple[str, Span]] = {}
     children: dict[str, list[str]] = {name: [] for name in joints}
@@ -89,14 +90,14 @@ def _order_joints(form: RigForm, root: JsonNode, report: Report) -> tuple[tuple[
 
 
 def _report_missing_child(report: Report, place: Span, name: str, child: str, free_joints: list[str]) -> None:
-    """Report a child that is not among the joints of a rig."""
+    """Report a `child` of the joint `name` that is not a joint of the rig. `free_joints`: possible corrections."""
     near = find_nearest_name(child, free_joints)
     help = f'write `"{near}"`' if near else f'add `"{child}": []` to the transforms'
     report.error("bad-rig", f"`{name}` has a child `{child}` that is not among the transforms", place, help)
 
 
 def _report_cycles(report: Report, parent: Mapping[str, tuple[str, Span]]) -> bool:
-    """Report each cycle of joints once, at the line that closes it. Return whether there is a cycle."""
+    """Report each cycle of joints once, at the entry that closes it. Return whether there is a cycle."""
     visited: set[str] = set()
     has_circle = False
     for start in parent:
@@ -117,7 +118,7 @@ def _report_cycles(report: Report, parent: Mapping[str, tuple[str, Span]]) -> bo
 
 
 def write_rig(rig: Rig) -> str:
-    """Return a rig as text in the documented form, with the rest pose in antdsl's own key if the rig has one."""
+    """Return a rig as text in Houdini's form. If it has a rest pose, add this under antdsl's own key."""
     children: dict[str, list[str]] = {name: [] for name in rig.names}
     for name, parent in zip(rig.names, rig.parents, strict=True):
         if parent >= 0:
@@ -141,7 +142,7 @@ def build_layer(form: LayerForm) -> Layer:
 
 
 def write_layer(layer: Layer) -> str:
-    """Return a layer as text in the documented form."""
+    """Return a layer as text in Houdini's form."""
     return format_json(_convert_whole_floats({"version": 2, **asdict(layer)}))
 
 
@@ -168,14 +169,14 @@ def build_group(form: GroupForm) -> TransformGroup:
 
 
 def write_group(group: TransformGroup) -> str:
-    """Return a transform group as text in the documented form."""
+    """Return a transform group as text in Houdini's form."""
     members = [{"name": name, "weight": weight} for name, weight in group.members]
     channels = [{"name": name} for name in group.channels]
     return format_json(_convert_whole_floats({"version": 2, "name": group.name, "members": members, "channels": channels}))
 
 
 def _convert_whole_floats(value: Any) -> Any:
-    """Return the value with numbers that have no fraction as integers, as in the documented forms."""
+    """Return a value with floats such as 1.0 converted to integers, as in Houdini's forms."""
     if isinstance(value, dict):
         return {key: _convert_whole_floats(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -202,7 +203,7 @@ _COMPONENTS_BY_TYPE = {
 
 
 def read_metadata(root: JsonNode, report: Report) -> dict[str, Any]:
-    """Return the entries of a metadata document. Wrong entries are reported."""
+    """Return the entries of a metadata document. Report wrong entries and omit them."""
     if not isinstance(root.value, dict):
         report.error(
             "wrong-value", f"metadata must be names with values, not {root.kind}", root.marked_span, 'write `{"name": 1}`'
@@ -259,12 +260,12 @@ def _matches_type(name: str, value: Any) -> bool:
 
 
 def to_plain_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
-    """Return metadata as JSON values. Typed values become objects with their type."""
+    """Return metadata as plain JSON values. A typed value becomes an object with `type` and `value`."""
     return {key: _to_plain_value(value) for key, value in metadata.items()}
 
 
 def _to_plain_value(value: Any) -> Any:
-    """Return a metadata value as JSON."""
+    """Return a metadata value as a plain JSON value."""
     if isinstance(value, TypedValue):
         return {"type": value.type, "value": _to_plain_value(value.value)}
     if isinstance(value, Mapping):
@@ -273,7 +274,7 @@ def _to_plain_value(value: Any) -> Any:
 
 
 def write_metadata(metadata: Mapping[str, Any]) -> str:
-    """Return metadata as text in the documented form. Typed values are written with their type."""
+    """Return metadata as text in Houdini's form. Typed values are written with their type."""
     return format_json(to_plain_metadata(metadata))
 
 

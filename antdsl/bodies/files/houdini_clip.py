@@ -1,4 +1,4 @@
-"""Parses Houdini's text clips (`.clip`) to the tree of a clip document, and writes such clips.
+"""Parses Houdini's text clips (`.clip`) into the tree of a clip document, and writes text clips.
 
 The format is that of the Public Domain Clip Library (Side Effects Software): a clip in braces with `rate`, `start`, `tracklength`
 and `tracks`, and each track in braces with `name` and `data`. Newer files write `data_rle`, in which `@3 0.5` is 0.5 three times.
@@ -25,7 +25,7 @@ _ROTATION_ORDER_KEYS = ("rOrd", "xOrd", "pOrd")  # orders of rotations and trans
 
 
 def read_clip_text(data: bytes, name: str) -> tuple[JsonNode | None, Report]:
-    """Return the tree of a clip document for the bytes of a `.clip` file, or None with the first error in the report."""
+    """Return the bytes of a `.clip` file as the tree of a clip document, and a report. After an error, the tree is None."""
     source, report = decode_source(data, name, "a clip")
     if not report.ok:
         return None, report
@@ -37,9 +37,10 @@ def read_clip_text(data: bytes, name: str) -> tuple[JsonNode | None, Report]:
 
 
 def write_clip_text(channels: Mapping[str, Sequence[float]], rate: float) -> str:
-    """Return a text clip with these channels, all of the same length. Angles are degrees, about x, then y, then z.
+    """Return a text clip with these channels, which must all have the same length. Angles are in degrees, applied about x, then
+    y, then z.
 
-    `rate`: samples per second. Equal samples in a row are written once, with their count."""
+    `rate`: samples per second. A run of equal samples is written once, with its length."""
     length = max(map(len, channels.values()), default=1)
     joints = dict.fromkeys(name.rpartition(":")[0] for name in channels if name.endswith(":rx"))
     tracks = {**channels, **{f"{joint}:rOrd": [ROTATION_ORDERS.index("xyz")] * length for joint in joints}}
@@ -56,7 +57,7 @@ class _ClipMistake(Exception):
 
 
 class _ClipReader:
-    """Reader of the words of one text."""
+    """Parser of one text clip, which is a sequence of words."""
 
     def __init__(self, source: Source, report: Report) -> None:
         self._source, self._report, self._value_count = source, report, 0
@@ -76,7 +77,8 @@ class _ClipReader:
         return self._words[self._place][0] if self._place < len(self._words) else ""
 
     def _take_word(self, expected: str = "") -> str:
-        """Return the next word. If it is not `expected`, that is an error; an empty text expects any word."""
+        """Return the next word and skip it. Reports an error if it is not `expected`; with an empty text, any word is
+        expected."""
         word = self._peek()
         if not word or (expected and word != expected):
             self._fail(
@@ -87,18 +89,18 @@ class _ClipReader:
         return word
 
     def _read_values(self) -> list[str]:
-        """Return the words up to the next key, bracket or the end."""
+        """Return all words before the next key, the next bracket or the end."""
         values = []
         while self._peek() not in ("", "{", "}") and not self._is_key():
             values.append(self._take_word())
         return values
 
     def _is_key(self) -> bool:
-        """Return whether the next word is a key, which an equals sign follows."""
+        """Return whether the next word is a key: a word before an equals sign."""
         return self._place + 1 < len(self._words) and self._words[self._place + 1][0] == "="
 
     def _read_number(self, word: str, place: int) -> float:
-        """Return the number that a word states."""
+        """Return a word as a number. Reports an error if it is not a number."""
         try:
             number = float(word)
         except ValueError:
@@ -138,7 +140,8 @@ class _ClipReader:
         return JsonNode(self._source, values, 0, len(self._source.text))
 
     def _find_rotation_order(self, entries: dict[str, tuple[list[str], int]], tracks: dict[str, tuple[list[float], int]]) -> str:
-        """Return the order of rotations that all joints have: that of the tracks `JOINT:rOrd`, or of the clip's quaternions."""
+        """Return the rotation order that all joints share, from the tracks `JOINT:rOrd`, or without these from the entry
+        `quaternions`."""
         numbers = {number for name, (samples, _) in tracks.items() if name.endswith(":rOrd") for number in samples}
         if not numbers:
             return (entries.get("quaternions", ([], 0))[0] or ["xyz"])[0]
@@ -149,7 +152,7 @@ class _ClipReader:
         return ROTATION_ORDERS[int(number)]
 
     def _make_node(self, value: list[float] | str | float, place: int) -> JsonNode:
-        """Return the node of a value at the word with the index `place`."""
+        """Return a node for a value. Its location is that of the word with the index `place`."""
         start, end = self._words[place][1:]
         return JsonNode(self._source, value, start, end, has_plain_numbers=isinstance(value, list))
 
@@ -160,7 +163,7 @@ class _ClipReader:
         return key
 
     def _read_entry(self, entries: dict[str, tuple[list[str], int]], key: str) -> float:
-        """Return the number of a key of the clip."""
+        """Return the number that the clip has under `key`."""
         words, place = entries.get(key, ([], self._place))
         if len(words) != 1:
             self._fail(f"the clip does not state `{key}` as one number", place)

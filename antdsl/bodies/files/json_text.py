@@ -1,7 +1,7 @@
-"""Parses JSON text to a tree in which each value has its location.
+"""Parses JSON text into a tree in which each value knows its location in the text.
 
-The format is RFC 8259. Comments (`//`, `/* */`) and a comma after the last value are ignored, because users write them. Depth and
-number of values are checked against limits during parsing."""
+The format is RFC 8259. In addition, comments (`//`, `/* */`) and a comma after the last value are allowed. The nesting depth and
+the number of values are limited during parsing."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _KIND_NAMES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JsonNode:
-    """A value at characters `start` (included) to `end` (excluded) of a text.
+    """A JSON value, which begins at the character `start` of its text and ends before `end`.
 
     `value`: a mapping for an object; a list of plain numbers for an array of numbers only; a list of nodes for any other array.
     `keys`: the locations of an object's keys.
@@ -48,8 +48,8 @@ class JsonNode:
 
     @property
     def marked_span(self) -> Span:
-        """Return the span at which findings are located: the first character of an object or a list, the complete text of other
-        values."""
+        """Return the span that findings about the value mark: the first character of an object or list, the complete text of any
+        other value."""
         return Span(self.source, self.start, self.start + 1) if isinstance(self.value, dict | list) else self.span
 
     @property
@@ -68,7 +68,7 @@ class JsonNode:
 
 
 def find_node(root: JsonNode, path: Sequence[PathKey]) -> JsonNode:
-    """Return the node that a path of keys leads to. A part of the path that the tree does not have is skipped."""
+    """Return the node at a path of keys. Keys that the tree does not have are skipped."""
     node = root
     for key in path:
         node = node.get_inner(key) or node
@@ -90,7 +90,8 @@ def find_span(root: JsonNode, path: Sequence[PathKey], *, key: bool = False) -> 
 
 
 def find_text(root: JsonNode, text: str) -> Span:
-    """Return the span of the first value of a tree that equals `text`; if no value does, the span for findings about the tree."""
+    """Return the span of the first value in a tree that equals `text`. Without such a value, return the span for findings about
+    the tree."""
     waiting = [root]
     while waiting:
         node = waiting.pop(0)
@@ -112,7 +113,7 @@ def _find_number_span(node: JsonNode, number: int) -> Span:
 def report_unknown_name(
     report: Report, span: Span | None, noun: str, name: str, known_names: Iterable[str], *, is_warning: bool = False
 ) -> None:
-    """Report the unknown `name` of a `noun`, with the most similar known name as a suggestion."""
+    """Report that there is no `noun` called `name`, and suggest the most similar of `known_names`."""
     near = find_nearest_name(name, known_names)
     add = report.warning if is_warning else report.error
     add("unknown-name", f"there is no {noun} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
@@ -138,7 +139,7 @@ _WORD_CORRECTIONS = {"True": "true", "False": "false", "None": "null", "undefine
 
 
 def read_tree(data: bytes, name: str, expected_part: str) -> tuple[JsonNode | None, Report]:
-    """Return the tree of a file's bytes, or None with the first error in the report.
+    """Return the tree of a file's bytes, and a report. After an error, the tree is None and the report contains the error.
 
     `expected_part`: what the file should contain, in words, such as `a rig`."""
     source, report = decode_source(data, name, expected_part)
@@ -146,7 +147,7 @@ def read_tree(data: bytes, name: str, expected_part: str) -> tuple[JsonNode | No
 
 
 def read_json(source: Source, expected_part: str) -> tuple[JsonNode | None, Report]:
-    """Return the tree of a text, or None with the first error in the report.
+    """Return the tree of a text, and a report. After an error, the tree is None and the report contains the error.
 
     `expected_part`: what the text should contain, in words, such as `a rig`."""
     reader = _JsonReader(source, expected_part)
@@ -157,7 +158,7 @@ def read_json(source: Source, expected_part: str) -> tuple[JsonNode | None, Repo
 
 
 class _JsonReader:
-    """A recursive parser of one text. Its methods take the position of a value and return its node."""
+    """A recursive parser of one text. A method that reads a value takes its position in the text and returns its node."""
 
     def __init__(self, source: Source, expected_part: str) -> None:
         self.source, self.text, self.expected_part = source, source.text, expected_part
@@ -174,7 +175,7 @@ class _JsonReader:
         return _SyntaxErrorReported()
 
     def skip_whitespace(self, offset: int) -> int:
-        """Return the position after white space and comments."""
+        """Return the position after white space and comments that begin at `offset`."""
         match = _SPACE_PATTERN.match(self.text, offset)
         assert match is not None
         offset = match.end()
@@ -183,7 +184,7 @@ class _JsonReader:
         return offset
 
     def read_document(self) -> JsonNode:
-        """Return the only value of the text."""
+        """Return the node of the complete text, which must be a single value."""
         at = self.skip_whitespace(0)
         if at == len(self.text):
             raise self.report_error(0, 0, f"the file is empty: expected {self.expected_part}", "write `{ … }`")
@@ -194,7 +195,7 @@ class _JsonReader:
         return node
 
     def read_value(self, offset: int, depth: int) -> JsonNode:
-        """Return the node of a value of any kind at a position. `depth`: the number of brackets around it."""
+        """Return the node of the value at `offset`, which may be of any kind. `depth`: the number of brackets around it."""
         self.count += 1
         if self.count > limits.MAX_BODY_JSON_VALUES:
             raise self.report_error(
@@ -223,8 +224,8 @@ class _JsonReader:
         return value if match[1] or match[2] else int(match[0])
 
     def read_number_array(self, offset: int) -> JsonNode | None:
-        """Parse an array that contains only numbers, the usual form of a clip's values. Return None for any other array, and for
-        errors."""
+        """Parse an array of numbers only, such as the values of a clip. Return None for any other array, and if it has an
+        error."""
         match = _NUMBER_ARRAY_PATTERN.match(self.text, offset)
         if not match:
             return None
@@ -275,7 +276,7 @@ class _JsonReader:
         return JsonNode(self.source, entries, offset, place + 1, keys)
 
     def read_key(self, offset: int) -> JsonNode:
-        """Return the node of the key of an object's entry, a text in double quotes."""
+        """Return the node of an object's key, a text in double quotes."""
         if self.text[offset] == '"':
             return self.read_string(offset)
         match = _WORD_PATTERN.match(self.text, offset)
@@ -285,7 +286,7 @@ class _JsonReader:
         raise self.report_error(offset, offset + len(word), f"a key needs double quotes, but `{word}` has none", help)
 
     def require_text(self, offset: int, opening_offset: int, closing_bracket: str) -> int:
-        """Return `offset`, at which a value must follow. Raises an error if the text ends before it."""
+        """Return `offset` if the text continues there. Raises an error if it ends, although a bracket is open."""
         if offset >= len(self.text):
             opening = Label(Span(self.source, opening_offset, opening_offset + 1), "this is still open")
             raise self.report_error(
@@ -294,7 +295,8 @@ class _JsonReader:
         return offset
 
     def skip_separator(self, end: int, opening_offset: int, closing_bracket: str) -> int:
-        """Return the position after a value and its comma: that of the next value, or of the closing bracket."""
+        """Return the position of the next value after the comma, or of the closing bracket. `end`: the end of the previous
+        value."""
         at = self.require_text(self.skip_whitespace(end), opening_offset, closing_bracket)
         if self.text[at] == ",":
             return self.require_text(self.skip_whitespace(at + 1), opening_offset, closing_bracket)
@@ -325,7 +327,7 @@ class _JsonReader:
         return JsonNode(self.source, text, offset, match.end())
 
     def read_word(self, offset: int) -> JsonNode:
-        """Return the node of `true`, `false` or `null`. Raises an error with a correction for any other word."""
+        """Return the node of `true`, `false` or `null`. Raises an error for any other word, and suggests a correction."""
         match = _WORD_PATTERN.match(self.text, offset)
         word = match[0] if match else self.text[offset : offset + 1]
         if word in _VALUE_BY_WORD:

@@ -1,4 +1,4 @@
-"""Opens files that a definition names. A file must be below the folder of the naming file, or below a granted root.
+"""Opens files that a definition names. They must be below the folder of the definition file, or below a granted root.
 
 Problems become findings at the location where the file is named."""
 
@@ -47,11 +47,11 @@ def get_file_ending(path: str) -> str:
 
 @dataclass(slots=True)
 class BodyFiles:
-    """Access to the files of a definition.
+    """Access to the files of a definition. Problems are added to `report`.
 
-    `folder`: the prefix of a path that names no root, such as `bodies/`.
-    `path_by_text`: files that the user named on the command line, by their paths in the form that `roots` takes.
-    `cached_definitions`: definitions read before, by path and settings."""
+    `folder`: the prefix for paths that do not name a root, such as `bodies/`.
+    `path_by_text`: files that the user named on the command line, by their paths in the form that `roots` accepts.
+    `cached_definitions`: definitions that were already read, by path and settings."""
 
     roots: Roots
     report: Report
@@ -60,7 +60,7 @@ class BodyFiles:
     cached_definitions: dict[tuple[str, str, float, bool], Definition | None] = field(default_factory=dict)
 
     def to_root_path(self, path: str) -> str:
-        """Return a path in the form that `roots` takes."""
+        """Return a path of the definition in the form that `roots` accepts."""
         return path if _ROOT_PREFIX_PATTERN.match(path) else self.folder + path
 
     def read_file(self, path: str, cap: int) -> bytes:
@@ -72,7 +72,7 @@ class BodyFiles:
         self.report.error(refusal.code, str(refusal), place, refusal.help)
 
     def is_closed_format(self, path: str, place: Span | None) -> bool:
-        """Return whether a file has a format that antdsl cannot read. Such a file is reported, with an alternative."""
+        """Return whether a file has a proprietary format that antdsl cannot read. If so, report it and suggest an alternative."""
         kind = get_file_ending(path)
         if kind not in _HELP_BY_CLOSED_FORMAT:
             return False
@@ -80,7 +80,8 @@ class BodyFiles:
         return True
 
     def read_part(self, path: str, expected_part: str, place: Span | None) -> JsonNode | None:
-        """Return the tree of a separate file, or None after an error. A `.clip` file is one of Houdini, any other is JSON.
+        """Return the tree of a separate file, or None after an error. A `.clip` file is a text clip of Houdini; any other file is
+        JSON.
 
         `expected_part`: what the file should contain, in words, such as `a rig`."""
         if self.is_closed_format(path, place):
@@ -96,7 +97,7 @@ class BodyFiles:
         return root
 
     def display_path(self, path: str) -> str:
-        """Return the path under which messages name a file."""
+        """Return the path of a file for use in messages."""
         full = self.to_root_path(path)
         beside = next(iter(self.path_by_text.values()), None)
         if full in self.path_by_text or beside is None or _ROOT_PREFIX_PATTERN.match(full):
@@ -106,11 +107,11 @@ class BodyFiles:
     def read_body(
         self, path: str, place: Span | None, prim: str = "", rate: float = 0.0, pose: Rig | None = None
     ) -> Definition | None:
-        """Return the definition in a glTF or USD file. Each file is read once.
+        """Return the definition in a glTF or USD file, or None after an error. Results are cached.
 
-        `prim`: the USD prim to read, with everything below it.
-        `rate`: samples per second of animations, 0 for the file's own.
-        `pose`: the rest pose that applies where glTF animations have no keys.
+        `prim`: the USD prim to read, including everything below it.
+        `rate`: samples per second of animations; 0 means the file's own rate.
+        `pose`: a rig with the rest pose that joints have where glTF animations have no keys.
         """
         full = self.to_root_path(path)
         pose = pose if get_file_ending(path) in GLTF_ENDINGS else None
@@ -122,8 +123,7 @@ class BodyFiles:
         return self.cached_definitions[key]
 
     def _read_body(self, path: str, place: Span | None, prim: str, rate: float, pose: Rig | None) -> Definition | None:
-        """Return the definition in a glTF or USD file, without the cache; None after an error. The arguments are those of
-        `read_body`."""
+        """Return the same as `read_body`, without the cache."""
         full, kind = self.to_root_path(path), get_file_ending(path)
         name = posixpath.basename(full.rpartition(":")[2]).rpartition(".")[0] or "body"
         try:
@@ -147,14 +147,14 @@ class BodyFiles:
         return definition
 
     def _build_sibling_reader(self, full_path: str) -> Callable[[str, int], bytes]:
-        """Return a reader of files that are named relative to the folder of the file `full_path`."""
+        """Return a function that reads files by their paths relative to the folder of `full_path`."""
         folder = full_path[: full_path.rfind("/") + 1] or (
             f"{full_path.partition(':')[0]}:" if _ROOT_PREFIX_PATTERN.match(full_path) else ""
         )
         return lambda path, cap: self.read_file(folder + path, cap)
 
     def _read_usd(self, full_path: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
-        """Return the results of `read_usd`. If the user named a link, the file that the link points to is read."""
+        """Return the results of `read_usd`. If the user named a symbolic link on the command line, read its target."""
         from antdsl.bodies.files.usd_definition import read_usd
 
         roots, text = self.roots, full_path
@@ -164,10 +164,10 @@ class BodyFiles:
         return read_usd(roots, text, prim, name, rate)
 
     def resolve_library(self, condensed_path: str, absolute: str) -> str:
-        """Return the path of a shape library, which has two paths in the document. Raises PathRefused if neither can be used.
+        """Return the path of a shape library, for which a document gives two paths. Raises PathRefused if neither can be used.
 
-        The condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative) is searched below the definition's folder or a granted root.
-        The absolute path is used only if a granted root contains it."""
+        The condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative) is tried first, below the definition's folder or a granted
+        root. The absolute path is used only if a granted root contains it."""
         match = _VARIABLE_PATTERN.fullmatch(condensed_path)
         path = condensed_path
         if match:
@@ -198,7 +198,7 @@ class BodyFiles:
 
 
 def _has_different_rest_pose(first: Rig, second: Rig) -> bool:
-    """Return whether any joint that both rigs have has a different rest pose in each."""
+    """Return whether the two rigs differ in the rest pose of a joint that they share."""
     known = {name: number for number, name in enumerate(second.names)}
     return any(
         (first.rest_matrices[k] != second.rest_matrices[known[name]]).any() for k, name in enumerate(first.names) if name in known

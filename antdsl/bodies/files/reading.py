@@ -1,6 +1,6 @@
 """Reads an agent definition from a JSON definition file, a glTF file or a USD file.
 
-Definitions are cached as long as their files stay the same, because a preview opens its scene at every edit."""
+Definitions are cached until their files change, because a preview opens its scene again at every edit."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ FileStamp = tuple[int, ...]
 def read_definition(
     path: Path | str, roots: Roots | None = None, place: Span | None = None, *, prim: str = "", rate: float = 0.0
 ) -> tuple[Definition | None, Report]:
-    """Return the definition in a .json, .glb, .gltf or USD file, or None after an error, and the report.
+    """Read a .json, .glb, .gltf or USD file. Return its definition, or None after an error, and the report.
 
-    `path`: a `Path` is a file that the user named. Files that it names must be in its folder, unless `roots` is given. A text is
-        a path below `roots` that a file names at `place`.
+    `path`: a `Path` is a file that the user named; files that it refers to must be in its folder, unless `roots` is given. A text
+        is a path below `roots`, which a scene names at `place`.
     `prim`: the prim of a USD file to read.
     `rate`: approximate samples per second of animations; 0 is the file's own frame rate, or 30."""
     report = Report()
@@ -66,7 +66,7 @@ def read_definition(
 class CachedDefinition:
     """A definition, and the files that it was read from.
 
-    `files`: for each path, its root, and the size, time and file number that show whether the file changed."""
+    `files`: for each path, its root and its stamp: size, times and inode number, which show whether the file has changed."""
 
     definition: Definition
     files: dict[Path, tuple[Path | None, FileStamp]]
@@ -76,9 +76,9 @@ _definition_cache: OrderedDict[tuple[object, ...], CachedDefinition] = OrderedDi
 
 
 def load_definition(text: str, roots: Roots, place: Span) -> tuple[Definition | None, Report]:
-    """Return the results of `read_definition` for a path in a scene. Names in the definition have the spelling of the language.
+    """Return the results of `read_definition` for a path in a scene, with names converted to the spelling of the language.
 
-    A definition that was read without findings is cached."""
+    A definition without findings is cached."""
     key = (text, str(roots.folder), *((name, str(folder)) for name, folder in sorted(roots.folder_by_name.items())))
     known = _definition_cache.get(key)
     if known is not None and all(_compute_stamp(path, root) == stamp for path, (root, stamp) in known.files.items()):
@@ -106,7 +106,7 @@ def _compute_file_stamps(files: RequestedPaths) -> dict[Path, tuple[Path | None,
 
 
 def _compute_stamp(path: Path, root: Path | None) -> FileStamp | None:
-    """Return the size, time and file number of a file, which show whether it changes; None if there is no file."""
+    """Return the size, times and inode number of a file, which show whether it has changed; None if it cannot be opened."""
     try:
         handle = reopen_file(path, root)
     except OSError:

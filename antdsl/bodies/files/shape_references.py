@@ -1,6 +1,6 @@
-"""Reads the shapes of a definition's library: references to mesh files, and included libraries.
+"""Reads the shapes that a definition refers to: in mesh files, and in included shape libraries.
 
-A reference may also set the documented blend-shape attributes of a shape."""
+A reference may also set the blend-shape attributes of Houdini's documentation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Colours = dict[str, tuple[float, float, float]]
 def read_shapes(
     form: BodyForm, root: JsonNode, files: BodyFiles, unit: float, shapes: dict[str, SkinShape], materials: Colours
 ) -> None:
-    """Add the shapes that a definition names to `shapes`, and the colours of their materials to `materials`.
+    """Load the shapes that a definition names into `shapes`, and the colours of their materials into `materials`.
 
     A reference without a file changes an existing shape. `unit`: millimetres per unit of the definition."""
     first: dict[str, Span] = {}
@@ -60,7 +60,7 @@ def read_shapes(
 def _resolve_shape_reference(
     reference: ShapeReference, node: JsonNode, files: BodyFiles, shapes: Mapping[str, SkinShape], materials: Colours
 ) -> list[SkinShape]:
-    """Return the shapes that a reference selects, with the changes that it asks for."""
+    """Return the shapes that a reference selects: of its file, or without a file from `shapes`. Report missing ones."""
     if reference.file is None:
         if reference.shape is None:
             words = f"{f'the shape `{reference.name[:60]}`' if reference.name else 'a shape'} has neither `file` nor `shape`"
@@ -83,7 +83,7 @@ def _resolve_shape_reference(
 
 
 def _get_file_stem(path: str) -> str:
-    """Return the name of a file without folder, root and ending; `shape` if this is empty."""
+    """Return the name of a file without folder, root and ending, or `shape` if nothing remains."""
     return path.rpartition("/")[2].rpartition(":")[2].rpartition(".")[0] or "shape"
 
 
@@ -92,8 +92,8 @@ def load_shapes(
 ) -> Mapping[str, SkinShape]:
     """Return the shapes of a file by name.
 
-    A glTF file gives all its shapes, a USD file those at and below `prim`. A .geo or .bgeo file gives a shape for each `name` of
-    its primitives. A file without names, and any other mesh file, gives one shape, called `name`."""
+    For glTF, these are all shapes; for USD, those at and below `prim`. A .geo or .bgeo file gives one shape for each value of the
+    primitive attribute `name`. Without this attribute, and for other mesh files, there is one shape, called `name`."""
     kind = get_file_ending(path)
     if files.is_closed_format(path, place):
         return {}
@@ -130,7 +130,7 @@ def load_shapes(
 
 
 def _make_shape(name: str, mesh: RawMesh) -> SkinShape:
-    """Return a mesh as a shape with the attribute `id`: the number of each point in the file."""
+    """Return a mesh as a shape. Its point attribute `id` is the index of each point in the file."""
     ids = {"id": mesh.file_vertex_indices.astype(np.int64)}
     return SkinShape(name, mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), attributes=dict(ids))
 
@@ -138,7 +138,7 @@ def _make_shape(name: str, mesh: RawMesh) -> SkinShape:
 def read_includes(form: BodyForm, root: JsonNode, files: BodyFiles, shapes: dict[str, SkinShape], materials: Colours) -> None:
     """Add the shapes of included libraries to `shapes`, and the colours of their materials to `materials`.
 
-    The document gives each library two paths: a condensed path with variables such as `$HIP`, and an absolute path."""
+    The document states two paths for each library: a condensed path with variables such as `$HIP`, and an absolute path."""
     for number, (condensed, absolute) in enumerate(form.shapelib_includes):
         place = find_node(root, ("shapelib_includes", number)).span
         if files.is_closed_format(condensed or absolute, place):
@@ -156,7 +156,7 @@ def read_includes(form: BodyForm, root: JsonNode, files: BodyFiles, shapes: dict
 
 
 def scale_shape(shape: SkinShape, factor: float) -> SkinShape:
-    """Return a shape in other units: its points, and the joint positions at capture, are multiplied by `factor`."""
+    """Return a shape converted to other units: its points and inverse bind matrices are scaled by `factor`."""
     capture = shape.capture
     if capture is not None:
         inverse = capture.inverse_matrices.copy()
@@ -166,9 +166,10 @@ def scale_shape(shape: SkinShape, factor: float) -> SkinShape:
 
 
 def _add_blend_attributes(reference: ShapeReference, node: JsonNode, files: BodyFiles, shape: SkinShape) -> SkinShape:
-    """Return a shape with the documented blend attributes of its reference.
+    """Return a shape with the blend-shape attributes of its reference. Report mistakes.
 
-    A base shape has the names and channels of its inputs. An input has the names and weights of its in-between shapes."""
+    For a base shape, a reference has the names and channels of the inputs. For an input, it has the names and weights of the
+    in-betweens."""
     keys = {key for key in reference.model_fields_set if key.startswith("blendshape_")}
     if "deformDualQuaternionBlendAttrib" in reference.model_fields_set:
         shape = replace(shape, dual_quaternion_blend=reference.deformDualQuaternionBlendAttrib)

@@ -1,9 +1,9 @@
-"""Converts a USD file to an agent definition by UsdSkel: skeletons become joints, skinned meshes shapes, blend shapes and
-in-betweens blend shapes, animations clips.
+"""Converts a USD file to an agent definition, using UsdSkel. Skeletons become joints, meshes become shapes, animations become
+clips. Blend shapes and in-betweens stay blend shapes.
 
-The transform of a skeleton in the stage becomes a joint with the skeleton's name, above the skeleton's joints. A mesh that
-follows no joint gets a joint with the mesh's own transform. Units and axes are those of the stage. This module runs in the
-reader's process, at the request of `usd_definition`.
+The prim of a skeleton becomes a joint above the skeleton's joints, with the same name and transform. A mesh that is not skinned
+gets a joint with the mesh's transform. Units and axes are those of the stage. This module runs in the reader's process, at the
+request of `usd_definition`.
 """
 
 from __future__ import annotations
@@ -38,8 +38,7 @@ BASE_LAYER = "body"
 
 @dataclass(slots=True)
 class _Skeleton:
-    """A skeleton with its joints. `paths`: the joints' paths in the skeleton. `names`: their names in the rig, in the same
-    order."""
+    """A skeleton with its joints. `paths`: the path of each joint in the skeleton. `names`: the name of each joint in the rig."""
 
     prim: Any
     query: Any
@@ -49,10 +48,10 @@ class _Skeleton:
 
 @wrap_refusals
 def read_body(request: ReaderMessage) -> ReaderAnswer:
-    """Return an answer with the arrays that `pack_definition` makes of the definition.
+    """Read a definition in the reader's process. Return an answer with the arrays of `pack_definition`.
 
-    The answer also has `left_out`, sentences about the parts of the file that are not read, and `settings`, JSON of the custom
-    data of clips by their names."""
+    The answer also has `left_out`, sentences about the parts of the file that are not read. Its `settings` are a JSON text with
+    the custom data of animations by clip name."""
     said = request.document
     try:
         definition, body = _read_definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
@@ -64,7 +63,7 @@ def read_body(request: ReaderMessage) -> ReaderAnswer:
 def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[Definition, UsdBody]:
     """Return the definition at and below a prim, and the state of the import. Raises BodyError if there is no definition.
 
-    `rate`: samples per second of animations, 0 for the stage's own."""
+    `rate`: samples per second of animations; 0 means the stage's own rate."""
     body = UsdBody(stage)
     bindings = list(_iterate_skeleton_bindings(stage))
     skeletons = [_read_skeleton(body, skeleton, query) for skeleton, query, _ in bindings]
@@ -133,7 +132,7 @@ def _iterate_skeleton_bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, lis
 
 
 def _read_skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
-    """Add the joints of a skeleton to the body."""
+    """Add the joints of a skeleton to the body, below a joint for the skeleton's prim. Return the skeleton."""
     if not query:
         raise BodyError(f"has a skeleton `{prim.GetPath()}` with inconsistent data", "export it again")
     paths = [str(path) for path in query.GetJointOrder()]
@@ -157,18 +156,19 @@ def _read_skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
 
 
 def to_column_matrix(matrix: Any) -> Floats:
-    """Return a USD matrix, which is for row vectors, as float64[4, 4] for column vectors."""
+    """Convert a USD matrix, which is for row vectors, to float64[4, 4] for column vectors."""
     return np.ascontiguousarray(np.array(matrix, np.float64).reshape(4, 4).T)
 
 
 def _read_rest_matrix(stage: OpenStage, prim: Any) -> Floats:
-    """Return the matrix float64[4, 4] of a prim in the stage, at rest (`stage.first_time`)."""
+    """Return the world matrix float64[4, 4] of a prim at rest, which is at `stage.first_time`."""
     cache = import_pxr_module("UsdGeom").XformCache(stage.first_time)
     return to_column_matrix(cache.GetLocalToWorldTransform(prim))
 
 
 def _read_skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
-    """Return the joints of a mesh, and for each the matrix from the mesh to the joint in the bind pose."""
+    """Return the joints that a mesh follows, and for each the matrix from the mesh's space to the joint's space in the bind
+    pose."""
     own = import_pxr_module("UsdSkel").BindingAPI(mesh).GetJointsAttr().Get()
     paths = [str(path) for path in own] if own is not None and len(own) else skeleton.paths
     number = {path: count for count, path in enumerate(skeleton.paths)}
@@ -223,9 +223,9 @@ def _read_clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[
 
 
 def _read_clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float, left: int) -> Clip | None:
-    """Return an animation as a clip; None if it moves nothing.
+    """Return an animation as a clip, or None if it moves nothing.
 
-    Raises BodyError if the samples need more than `left` bytes."""
+    `rate`: samples per second; 0 means the stage's own rate. Raises BodyError if the samples need more than `left` bytes."""
     number = {path: count for count, path in enumerate(skeleton.paths)}
     paths = [str(path) for path in query.GetJointOrder()]
     columns = [count for count, path in enumerate(paths) if path in number]

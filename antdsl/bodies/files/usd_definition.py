@@ -1,4 +1,4 @@
-"""Reads a USD file as an agent definition: requests it from the reader's process and checks the answer."""
+"""Reads a USD file as an agent definition: sends a request to the reader's process and checks the answer."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MAX_OMISSION_SENTENCES = 10_000
 
 def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
     """Return the definition at and below a prim of a file, and sentences about parts that are not read. `rate`: samples per
-    second of animations, 0 for the stage's own. Raises UsdError or BodyError if there is no definition."""
+    second of animations; 0 means the stage's own rate. Raises UsdError or BodyError if there is no definition."""
     stage = open_stage(roots, text, prim, up="y", frames=range(1), fps=Fraction(24))
     try:
         answer = stage.send_request("usd-body", {"name": name, "rate": rate})
@@ -42,7 +42,7 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
 
 
 def _read_clip_settings(answer: ReaderMessage) -> dict[str, Any]:
-    """Return the custom data of animations, by the names of their clips."""
+    """Return the custom data of each animation, by clip name."""
     try:
         settings = json.loads(answer.document["settings"])
     except (KeyError, TypeError, ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""Reads meshes of a USD file as shapes, with colours of materials, the joints that points follow, and blend shapes.
+"""Reads meshes of a USD file as shapes, including material colours, skinning and blend shapes.
 
 Faces are cut into triangles, and points are split where normals or texture coordinates differ."""
 
@@ -24,11 +24,11 @@ _EXPORT_HELP = "export it again"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Skin:
-    """The joints that a mesh follows.
+    """The skin of a mesh: the joints that it follows.
 
-    `names`: of the joints.
+    `names`: the names of the joints.
     `inverse_matrices`: matrices from the mesh's space to that of each joint.
-    `query`: UsdSkel's query of the weights.
+    `query`: the UsdSkel query that gives the weights.
     """
 
     names: tuple[str, ...]
@@ -64,7 +64,7 @@ class UsdBody:
 
 
 def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> SkinShape | None:
-    """Return the shape of a mesh prim, and add it to the library with its blend shapes. Return None if the mesh has no faces."""
+    """Return the shape of a mesh prim, or None if the mesh has no faces. Add it and its blend shapes to the library."""
     mesh, time = import_pxr_module("UsdGeom").Mesh(prim), body.stage.first_time
     points = _to_rows(mesh.GetPointsAttr().Get(time), 3)
     _count_points(body, len(points))
@@ -96,7 +96,7 @@ def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> SkinShape | N
 
 
 def _count_points(body: UsdBody, new_points: int) -> None:
-    """Add `new_points` to the number of points of the body. Raises BodyError above the limit."""
+    """Add `new_points` to the body's number of points. Raises BodyError if it exceeds the limit."""
     body.point_count += new_points
     if body.point_count > limits.MAX_BODY_POINTS:
         raise BodyError(f"has more than {limits.MAX_BODY_POINTS:,} points, including blend shapes", code="too-large")
@@ -111,7 +111,8 @@ def _to_rows(raw_values: Any, width: int) -> Floats:
 
 
 def _triangulate_faces(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Integers, Integers, Integers]:
-    """Triangulate the faces. Return the point of each face corner, the triangles (n, 3), and the face of each triangle."""
+    """Triangulate the faces. Return the point of each face corner, the triangles (n, 3) as indices of corners, and the face of
+    each triangle."""
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(time) or [], np.int64)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(time) or [], np.int64)
     if len(corners) > 3 * limits.MAX_MESH_FACES or len(counts) > limits.MAX_MESH_FACES:
@@ -130,7 +131,7 @@ def _triangulate_faces(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple
 
 
 def _read_normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Integers) -> Floats | None:
-    """Return a normal for each corner, or None if there are no usable normals."""
+    """Return the normal [corners, 3] of each face corner, or None if there are no usable normals."""
     primvar = import_pxr_module("UsdGeom").PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar and primvar.HasValue():
         return _expand_to_corners(primvar.ComputeFlattened(time), str(primvar.GetInterpolation()), 3, len(points), corners)
@@ -138,7 +139,8 @@ def _read_normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Inte
 
 
 def _read_uvs(prim: Any, time: Any, points: int, corners: Integers) -> Floats | None:
-    """Return texture coordinates for each corner, or None: from the primvar `st`, else from the first that exists."""
+    """Return the texture coordinates [corners, 2] of each face corner: from the primvar `st`, else from the first suitable one.
+    Return None if there are none."""
     primvars = import_pxr_module("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues()
     known = [each for each in primvars if str(each.GetTypeName()) in ("texCoord2f[]", "texCoord2d[]", "texCoord2h[]", "float2[]")]
     known.sort(key=lambda primvar: primvar.GetPrimvarName() != "st")
@@ -148,7 +150,8 @@ def _read_uvs(prim: Any, time: Any, points: int, corners: Integers) -> Floats | 
 
 
 def _expand_to_corners(raw_values: Any, interpolation: str, width: int, points: int, corners: Integers) -> Floats | None:
-    """Return a value [corners, width] for each corner; None if values are not finite or do not match the interpolation."""
+    """Return the values [corners, width] of face corners. Return None if values are not finite or do not match
+    `interpolation`."""
     values = _to_rows(raw_values, width)
     if not len(values) or not np.isfinite(values).all():
         return None
@@ -162,9 +165,9 @@ def _expand_to_corners(raw_values: Any, interpolation: str, width: int, points: 
 def _split_points(
     corners: Integers, triangles: Integers, attributes: dict[str, Floats | None]
 ) -> tuple[Integers, Integers, dict[str, Floats | None]]:
-    """Return the file point of each point of the shape, the triangles of the shape's points, and their attributes.
+    """Return the points of a shape as indices of the file's points, the triangles (n, 3) of these points, and their attributes.
 
-    A point of the file becomes several points where its corners have different attributes."""
+    A point of the file becomes several points if its face corners have different attributes."""
     columns = [corners[:, None].astype(np.float64), *(each for each in attributes.values() if each is not None)]
     rows = np.concatenate(columns, axis=1)
     _, first, number = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -173,9 +176,9 @@ def _split_points(
 
 
 def _read_capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Integers, time: Any) -> SkinWeights:
-    """Return the joints that the points of a mesh follow.
+    """Return the joints that the points of a mesh follow, and their weights.
 
-    `points`: the number of points in the file. `source`: the file's point for each point of the shape."""
+    `points`: the number of points in the file. `source`: for each point of the shape, its index in the file."""
     influences = skin.query.ComputeVaryingJointInfluences(points, time)
     each = int(skin.query.GetNumInfluencesPerComponent())
     if not influences or each < 1 or each > limits.MAX_JOINTS_PER_POINT or any(len(part) != points * each for part in influences):
@@ -191,7 +194,7 @@ def _read_capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Int
 
 
 def _read_blend_shapes(body: UsdBody, shape: SkinShape, prim: Any, points: Floats, source: Integers) -> BlendTargets | None:
-    """Add the blend shapes of a mesh to the library as shapes. The channel of the same name weights each blend shape."""
+    """Add the blend shapes of a mesh to the library as shapes. Each is weighted by a channel of the same name."""
     skel = import_pxr_module("UsdSkel")
     binding = skel.BindingAPI(prim)
     tokens = [str(each) for each in binding.GetBlendShapesAttr().Get() or []]
@@ -241,7 +244,8 @@ def _add_blend_target(
     offsets: Any,
     normal_offsets: Any,
 ) -> str:
-    """Add a copy of a shape to the library, with the points `rows` of the file moved by offsets. Return its name."""
+    """Add a copy of a shape to the library with some points moved by `offsets`, and return its name. `rows`: the indices of these
+    points in the file."""
     _count_points(body, len(source))
     moves = _to_rows(offsets, 3)
     right = len(moves) == len(rows) and (not len(rows) or (rows.min() >= 0 and rows.max() < len(points)))
@@ -270,7 +274,8 @@ def _add_blend_target(
 
 
 def _read_materials(body: UsdBody, prim: Any, face: Integers) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
-    """Return the names of a mesh's materials, and the material number of each triangle. Add the colours to the definition."""
+    """Return the names of a mesh's materials, and the index of each triangle's material. Add the colours to the definition.
+    `face`: the face of each triangle."""
     names: list[str] = []
 
     def number_material(bound: Any) -> int:
@@ -295,7 +300,7 @@ def _read_materials(body: UsdBody, prim: Any, face: Integers) -> tuple[tuple[str
 
 
 def _read_bound_material(body: UsdBody, prim: Any) -> tuple[str, tuple[float, float, float]] | None:
-    """Return the material that is bound to a prim, with its base colour. The colour is white if it comes from a texture."""
+    """Return the name and base colour of the material that is bound to a prim, or None. A colour from a texture becomes white."""
     material = import_pxr_module("UsdShade").MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
     if not material:
         return None
@@ -309,7 +314,7 @@ def _read_bound_material(body: UsdBody, prim: Any) -> tuple[str, tuple[float, fl
 
 
 def _read_display_colour(prim: Any) -> tuple[str, tuple[float, float, float]] | None:
-    """Return a name and the display colour of a mesh; None if it does not have exactly one colour."""
+    """Return a mesh's display colour and a material name for it, or None if the mesh does not have exactly one display colour."""
     primvar = import_pxr_module("UsdGeom").Gprim(prim).GetDisplayColorPrimvar()
     value = primvar.Get() if primvar and primvar.HasValue() else None
     if value is None or len(value) != 1:

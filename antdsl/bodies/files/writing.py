@@ -1,8 +1,9 @@
 """Writes an agent definition: as files in antdsl's own form, or as a glTF 2.0 file.
 
-The files in antdsl's form are a definition file and one glTF file with the geometry of all shapes. The definition file names rig,
-layers, groups, clips and metadata in their documented forms. In a glTF file, joints are nodes, drawn layers are meshes and skins,
-blend shapes are morph targets, and clips are animations. Its coordinates are converted to metres, +y up and +z ahead."""
+antdsl's own form consists of a definition file, one glTF file with the geometry of all shapes, and files for other parts. Rig,
+layers, groups, clips and metadata are in the forms of Houdini's documentation. In a glTF 2.0 file, joints are nodes, drawn layers
+are meshes and skins, blend shapes are morph targets, and clips are animations. Coordinates are converted to metres, with +y up
+and +z ahead."""
 
 from __future__ import annotations
 
@@ -37,9 +38,9 @@ _IDENTITY_TRANSFORM: dict[str, tuple[float, ...]] = {"translation": (0, 0, 0), "
 
 
 def build_definition_files(body: Definition, name: str, *, has_houdini_clips: bool = False) -> dict[str, bytes]:
-    """Return the bytes of a definition's files by their paths: `NAME.json`, and the files that it names, in the folder `NAME`.
+    """Return the bytes of a definition's files by path: `NAME.json`, and the files that it refers to, in the folder `NAME`.
 
-    `has_houdini_clips`: write clips as text clips of Houdini, and what these lack into `NAME.json`."""
+    `has_houdini_clips`: write clips as Houdini's text clips. Settings that these cannot store are written to `NAME.json`."""
     unit = next((word for word, mm in UNIT_MM.items() if mm == body.unit), f"{body.unit:.15g} mm")
     if parse_unit_mm(unit) != body.unit:
         unit, body = "mm", convert_definition_axes(body, body.front, body.up, 1.0)
@@ -127,7 +128,7 @@ def _build_shapes_gltf(body: Definition) -> bytes:
 
 
 def _build_shape_reference(body: Definition, shape: SkinShape, path: str) -> dict[str, Any]:
-    """Return the entry of a definition file that refers to a shape, with the documented attributes of blend shapes."""
+    """Return the entry of a definition file that refers to a shape, including its blend-shape attributes."""
     reference: dict[str, Any] = {"file": path, "shape": shape.name}
     if _has_lone_material(body, shape):
         reference["material"] = shape.materials[0]
@@ -151,19 +152,20 @@ def _build_shape_reference(body: Definition, shape: SkinShape, path: str) -> dic
 def _has_lone_material(body: Definition, shape: SkinShape) -> bool:
     """Return whether a shape has exactly one material, and this material has no colour.
 
-    glTF would give it a colour, so the reference names the material."""
+    A glTF file would give this material a colour, so the reference to the shape names the material instead."""
     return len(shape.materials) == 1 and shape.materials[0] not in body.materials
 
 
 def _add_explicit_shear(body: Definition, clip: Clip) -> Clip:
-    """Return a clip with explicit shear if the rest pose has shear. Otherwise a reader would use the shear of the rest pose."""
+    """Return the clip with explicit shear if it has none but the rest pose does. Otherwise a reader would use that of the rest
+    pose."""
     if clip.shear is not None or np.abs(decompose_matrix(body.rig.rest_matrices)[3]).max(initial=0.0) < 1e-9:
         return clip
     return replace(clip, shear=np.zeros_like(clip.translation))
 
 
 def _to_file_name(name: str) -> str:
-    """Return a name in the spelling of file names."""
+    """Return a name with only characters that are safe in file names."""
     return re.sub(r"[^A-Za-z0-9_-]", "_", name)[:60] or "part"
 
 
@@ -173,7 +175,7 @@ def _to_file_name(name: str) -> str:
 def write_gltf(body: Definition, layer: Layer, *, text: bool) -> tuple[bytes, list[str]]:
     """Return the bytes of a glTF file with the shapes of one layer, and sentences about the parts that glTF cannot store.
 
-    `text`: write the text form .gltf, otherwise .glb."""
+    `text`: whether to write the text form .gltf instead of .glb."""
     placed = convert_definition_axes(body, WRITTEN_FRONT_AXIS, WRITTEN_UP_AXIS, MM_PER_METRE)
     document = _GltfParts(placed, layer)
     data = document.writer.to_bytes(text, scene=0, scenes=[{"nodes": document.roots}], extras=build_body_extras(placed))
@@ -199,7 +201,7 @@ def _list_omissions(body: Definition, layer: Layer) -> list[str]:
 
 
 class _GltfParts:
-    """The parts of a glTF file that stores a body, created in the order of their dependencies."""
+    """Writer of a body to a glTF file. Its parts are created in the order of their dependencies."""
 
     def __init__(self, body: Definition, layer: Layer) -> None:
         self.body, self.writer, self.omissions = body, GltfWriter(f"antdsl {__version__}"), list[str]()
@@ -243,7 +245,7 @@ class _GltfParts:
     def _add_binding(self, binding: Binding) -> None:
         """Add the shape of a binding as a mesh. A skinned mesh becomes a node next to the joints.
 
-        Any other mesh is attached to its joint's node, or to a child of it if that node already has a mesh."""
+        Any other mesh is attached to its joint's node. If this node already has a mesh, it is attached to a new child node."""
         shape = self.body.shapes[binding.shape]
         if binding.shape not in self._shape_parts:
             self._shape_parts[binding.shape] = GltfShapeWriter(self.writer, self.body, shape, shape.normals)

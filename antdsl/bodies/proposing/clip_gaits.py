@@ -1,4 +1,4 @@
-"""Measures how clips walk. Feet on the ground move backward below a body that stays in place, at the speed of the walk."""
+"""Measures the gaits of clips. In a clip that walks in place, feet on the ground move backward at the speed of the walk."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ClipGait:
 
     `speed`: definition units per second.
     `backward_direction`: float64[3], the direction in which feet on the ground move.
-    `cycles`: the number of steps that each foot takes in the clip.
+    `cycles`: the number of gait cycles in the clip, in each of which a foot takes one step.
     `duty`, `lift`, `phases`: as in a `Gait`.
     `seconds`: the duration of the clip."""
 
@@ -46,17 +46,17 @@ class ClipGait:
 
     @property
     def stride(self) -> float:
-        """Return the distance of one cycle of the feet."""
+        """Return the distance covered in one gait cycle."""
         return self.speed * self.seconds / self.cycles
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FootPaths:
-    """The motion of the lowest point of each of L feet over the F samples of a cycle.
+    """The motion of the lowest point of each of L feet, over the F samples of a clip's cycle.
 
     `height`: float64[F, L], above the foot's lowest position.
     `velocity`: float64[F, L, 3], horizontal, in units per second.
-    `lift`: [L], the greatest height."""
+    `lift`: [L], the greatest height of each foot."""
 
     height: Floats
     velocity: Floats
@@ -87,14 +87,15 @@ def measure_foot_paths(motion: ClipMotion, legs: Sequence[LegCandidate], up: Flo
 
 
 def measure_planted_share(motion: ClipMotion, legs: Sequence[LegCandidate], up: Floats, length: float) -> float:
-    """Return the share of a clip, from 0 to 1, in which feet stand still on the ground. `length`: the length of a leg."""
+    """Return the fraction of a clip, from 0 to 1, in which feet are on the ground and do not move. `length`: the length of a
+    leg."""
     paths = measure_foot_paths(motion, legs, up)
     still = (paths.height < 0.05 * length) & (np.linalg.norm(paths.velocity, axis=2) < _MAX_PLANTED_SPEED * length)
     return float(still.mean())
 
 
 def find_gait_of_clip(motion: ClipMotion, legs: Sequence[LegCandidate], up: Floats, length: float) -> ClipGait | None:
-    """Return the gait of a clip, or None if the clip does not walk. `length`: the length of a leg."""
+    """Return the gait of a clip, or None if it is not a walking clip. `length`: the length of a leg."""
     if len(motion.worlds) < 4 or not legs or motion.sample_interval <= 0 or not motion.is_cyclic:
         return None
     paths = measure_foot_paths(motion, legs, up)
@@ -125,7 +126,8 @@ def find_gait_of_clip(motion: ClipMotion, legs: Sequence[LegCandidate], up: Floa
 
 
 def _count_cycles(is_stance: NDArray[np.bool_]) -> int:
-    """Return how many cycles of the feet a clip has: the smallest number for which each foot stands at one phase of the cycle.
+    """Return the number of gait cycles in a clip: the smallest number for which each foot is on the ground at one phase of the
+    cycle only.
 
     `is_stance`: bool[F, L], whether each foot is on the ground."""
     samples = np.arange(len(is_stance)) / len(is_stance)
@@ -137,7 +139,7 @@ def _count_cycles(is_stance: NDArray[np.bool_]) -> int:
 
 
 def _remove_short_runs(is_stance: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the samples in which a foot is on the ground, with swings and stances of only a few samples removed."""
+    """Return whether one foot is on the ground in each sample, bool[F], without swings and stances of only a few samples."""
     shortest = max(1, round(_MIN_RUN_SHARE * len(is_stance)))
     for value in (False, True):
         starts = np.flatnonzero((is_stance == value) & (np.roll(is_stance, 1) != value))

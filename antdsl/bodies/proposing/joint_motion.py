@@ -1,4 +1,4 @@
-"""Joints of a body over the samples of its clips, and its points in one pose. All are in the definition's own space."""
+"""Measures the joints of a body over the samples of its clips, and its points in one pose, all in the definition's own space."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MAX_CLOSED_GAP_SHARE = 1e-3  # share of the body's extent; a last pose nearer t
 
 
 def sample_world_transforms(body: Definition, clip: str, times: Floats) -> NDArray[np.float32]:
-    """Return the world matrices of joints at the times of a clip, float32[n, J, 3, 4], joints in the order of the rig.
+    """Return the world matrices of joints at n times of a clip, float32[n, J, 3, 4], with joints in the order of the rig.
 
     `clip`: "" for the rest pose. `times`: seconds."""
     table = build_clip_table(body)
@@ -36,8 +36,8 @@ class ClipMotion:
 
     `worlds`: float32[F, J, 3, 4], the world matrices of joints.
     `sample_interval`: seconds between samples.
-    `repeats_first_pose`: whether the last pose of the clip repeats the first; it is then left out here.
-    `is_cyclic`: whether the last pose leads to the first, in a step about as long as the others."""
+    `repeats_first_pose`: whether the clip's last pose repeats its first pose. If so, `worlds` does not contain the last pose.
+    `is_cyclic`: whether the step from the last pose to the first is about as long as the other steps."""
 
     name: str
     worlds: NDArray[np.float32]
@@ -52,7 +52,7 @@ class ClipMotion:
 
 
 def measure_clip_motion(body: Definition, name: str, extent: float) -> ClipMotion:
-    """Return the motion of the clip `name`. Only a limited number of samples of a long clip is examined.
+    """Return the motion of the clip `name`. A long clip is sampled at a limited number of times.
 
     `extent`: the size of the body, in the definition's units."""
     clip = body.clips[name]

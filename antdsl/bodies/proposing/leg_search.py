@@ -24,11 +24,11 @@ _MAX_SOLE_LEGS = 4  # animals with more legs stand on claws, which hold at any a
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LegCandidate:
-    """A leg that the search found, by joint numbers, and the points of its sole.
+    """A possible leg: its joints, given by their indices, and the points of its sole.
 
     `chain`: all joints from the trunk to the foot.
     `ankle`: the joint about which the sole turns, or -1 if the foot has no sole.
-    `ball`: the joint of the toes, if they touch the ground by themselves; else `foot`.
+    `ball`: the joint of the toes if they touch the ground separately, else `foot`.
     `soles`: for each part of the sole, the joint that it follows and its position in the space of that joint, float64[3]."""
 
     upper: int
@@ -42,9 +42,9 @@ class LegCandidate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LegSearchResult:
-    """The legs that the search found, and the reasons why other parts on the ground are not legs.
+    """The legs of a body, and the reasons why other parts that touch the ground are not legs.
 
-    `feet`: all chains that touch the ground, including those that are not legs, for the motion of their soles.
+    `feet`: all chains that touch the ground, including those that are not legs; the motion of their soles shows gaits.
     `ground_height`: the position of the ground along the body's up axis.
     `body_height`: the height of the body along this axis."""
 
@@ -56,7 +56,7 @@ class LegSearchResult:
 
 
 def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Floats) -> LegSearchResult:
-    """Return the legs of a body in its standing pose. `worlds`: matrices of its joints [J, 3, 4]; `up`: a unit vector."""
+    """Return the legs of a body in its standing pose. `worlds`: world matrices of its joints [J, 3, 4]; `up`: a unit vector."""
     heights = points.positions @ up
     if not len(heights):
         return LegSearchResult((), (), ("the file has no points",), 0.0, 0.0)
@@ -95,9 +95,9 @@ def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Flo
 
 
 def _group_by_branch(rig: Rig, contact_joints: list[int]) -> dict[int, list[int]]:
-    """Return the joints that touch the ground, grouped by the first joint of their chain. Each group is from the trunk outward.
+    """Group the joints that touch the ground by the first joint of their chain. Each group is sorted from the trunk outward.
 
-    A chain begins below the nearest joint that has several branches to the ground."""
+    A chain begins just below the nearest ancestor with several branches that reach the ground."""
     below = {joint: {each for each in contact_joints if joint in _list_ancestors(rig, each)} for joint in range(len(rig.names))}
     groups: dict[int, list[int]] = {}
     for contact in contact_joints:
@@ -143,8 +143,8 @@ def _find_joint_path(rig: Rig, start: int, end: int) -> list[int]:
 def _find_hip_and_knee(path: list[int], positions: Floats) -> tuple[int, int]:
     """Return the hip joint and the knee joint of a chain with three joints or more.
 
-    The knee is the joint that is farthest from the line from hip to foot, relative to the shorter of both bones. So it divides
-    the leg into two usable bones."""
+    The knee is the joint with the greatest sum of its distance from the line hip to foot and the length of the shorter bone. So
+    it divides the leg into two bones of useful length."""
     bones = [float(np.linalg.norm(positions[b] - positions[a])) for a, b in pairwise(path)]
     first, total = 0, max(sum(bones), 1e-12)
     while len(path) - first > 3 and bones[first] < _MIN_BONE_SHARE * total:
@@ -163,14 +163,15 @@ def _find_hip_and_knee(path: list[int], positions: Floats) -> tuple[int, int]:
 
 
 def _measure_sole(rig: Rig, foot: int, points: BodyPoints, low: NDArray[np.bool_], up: Floats) -> float:
-    """Return the greatest level distance between points of a foot on the ground, along the axes of the body's space."""
+    """Return the largest horizontal extent of a foot's points on the ground, measured along the axes of the definition's space.
+    `low`: which points are on the ground."""
     below = [joint for joint in range(len(rig.names)) if is_below(rig, joint, foot)]
     place = points.positions[low & np.isin(points.joint_indices, below)]
     return float(np.ptp(place - np.outer(place @ up, up), axis=0).max(initial=0.0)) if len(place) else 0.0
 
 
 def _find_sole(joint: int, points: BodyPoints, low: NDArray[np.bool_], worlds: NDArray[np.float32]) -> tuple[int, Floats]:
-    """Return a joint, and the mean position of its points on the ground in the space of the joint."""
+    """Return `joint`, and the mean position of its points on the ground, in the space of this joint."""
     middle = points.positions[low & (points.joint_indices == joint)].mean(axis=0)
     matrix = worlds[joint].astype(np.float64)
     return joint, np.linalg.lstsq(matrix[:, :3], middle - matrix[:, 3], rcond=None)[0]

@@ -1,4 +1,4 @@
-"""Assembles a proposal: a definition file with a reason for each guess, in a comment above its line."""
+"""Assembles a proposal: a definition file in which a comment above each guess states the reason for it."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class BodyFileProposal:
     reasons: dict[str, list[str]] = field(default_factory=dict)
 
     def add_entry(self, key: str, value: Any, *reasons: str) -> None:
-        """Add a key with its value, and the reasons for the value."""
+        """Add a key to the file with its value, and the reasons for this value."""
         self.entries[key] = value
         self.reasons.setdefault(key, []).extend(reasons)
 
     def format_text(self) -> str:
-        """Return the text of the definition file. Reasons are comments."""
+        """Return the text of the definition file, with the reasons as comments."""
         rows = ["{"]
         rows += [f"  // {reason}" for reason in self.reasons.get("", ())]
         for key, value in self.entries.items():
@@ -87,7 +87,7 @@ def propose_definition(body: Definition, file: str) -> BodyFileProposal:
 
 
 def _explain_idle_clip(study: BodyMeasurements) -> str:
-    """Return the reason for choosing a clip as the idle clip."""
+    """Return the reason for the choice of the idle clip."""
     if any(word in study.idle_clip.lower() for word in IDLE_WORDS):
         return "its name suggests this"
     return f"has feet on the ground for {study.planted_shares.get(study.idle_clip, 0.0):.0%} of its time, and moves least"
@@ -131,7 +131,7 @@ def _find_front(study: BodyMeasurements) -> tuple[Floats, str]:
 
 
 def _measure_toe_direction(study: BodyMeasurements) -> Floats | None:
-    """Return the mean direction from foot joints to the points of their soles. Return None if feet have no clear direction."""
+    """Return the mean direction from foot joints to the points of their soles, or None if the feet have no clear direction."""
     total = np.zeros(3)
     for leg in study.leg_search.legs:
         below = [k for k in range(len(study.body.rig.names)) if is_below(study.body.rig, k, leg.foot)]
@@ -199,10 +199,10 @@ def _add_length(proposal: BodyFileProposal, study: BodyMeasurements, front: Floa
 
 
 def _choose_clip_names(study: BodyMeasurements) -> dict[str, str]:
-    """Return a short name for each clip, by its name in the file.
+    """Return a short name for each clip, by the clip's name in the file.
 
-    It is a common word in the file's name, else a word for the clip's activity, else the file's name in the language's
-    spelling."""
+    It is a common word that the clip's name contains, else a word for its activity, else its name in the spelling of the
+    language."""
     names: dict[str, str] = {}
     taken: set[str] = set()
     by_speed = sorted(study.gaits, key=lambda name: study.gaits[name].speed)
@@ -222,14 +222,14 @@ def _choose_clip_names(study: BodyMeasurements) -> dict[str, str]:
 
 
 def _find_gait_word(name: str) -> str:
-    """Return the word for a gait, such as `walk`, that the name of a clip contains, or ""."""
+    """Return the word for a gait, such as `walk`, that a clip's name contains, or "" if there is none."""
     return next((word for word in _GAIT_WORDS if word in name.lower()), "")
 
 
 def _add_clips(proposal: BodyFileProposal, study: BodyMeasurements, names: Mapping[str, str]) -> None:
     """Add `clips` to the proposal: their names, strides, and whether feet are placed on the ground while they play.
 
-    `names`: the proposed names by the names in the file."""
+    `names`: the proposed name of each clip, by its name in the file."""
     entries, reasons = [], []
     for name in study.body.clips:
         entry: dict[str, Any] = {"clip": name, "name": names[name]}
@@ -261,7 +261,7 @@ def _add_clips(proposal: BodyFileProposal, study: BodyMeasurements, names: Mappi
 def _add_legs(
     proposal: BodyFileProposal, study: BodyMeasurements, clip_names: Mapping[str, str], front: Floats, unit: float
 ) -> None:
-    """Add `legs` and `gaits` to the proposal. `clip_names`: the proposed names by the names in the file."""
+    """Add `legs` and `gaits` to the proposal. `clip_names`: the proposed name of each clip, by its name in the file."""
     search = study.leg_search
     if not search.legs:
         for reason in search.reasons or ("no chain of joints reaches the ground",):
@@ -299,7 +299,7 @@ def _add_legs(
 
 
 def _make_leg(name: str, leg: LegCandidate, joints: Sequence[str]) -> dict[str, str]:
-    """Return the entry of `legs` for a leg. With an ankle, the foot joint is that of the toes if the rig has one."""
+    """Return the entry of `legs` for a leg. If the leg has an ankle, its foot joint is that of the toes, if there is one."""
     entry = {"name": name, "upper": joints[leg.upper], "lower": joints[leg.lower]}
     return entry | ({"ankle": joints[leg.ankle], "foot": joints[leg.ball]} if leg.ankle >= 0 else {"foot": joints[leg.foot]})
 
@@ -307,7 +307,8 @@ def _make_leg(name: str, leg: LegCandidate, joints: Sequence[str]) -> dict[str, 
 def _order_legs(
     legs: Sequence[LegCandidate], study: BodyMeasurements, front: Floats, side: Floats
 ) -> tuple[list[int], list[str]]:
-    """Return the order of legs, and the name of each in this order. Pairs are from front to back, left before right."""
+    """Return the legs as indices in a usual order, and their names in this order. Pairs are from front to back, left before
+    right."""
     feet = np.array([study.worlds[leg.upper, :, 3].astype(np.float64) for leg in legs])
     ahead, right = feet @ front, feet @ side
     middle = float(right.mean())
@@ -381,7 +382,7 @@ def _add_capsule(proposal: BodyFileProposal, study: BodyMeasurements, front: Flo
 
 
 def _describe_rest_pose(study: BodyMeasurements) -> str:
-    """Return words that describe the rest pose in the reason for the capsule."""
+    """Return text about the rest pose for the reason of the capsule."""
     return "of the file: no clip stands or walks, so check the width if arms are spread"
 
 

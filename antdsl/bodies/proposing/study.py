@@ -1,4 +1,4 @@
-"""Measures a body for a proposal: its standing pose, its legs, and the gaits of its clips."""
+"""Takes the measurements of a body that a proposal needs: its standing pose, its legs, and the gaits of its clips."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class BodyMeasurements:
     `idle_clip`: the clip of the standing pose, or "".
     `worlds`, `points`: joint matrices and points in the standing pose.
     `motions`: the motions of all clips; `gaits`: the gaits of walking clips.
-    `planted_shares`: for each clip, the share in which feet stand still on the ground.
+    `planted_shares`: for each clip, the fraction of its time in which feet are on the ground and do not move.
     `length`: the length of a leg."""
 
     body: Definition
@@ -70,7 +70,7 @@ def _find_standing_pose(
 ) -> tuple[Floats, NDArray[np.float32], BodyPoints, LegSearchResult]:
     """Return the up axis, the world matrices of joints, the points and the legs in the standing pose.
 
-    Another up axis than `up` is used if only that axis gives legs."""
+    `up` is tried first. Another axis is returned only if no legs are found with `up`, but with that axis."""
     worlds = sample_world_transforms(body, idle, np.zeros(1))[0]
     points = find_posed_points(body, worlds)
     others = [sign * axis for axis in np.eye(3)[[1, 2, 0]] for sign in (1.0, -1.0)]
@@ -92,7 +92,7 @@ def _find_idle_clip(body: Definition) -> str:
 
 
 def _measure_joint_speed(motion: ClipMotion) -> float:
-    """Return the mean speed of joints in a clip, in units of length per second."""
+    """Return the mean speed of joints in a clip, in the definition's units per second."""
     place = motion.worlds[:, :, :, 3].astype(np.float64)
     return (
         float(np.linalg.norm(np.diff(place, axis=0), axis=2).mean()) / max(motion.sample_interval, 1e-9)

@@ -1,1 +1,1 @@
-"""Bodies in glTF files: read as agent definitions, and written."""
+"""Reads agent definitions from glTF files, and writes them."""

@@ -1,7 +1,8 @@
-"""Reads a glTF file as an agent definition: nodes become joints, meshes shapes, morph targets blend shapes, animations clips.
+"""Reads a glTF file as an agent definition. Nodes become joints, meshes become shapes, animations become clips.
 
-The nodes that become joints are joints of skins, animated nodes, nodes with a mesh, and all nodes above them. So the world
-transform of a joint is that of its node. Khronos Group, glTF 2.0 Specification, 2021, sections 3.5, 3.7 and 3.11.
+Morph targets become blend shapes. A node becomes a joint if it is a skin's joint, is animated, has an unskinned mesh, or is above
+such a node. So the world transform of a joint equals that of its node. Khronos Group, glTF 2.0 Specification, 2021, sections 3.5,
+3.7 and 3.11.
 """
 
 from __future__ import annotations
@@ -29,11 +30,13 @@ _EXPORT_HELP = "export it again, as glTF 2.0"
 def read_gltf(
     data: bytes, name: str, read_sibling: Callable[[str, int], bytes], rate: float, pose: Rig | None = None
 ) -> tuple[Definition, list[str]]:
-    """Return the definition in a file's bytes, and sentences about the parts that are not read. Raises BodyError.
+    """Return the definition in a file's bytes, and sentences about the parts that are not read. Raises BodyError for a damaged
+    file.
 
-    `read_sibling(path, cap)`: reads at most `cap` bytes of a file relative to this one.
+    `read_sibling(path, cap)`: a function that returns at most `cap` bytes of a file. `path` is relative to this file.
     `rate`: approximate samples per second of animations; it is adjusted so that each animation ends on a sample.
-    `pose`: a rig with the rest pose for joints without keys in an animation. Other joints have the rest pose of the file."""
+    `pose`: a rig with the rest pose that joints have where an animation has no keys for them. Joints that it lacks have the rest
+    pose of the file."""
     with np.errstate(all="ignore"):  # values that are not finite are reported where they are used
         try:
             return _read_definition(data, name, read_sibling, rate, pose)
@@ -64,7 +67,7 @@ def _read_definition(
 
 
 def _find_joint_nodes(file: GltfDocument, parents: list[int]) -> list[int]:
-    """Return the nodes that become joints, parents before children, in the order of the scene."""
+    """Return the numbers of the nodes that become joints, parents before children, in the order of the scene."""
     nodes = file.get_top_list("nodes")
     roots = find_scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
     joint_nodes: set[int] = set()
@@ -107,7 +110,8 @@ def _assign_unique_names(file: GltfDocument, joint_nodes: list[int]) -> dict[int
 
 
 def _build_rig(body: GltfBody, joint_nodes: list[int], parents: list[int]) -> Rig:
-    """Return the rig of the joint nodes, with their rest pose and the channels of morph targets."""
+    """Return a rig with one joint for each of `joint_nodes`, in their rest pose. `parents`: the parent of each node, -1 for
+    none."""
     place = {number: count for count, number in enumerate(joint_nodes)}
     rest = np.array([read_local_matrix(body.file, body.file.get_top_list("nodes")[number]) for number in joint_nodes]).reshape(
         -1, 4, 4
@@ -120,7 +124,7 @@ def _build_rig(body: GltfBody, joint_nodes: list[int], parents: list[int]) -> Ri
 
 
 def _replace_rest_pose(rig: Rig, pose: Rig | None) -> Rig:
-    """Replace the rest pose of each joint that also exists in `pose`. Return the new rig."""
+    """Return the rig with the rest pose of `pose` for each joint that also exists there."""
     if pose is None:
         return rig
     rest, known = rig.rest_matrices.copy(), {name: number for number, name in enumerate(pose.names)}

@@ -1,5 +1,5 @@
-"""Animations of a glTF file as clips: LINEAR, STEP and CUBICSPLINE keys sampled at equal time steps. Khronos Group, glTF 2.0
-Specification, 2021, section 3.11 and appendix C."""
+"""Reads the animations of a glTF file as clips. LINEAR, STEP and CUBICSPLINE keys are sampled at equal time steps. Khronos Group,
+glTF 2.0 Specification, 2021, section 3.11 and appendix C."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _WIDTH_BY_PATH = {"translation": 3, "rotation": 4, "scale": 3}
 def read_clips(
     file: GltfDocument, joint_names: Mapping[int, str], weights: Mapping[int, tuple[str, ...]], rig: Rig, rate: float
 ) -> list[Clip]:
-    """Return the clips of a file. Where a clip has no keys, it has the rest pose of `rig`.
+    """Return the clips of a file. Parts of a joint without keys have the rest pose of `rig`.
 
     `joint_names`: joint names by node number.
-    `weights`: the channels that weight the morph targets of a node's mesh.
-    `rate`: approximate samples per second, from 0 s to the last key; a rate in the extras of a clip overrides it.
+    `weights`: by node number, the channels that weight the morph targets of the node's mesh.
+    `rate`: approximate samples per second, from 0 s to the last key. A rate in the extras of an animation overrides it.
     """
     animations = file.get_top_list("animations")
     if len(animations) > limits.MAX_BODY_PARTS:
@@ -50,7 +50,7 @@ def read_clips(
 
 
 def compute_even_times(seconds: float, rate: float) -> tuple[NDArray[Any], float]:
-    """Return evenly spaced times from 0 to `seconds`, both included, and their exact rate, which is about `rate` per second."""
+    """Return evenly spaced times from 0 to `seconds`, both included, and their number per second, which is close to `rate`."""
     steps = max(1, round(seconds * rate))
     if seconds <= 0:
         return np.zeros(1), rate
@@ -61,7 +61,7 @@ def _read_clip(
     file: GltfDocument, animation: dict[str, Any], name: str, joint_names: Mapping[int, str],
     weights: Mapping[int, tuple[str, ...]], rig: Rig, rate: float, remaining_bytes: int,
 ) -> tuple[Clip | None, int]:  # fmt: skip
-    """Return an animation as a clip, None if it moves nothing, and the number of bytes of its samples.
+    """Return an animation as a clip, or None if it moves nothing, and the number of bytes of its samples.
 
     Raises BodyError if the samples need more than `remaining_bytes` bytes."""
     moved: dict[str, dict[str, _SamplerKeys]] = {}
@@ -118,7 +118,7 @@ def _read_clip(
 
 
 def build_settings_extras(clip: Clip) -> dict[str, Any]:
-    """Return the extras of an animation: the clip's settings that glTF cannot express."""
+    """Return the extras of an animation, which store the settings of a clip that glTF cannot express."""
     settings: dict[str, Any] = {"rate": clip.rate, "loop": clip.loop, "feet": clip.feet}
     if clip.stride:
         settings["stride"] = clip.stride
@@ -128,14 +128,14 @@ def build_settings_extras(clip: Clip) -> dict[str, Any]:
 
 
 def apply_settings(clip: Clip, settings: AnimationSettings) -> Clip:
-    """Return the clip with the settings of its animation."""
+    """Return the clip with the given settings applied."""
     return replace(clip, loop=settings.loop, stride=settings.stride, marks=settings.marks, feet=settings.feet)
 
 
 def read_settings(settings: Any, holder: str, name: str) -> AnimationSettings:
     """Return the settings of the clip `name`. Raises BodyError for wrong values.
 
-    `settings`: the values in the file. `holder`: the key that has them, `extras` in glTF or `customData` in USD."""
+    `settings`: the values in the file. `holder`: the key that contains them, `extras` in glTF or `customData` in USD."""
     from pydantic import ValidationError  # imported late, because most files have no such settings
 
     from antdsl.bodies.files.document_model import AnimationSettings
@@ -150,10 +150,11 @@ def read_settings(settings: Any, holder: str, name: str) -> AnimationSettings:
 
 
 class _SamplerKeys:
-    """The keys of a sampler.
+    """The keys of an animation sampler.
 
     `times`: float64[n], seconds, ascending.
-    `values`: float64[n, 1, width]; for a spline float64[n, 3, width], the value between its two tangents.
+    `values`: float64[n, 1, width], the value at each key. For a spline float64[n, 3, width]: arriving tangent, value, leaving
+    tangent.
     """
 
     def __init__(self, file: GltfDocument, sampler: dict[str, Any], width: int) -> None:
@@ -170,7 +171,7 @@ class _SamplerKeys:
         self.values = values.reshape(count, each, width)
 
     def sample(self, times: Floats, rotation: bool = False) -> Floats:
-        """Return the values at `times` float64[F]. Before the first key and after the last, return the value of that key."""
+        """Return the values at `times` float64[F]. Before the first key or after the last key, the value is constant."""
         keys, own = self.times, self.values[:, len(self.values[0]) // 2]
         if len(keys) == 1:
             return np.broadcast_to(own[0], (len(times), own.shape[1]))
@@ -189,7 +190,7 @@ class _SamplerKeys:
         return own[previous_key] + share[:, None] * (own[previous_key + 1] - own[previous_key])
 
     def _sample_spline(self, previous_key: NDArray[np.int64], share: Floats, step: Floats) -> Floats:
-        """Return values of Hermite splines; tangents are per second."""
+        """Return values float64[F, width] of the Hermite spline."""
         t, d = share[:, None], step[:, None]
         t2, t3 = t * t, t * t * t
         start, leaving = self.values[previous_key, 1], self.values[previous_key, 2]

@@ -1,4 +1,4 @@
-"""Settings of a body in the extras of a glTF file, in metres: length, legs, gaits, idle clip and capsule."""
+"""Stores settings of a body in the extras of a glTF file: length, legs, gaits, idle clip and capsule. Lengths are in metres."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def build_body_extras(body: Definition) -> dict[str, Any]:
 
 
 def apply_body_extras(body: Definition, extras: Any) -> Definition:
-    """Return the body with the settings that the extras of its glTF file contain. Raises BodyError for wrong values.
+    """Return the body with the settings in the extras of its glTF file. Raises BodyError for wrong values.
 
-    Without a length, the length is 0 and must be measured."""
+    If the extras have no length, the result has the length 0, and the caller must measure it."""
     settings = extras.get(EXTRAS_KEY) if isinstance(extras, dict) else None
     if settings is None:
         return replace(body, length=0.0)

@@ -1,5 +1,5 @@
-"""Meshes of a glTF file as shapes: triangles, normals, texture coordinates, colours, joints of points, and morph targets.
-Khronos Group, glTF 2.0 Specification, 2021, section 3.7."""
+"""Reads meshes of a glTF file as shapes: triangles, normals, texture coordinates, colours, skinning and morph targets. Khronos
+Group, glTF 2.0 Specification, 2021, section 3.7."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ def make_unused_name(name: str, used_names: Iterable[str]) -> str:
 
 @dataclass(slots=True)
 class _MeshPrimitives:
-    """The values of a mesh's primitives in sequence. Primitives with identical points store these points once.
+    """The values of all primitives of a mesh, one list entry per primitive. Points that several primitives share are stored once.
 
-    `point_sets`: the distinct arrays of points. `index_by_points`: their indices by hash.
+    `point_sets`: the distinct arrays of points. `index_by_points`: the index of each of these arrays, by the hash of its points.
     `point_indices`: for each primitive, the index of its points in `point_sets`."""
 
     index_by_points: dict[str, int] = field(default_factory=dict)
@@ -80,7 +80,8 @@ class _MeshPrimitives:
 
 
 def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, Any] | None, node: dict[str, Any]) -> bool:
-    """Read a mesh into the shape `name`, and its morph targets into further shapes. Return False if the mesh has no triangles."""
+    """Add a mesh to the library as the shape `name`, and its morph targets as more shapes. Return False if it has no
+    triangles."""
     file, pieces = body.file, _MeshPrimitives()
     for primitive in file.get_objects(mesh, "primitives"):
         _read_piece(body, pieces, primitive, skin is not None)
@@ -182,7 +183,7 @@ def _read_piece(body: GltfBody, pieces: _MeshPrimitives, primitive: dict[str, An
 
 
 def _read_vertex_colours(file: GltfDocument, attributes: dict[str, Any], count: int) -> Floats | None:
-    """Return the linear colours [count, 3] of a primitive's points, or None. Values that are not usable are ignored."""
+    """Return the linear vertex colours [count, 3] of a primitive, or None if it has none, or none that can be used."""
     if "COLOR_0" not in attributes:
         return None
     values = file.read_accessor(attributes["COLOR_0"]).astype(np.float64)
@@ -194,8 +195,8 @@ def _read_vertex_colours(file: GltfDocument, attributes: dict[str, Any], count: 
 def _compute_point_colours(body: GltfBody, pieces: _MeshPrimitives, counts: list[int]) -> NDArray[np.float32] | None:
     """Return the linear colours of all points of a mesh, float32[P, 3], without the base colours of materials.
 
-    Return None if no primitive has vertex colours or a texture. Points that several materials share have the texture of the
-    first."""
+    Return None if no primitive has vertex colours or a texture. A point that several materials share has the texture of the first
+    one."""
     file, known, is_coloured = body.file, body.file.get_top_list("materials"), False
     colours = []
     for number, count in enumerate(counts):
@@ -243,7 +244,8 @@ def _read_target(file: GltfDocument, target: dict[str, Any], key: str, count: in
 
 
 def _read_joint_weights(pieces: _MeshPrimitives, read_point_values: Callable[[str, int], Floats | None], count: int) -> None:
-    """Append the joints that each point follows and their weights, in as many columns as the file has."""
+    """Append the joints that each point follows, and their weights, to `pieces`. A file has four per point, or a multiple of
+    four."""
     joints: list[NDArray[np.int64]] = []
     weights: list[Floats] = []
     while 4 * len(joints) < limits.MAX_JOINTS_PER_POINT:
@@ -257,7 +259,7 @@ def _read_joint_weights(pieces: _MeshPrimitives, read_point_values: Callable[[st
 
 
 def _read_capture(body: GltfBody, pieces: _MeshPrimitives, skin: dict[str, Any], name: str) -> SkinWeights:
-    """Return the joints that the points of a skinned mesh follow."""
+    """Return the joints that the points of a skinned mesh follow, and their weights."""
     file = body.file
     names = tuple(body.joint_by_node[number] for number in file.get_list(skin, "joints"))
     if not names:
@@ -280,11 +282,11 @@ def _read_capture(body: GltfBody, pieces: _MeshPrimitives, skin: dict[str, Any],
 def normalise_capture(
     joints: NDArray[np.int64], weights: Floats, count: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], int]:
-    """Scale the weights of each point to a sum of 1. Return joints int32[P, K], weights float32[P, K], and the number of points
-    without a joint.
+    """Scale the weights of each point so that they add up to 1. Return joints int32[P, K], weights float32[P, K], and the number
+    of points without a joint.
 
-    Unused columns are removed. A point without a joint follows joint 0. `count`: number of joints. Raises BodyError for a joint
-    number out of range."""
+    Unused columns are removed. A point without a joint then follows joint 0. `count`: the number of joints. Raises BodyError for
+    a joint number out of range."""
     used = weights > 0
     if len(joints) and used.any() and (joints[used].min() < 0 or joints[used].max() >= count):
         raise BodyError(f"has a point that follows a joint which is not among the {count} of its skin", _EXPORT_HELP)
@@ -297,17 +299,17 @@ def normalise_capture(
 
 
 def build_rigid_capture(joint: str, points: int) -> SkinWeights:
-    """Return a capture that binds all points to one joint, with positions in the space of this joint.
+    """Return a capture that binds all points to one joint. The points must be in the space of this joint.
 
-    With it, a blended shape moves with the joint. `points`: number of points."""
+    It makes a shape with morph targets move with its joint. `points`: the number of points."""
     return SkinWeights((joint,), np.zeros((points, 1), np.int32), np.ones((points, 1), np.float32), np.eye(4)[None])
 
 
 def _read_targets(
     body: GltfBody, shape: SkinShape, pieces: _MeshPrimitives, mesh: dict[str, Any], node: dict[str, Any]
 ) -> BlendTargets:
-    """Add shapes to the library for the morph targets of a mesh, and channels that weight them. Return the inputs of the blend
-    shape."""
+    """Add the morph targets of a mesh to the library as shapes, and add channels for their weights. Return the inputs of the
+    blend shape."""
     file, number = body.file, len(pieces.targets[0])
     extras = mesh.get("extras")
     target_names = extras.get("targetNames") if isinstance(extras, dict) else None
@@ -338,8 +340,8 @@ def _read_targets(
 
 
 def _read_materials(body: GltfBody, pieces: _MeshPrimitives) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
-    """Return the names of a shape's materials, and the material number of each triangle; add their base colours to the
-    definition."""
+    """Return the names of a shape's materials, and the index of each triangle's material. Add the base colours to
+    `body.materials`."""
     file, known = body.file, body.file.get_top_list("materials")
     if not known or all(each is None for each in pieces.material):
         return (), None

@@ -1,7 +1,7 @@
-"""Colours of points from a glTF file: its vertex colours, times its base colour textures at the points. Khronos Group, glTF 2.0
-Specification, 2021, sections 3.7.2 and 3.8.
+"""Computes colours of points from a glTF file: vertex colours, times the base colour texture at each point. Khronos Group, glTF
+2.0 Specification, 2021, sections 3.7.2 and 3.8.
 
-Images are decoded by the confined reader. Their sizes are compared with a limit before they are decoded."""
+Images are decoded by the confined reader, after a check of their sizes against a limit."""
 
 from __future__ import annotations
 
@@ -27,14 +27,15 @@ class TextureError(Exception):
 
 @dataclass(slots=True)
 class Textures:
-    """The decoded images of a file, uint8[rows, columns, 3], by their numbers, within a limit of pixels."""
+    """The images of a file, decoded when they are first needed. `_images`: uint8[rows, columns, 3] by number.
+    `_remaining_pixels`: how many more pixels may be decoded."""
 
     file: GltfDocument
     _images: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
     _remaining_pixels: int = field(default_factory=lambda: limits.MAX_TEXTURE_PIXELS)
 
     def sample_colours(self, info: dict[str, Any], uvs: Floats) -> Floats:
-        """Return linear colours [P, 3] of a base colour texture at texture coordinates [P, 2], interpolated between texels.
+        """Return the linear colours [P, 3] of a texture at the texture coordinates [P, 2], interpolated between texels.
 
         `info`: the reference to the texture in a material. Raises TextureError if the texture cannot be read."""
         file = self.file
@@ -60,7 +61,7 @@ class Textures:
         return np.asarray(above * (1 - share[:, 1:]) + below * share[:, 1:])
 
     def _read_image(self, number: int | None) -> NDArray[np.uint8]:
-        """Return a decoded image."""
+        """Return the decoded image with this number. Raises TextureError if it cannot be read."""
         if number is None:
             raise TextureError("it has no PNG or JPEG image")
         if number not in self._images:
@@ -83,7 +84,7 @@ class Textures:
 
 
 def _transform_uvs(file: GltfDocument, info: dict[str, Any], uvs: Floats) -> Floats:
-    """Return texture coordinates moved by the extension KHR_texture_transform, if the reference has it."""
+    """Return the texture coordinates after the transform of the extension KHR_texture_transform, if `info` has one."""
     change = file.get_object(file.get_object(info, "extensions"), "KHR_texture_transform")
     if not change:
         return uvs
@@ -96,7 +97,7 @@ def _transform_uvs(file: GltfDocument, info: dict[str, Any], uvs: Floats) -> Flo
 
 
 def _wrap_coordinates(values: Floats, mode: Any) -> Floats:
-    """Return texture coordinates in the range 0 to 1, wrapped by a sampler's mode. The default repeats the texture."""
+    """Return texture coordinates wrapped into the range 0 to 1 by a sampler's wrap mode. The default mode repeats the texture."""
     if mode == _CLAMP_WRAP_MODE:
         return np.clip(values, 0.0, 1.0)
     if mode == _MIRROR_WRAP_MODE:
@@ -105,7 +106,7 @@ def _wrap_coordinates(values: Floats, mode: Any) -> Floats:
 
 
 def _build_linear_table() -> NDArray[np.float32]:
-    """Return the linear value of each sRGB byte, float32[256]."""
+    """Return a table of the linear value of each 8-bit sRGB value, float32[256]."""
     value = np.arange(256) / 255.0
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
 

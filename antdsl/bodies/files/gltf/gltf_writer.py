@@ -1,5 +1,5 @@
-"""Writes glTF 2.0 files: accessors in sequence in one buffer, and the parts that refer to them. Khronos Group, glTF 2.0
-Specification, 2021, sections 3.6 (accessors, alignment, bounds) and 4 (.glb)."""
+"""Writes glTF 2.0 files: one buffer with all accessors, and the parts that refer to them. Khronos Group, glTF 2.0 Specification,
+2021, sections 3.6 (accessors, alignment, bounds) and 4 (.glb)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ JsonEntry = dict[str, Any]
 
 
 class GltfWriter:
-    """The lists of a glTF file's parts, and its buffer."""
+    """Writer of one glTF file. It collects the lists of parts and the bytes of the buffer."""
 
     def __init__(self, generator: str) -> None:
         self.data = bytearray()
@@ -48,21 +48,22 @@ class GltfWriter:
         return len(self._lists[key]) - 1
 
     def get_part(self, key: str, number: int) -> JsonEntry:
-        """Return a part that was added before. The caller may extend it."""
+        """Return the part with this number in the list `key`. The caller may extend it."""
         return self._lists[key][number]
 
     def add_extension(self, name: str, entry: JsonEntry) -> None:
-        """Add an entry for an extension at the top of the file. Readers that do not know the extension may ignore it."""
+        """Add an entry for the extension `name` at the top level of the file. It is optional: readers that do not know it may
+        ignore it."""
         self._extensions[name] = entry
 
     def add_accessor(
         self, values: NDArray[Any], kind: str = "f4", target: int = 0, bounds: bool = False, *, is_packed: bool = False
     ) -> int:
-        """Return the number of an accessor with values (n,) or (n, k). It is added unless there is an equal accessor.
+        """Return the number of an accessor for the values (n,) or (n, k). An equal accessor is reused, else a new one is added.
 
-        `kind`: the type in the file, `f4`, `u2`, `u4` or normalized `i2`. `bounds`: write the least and greatest value of each
-        column; positions and times must have these. `is_packed`: the buffer view is that of the previous packed accessor, if
-        nothing came in between."""
+        `kind`: the type in the file, `f4`, `u2`, `u4` or normalized `i2`. `bounds`: whether to write the least and greatest value
+        of each column; glTF requires it for positions and times. `is_packed`: whether the accessor may share the buffer view of
+        the previous packed accessor, if the two are adjacent."""
         rows = np.ascontiguousarray(values, f"<{kind}").reshape(len(values), -1)
         raw = rows.tobytes()
         key = kind, rows.shape[1], target, bounds, is_packed, blake2b(raw, digest_size=16).digest()
@@ -87,8 +88,8 @@ class GltfWriter:
         return self.add_part("accessors", entry)
 
     def _add_view(self, start: int, size: int, target: int, is_packed: bool) -> int:
-        """Return the number of a buffer view that contains `size` bytes from `start`: the last view, extended to them, or a new
-        view."""
+        """Return the number of a buffer view that contains `size` bytes from `start`. The last view is extended if both are
+        packed, else a new view is added."""
         views = self._lists.get("bufferViews", [])
         if is_packed and self._packed_view is not None and self._packed_view == len(views) - 1:
             views[-1]["byteLength"] = start + size - views[-1]["byteOffset"]
@@ -120,7 +121,7 @@ class GltfWriter:
 
 
 class GltfShapeWriter:
-    """The accessors of a shape. All meshes of the shape share them: the `primitives` of a mesh differ only in materials."""
+    """Writer of a shape's accessors and meshes. All meshes of the shape share the accessors and differ only in materials."""
 
     def __init__(self, writer: GltfWriter, body: Definition, shape: SkinShape, normals: NDArray[np.float32] | None) -> None:
         self.writer, self.shape = writer, shape
@@ -145,7 +146,8 @@ class GltfShapeWriter:
         self._indices_by_material = self._add_material_triangles()
 
     def _add_capture(self) -> None:
-        """Write the joints that points follow, each joint once, in sets of four, sorted by descending weight."""
+        """Add accessors for the joints that points follow and their weights. Each set has four joints per point, by descending
+        weight."""
         capture = self.shape.capture
         if capture is None:
             return
@@ -172,7 +174,8 @@ class GltfShapeWriter:
         return entry
 
     def _add_material_triangles(self) -> list[tuple[str, int]]:
-        """Return the materials of the triangles by ascending number, each with an accessor of its triangles' corners."""
+        """Return (material, accessor) pairs in order of material number. The accessor holds the vertex indices of the material's
+        triangles."""
         shape = self.shape
         names = shape.materials or ("",)
         of = np.zeros(len(shape.faces), np.int64) if shape.material is None else shape.material.astype(np.int64)
@@ -183,8 +186,8 @@ class GltfShapeWriter:
         ]
 
     def add_mesh(self, name: str, materials: dict[str, int]) -> int:
-        """Add a mesh of the shape and return its number. `materials`: numbers by name; a name that is not in it gets no
-        material."""
+        """Add a mesh of the shape and return its number. `materials`: the number of each material by name; triangles of any other
+        material get none."""
         primitives = []
         for material, indices in self._indices_by_material:
             primitive: JsonEntry = {"attributes": self.attributes, "indices": indices}
@@ -199,8 +202,8 @@ class GltfShapeWriter:
         return self.writer.add_part("meshes", entry)
 
     def measure_radii(self, joints: tuple[str, ...]) -> NDArray[np.float64]:
-        """Return, for each of `joints`, the largest distance from it of the points that follow it. Offsets of morph targets are
-        included."""
+        """Return, for each of `joints`, the largest distance from it to a point that follows it, including offsets of morph
+        targets."""
         capture, shape = self.shape.capture, self.shape
         assert capture is not None
         at = np.einsum("pkij,pj->pki", capture.inverse_matrices[capture.joints][..., :3, :3], shape.points.astype(np.float64))
@@ -212,24 +215,24 @@ class GltfShapeWriter:
         return np.array([by_name.get(name, 0.0) for name in joints])
 
     def measure_radius(self) -> float:
-        """Return the largest distance of a point from the origin. Offsets of morph targets are included."""
+        """Return the largest distance of a point from the origin, including offsets of morph targets."""
         distances = np.sqrt((self.shape.points.astype(np.float64) ** 2).sum(axis=1))
         return float(distances.max(initial=0.0)) + self._measure_offsets()
 
     def _measure_offsets(self) -> float:
-        """Return an upper bound of the distance by which morph targets with weights up to 1 move a point."""
+        """Return an upper bound of the distance that morph targets move a point if all weights are at most 1."""
         targets = [] if self.targets is None else self.targets.offsets
         return sum(float(np.sqrt((offsets**2).sum(axis=1)).max(initial=0.0)) for offsets, _ in targets)
 
     @property
     def followed_joints(self) -> tuple[str, ...]:
-        """Return the names of the joints that points follow."""
+        """Return the names of the joints that at least one point follows."""
         capture = self.shape.capture
         assert capture is not None
         return tuple(capture.names[k] for k in np.unique(capture.joints[capture.weights > 0]).tolist())
 
     def add_skin(self, nodes: dict[str, int], top: int) -> int:
-        """Add the skin with which the shape follows its joints, and return its number.
+        """Add the skin of the shape, and return its number.
 
         `nodes`: node numbers of joints by name. `top`: the node above the joints."""
         capture = self.shape.capture
@@ -240,10 +243,10 @@ class GltfShapeWriter:
 
 
 class MorphTargetWriter:
-    """The morph targets of a blend shape, and their weights at given channel values.
+    """The morph targets of a blend shape. It also computes their weights from channel values.
 
-    A target is the difference of an input, or of an in-between, from the base. glTF adds targets linearly. An in-between is a
-    separate target, weighted by its share in `blend_shapes`."""
+    A target is the difference of an input, or of an in-between, from the base. glTF adds up weighted targets. So each in-between
+    is a separate target, with a weight that `compute_knot_shares` gives."""
 
     def __init__(self, body: Definition, shape: SkinShape) -> None:
         assert shape.blend is not None
@@ -263,8 +266,8 @@ class MorphTargetWriter:
 
     @staticmethod
     def _compute_offset(shape: SkinShape, target: SkinShape, attribute: str, is_blended: bool) -> NDArray[np.float32] | None:
-        """Return the offsets (P, 3) of `attribute` between a shape and a target; zeros or None if the attribute is not
-        blended."""
+        """Return the offsets (P, 3) of `attribute` from a shape to a target. If it is not blended, return zeros for `P`, None for
+        `N`."""
         if not is_blended or get_point_attribute(shape, attribute) is None or get_point_attribute(target, attribute) is None:
             return np.zeros((len(shape.points), 3), np.float32) if attribute == "P" else None
         assert shape.blend is not None
@@ -274,6 +277,6 @@ class MorphTargetWriter:
         return offsets
 
     def compute_weights(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the weights (n, targets) of the morph targets at the values `channels` (n, C) of the rig's channels."""
+        """Return the weights (n, targets) of the morph targets. `channels`: (n, C), the values of the rig's channels."""
         shares = [compute_knot_shares(channels[:, number], knots) for number, knots in self._inputs]
         return np.concatenate(shares).T if shares else np.zeros((len(channels), 0), np.float32)
