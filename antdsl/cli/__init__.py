@@ -1,4 +1,4 @@
-"""The command line. Each command has one file, which defines its flags, calls the pipeline, prints, and sets the exit code."""
+"""The command line. Each command has one module, which defines its flags, calls the pipeline, prints, and sets the exit code."""
 
 from antdsl.child_processes import isolate_search_paths
 
@@ -55,10 +55,10 @@ from antdsl.cli.printing.messages import close_streams, guard_streams, print_res
 
 
 class GroupedHelp(TyperGroup):
-    """A group of commands. Its help lists them under headings (`rich_help_panel`), and no line of the help is truncated."""
+    """A group of commands. Its help lists them under headings (`rich_help_panel`) and never truncates a line."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands below each heading."""
+        """Write the commands to the help, below their headings."""
         width = max(map(len, self.commands))
         rows: dict[str, list[tuple[str, str]]] = {}
         for name, command in self.commands.items():
@@ -75,7 +75,8 @@ def _get_first_sentence(command: Any) -> str:
 
 
 class CommandEntry(NamedTuple):
-    """A command: its name, the function that runs it, its heading in the help, and an example of its use."""
+    """An entry in the table of commands: the name, the function that runs it, its heading in the help, and an example of its
+    use."""
 
     name: str
     function: Callable[..., None]
@@ -183,8 +184,8 @@ def main() -> None:
 
 
 def _restart_with_safe_path() -> None:
-    """Restart Python with its safe-path flag if it runs as `python -E`. Children of `python -E` ignore the environment variable
-    that excludes the working directory from the search path."""
+    """Restart Python with its safe-path flag if it runs as `python -E`. Child processes of `python -E` ignore the environment
+    variable that removes the working directory from the search path."""
     if sys.flags.ignore_environment and not sys.flags.safe_path:
         command = [sys.executable, "-P", *sys.orig_argv[1:]]
         if os.name == "posix":
@@ -195,8 +196,8 @@ def _restart_with_safe_path() -> None:
 
 
 def _flush_output(code: int) -> int:
-    """Flush buffered output, and return the exit code. `code`: the exit code if all output can be written; otherwise the result
-    is the code for a loss."""
+    """Flush buffered output and return the exit code. `code`: returned if all output could be written; otherwise the result is
+    the exit code for lost output."""
     try:
         loss = close_streams()
     except KeyboardInterrupt:  # the work is complete, and no reader needs the rest
@@ -208,7 +209,7 @@ def _flush_output(code: int) -> int:
 
 
 def _run_without_warnings() -> int:
-    """Run the command with the warnings of libraries disabled. Return its exit code."""
+    """Run the command with warnings of libraries disabled. Return its exit code."""
     with warnings.catch_warnings():
         if not sys.warnoptions:  # warnings of libraries are for developers; `python -W default` shows them
             warnings.simplefilter("ignore")
@@ -216,7 +217,8 @@ def _run_without_warnings() -> int:
 
 
 def _require_utf8_arguments(words: list[str]) -> None:
-    """Reject file names that are not UTF-8 before any work. Manifests, tables and stages contain file names and are UTF-8."""
+    """Reject file names that are not valid UTF-8 before any work is done. Manifests, tables and stages store file names as
+    UTF-8."""
     for word in words:
         try:
             word.encode()
@@ -229,8 +231,7 @@ def _require_utf8_arguments(words: list[str]) -> None:
 
 
 def _require_flag_order(words: list[str]) -> None:
-    """Raise CommandError if `--trust-usd` follows the command. The flag belongs to all commands, so it must precede the
-    command."""
+    """Raise CommandError if `--trust-usd` follows the command's name. It is a global flag, so it must precede the name."""
     own_words = words[: words.index("--")] if "--" in words else words
     if "--trust-usd" in own_words and not own_words[0].startswith("-"):
         rest = [word for word in words if word != "--trust-usd"]
@@ -239,7 +240,7 @@ def _require_flag_order(words: list[str]) -> None:
 
 
 def _run_command_line() -> int:
-    """Run the command that the arguments name. Return its exit code, also after an error."""
+    """Run the command that the arguments name. Return its exit code, even if it ends with an error."""
     try:
         try:
             _require_utf8_arguments(sys.argv[1:])

@@ -1,4 +1,4 @@
-"""Parses arguments of the command line: `NAME=VALUE` pairs, ranges of frames, and folders granted to a scene."""
+"""Parsers of command-line arguments: `NAME=VALUE` pairs, ranges of frames, and folders granted to a scene."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ UNTIL_OPTION = typer.Option(
 
 
 def parse_until(text: str | None) -> str | None:
-    """Return the condition of `--until` on one line, or None if there is no option. Raises BadParameter for an empty text."""
+    """Return the condition of `--until` on one line, or None if the option is not given. Raises BadParameter for an empty
+    text."""
     if text is None:
         return None
     from antdsl.scene.values import parse_condition
@@ -52,7 +53,7 @@ STDIN_PATH = Path("-")
 
 
 def read_standard_input() -> bytes:
-    """Return a program from standard input, truncated at the size limit of files."""
+    """Return the program text from standard input, truncated at the size limit of files."""
     return sys.stdin.buffer.read(limits.MAX_PROGRAM_BYTES + 1)
 
 
@@ -70,7 +71,7 @@ def parse_grants(words: Iterable[str]) -> dict[str, Path]:
 
 
 def require_scene(path: Path, hint: str = "SCENE") -> None:
-    """Raise BadParameter if the path is a program or a folder instead of a scene. The message names a scene of the folder.
+    """Raise BadParameter if the path is a program or a folder instead of a scene. The message suggests a scene in that folder.
     `hint`: the name of the argument."""
     if path.suffix == ".ant":
         raise typer.BadParameter(f"`{path}` is a program; name a scene that uses it, such as scene.yaml", param_hint=hint)
@@ -84,7 +85,7 @@ def require_scene(path: Path, hint: str = "SCENE") -> None:
 
 
 def parse_frame_range(text: str | None, flag: str = "--frames") -> FrameRange | None:
-    """Return `A..B` as a FrameRange, or None if there is no text."""
+    """Return a range such as `A..B` as a FrameRange, or None if `text` is None."""
     if text is None:
         return None
     from antdsl.scene.quantities import QuantityError
@@ -97,7 +98,7 @@ def parse_frame_range(text: str | None, flag: str = "--frames") -> FrameRange | 
 
 
 def require_agents(text: str | None, manifest: Manifest, flag: str) -> list[int]:
-    """Return the keys of the agents that a list such as `3,8..12,guards.17` names. Raises BadParameter with the reason."""
+    """Return the keys of the agents in a list such as `3,8..12,guards.17`. Raises BadParameter if the list is invalid."""
     from antdsl.outputs.chosen_agents import UnknownAgent, find_keys
 
     try:
@@ -107,9 +108,9 @@ def require_agents(text: str | None, manifest: Manifest, flag: str) -> list[int]
 
 
 def parse_shutter(text: str | None, flag: str = "--shutter") -> tuple[float, float] | None:
-    """Return the opening and closing times of a shutter from `A..B`, in frames relative to the current frame. None for None.
+    """Return the times at which a shutter opens and closes, from `A..B`, in frames relative to the current frame.
 
-    Raises BadParameter unless both are from -1 to 1, and at most one frame apart."""
+    Return None if `text` is None. Raises BadParameter unless both times are from -1 to 1 and at most one frame apart."""
     if text is None:
         return None
     from antdsl.scene.quantities import QuantityError, parse_number_range
@@ -125,7 +126,7 @@ def parse_shutter(text: str | None, flag: str = "--shutter") -> tuple[float, flo
 
 
 def parse_tolerance(text: str | None, flag: str = "--tolerance") -> float | None:
-    """Return a percentage such as `0.5%` as a number from 0 to 0.1; None for None."""
+    """Return a percentage such as `0.5%` as a fraction from 0 to 0.1, or None if `text` is None."""
     if text is None:
         return None
     from antdsl.scene.quantities import QuantityError, parse_number, split_quantity

@@ -1,6 +1,6 @@
-"""Default values of options, from the user's own file `defaults.toml`. `docs/commands.md` describes it.
+"""Default values of options, read from the user's file `defaults.toml`. `docs/commands.md` describes this file.
 
-A project cannot set defaults, because options can grant folders or contact other machines. A project may come from a stranger.
+Projects cannot set defaults. Options can grant folders or contact other machines, and a project may come from a stranger.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ def find_defaults_path() -> Path | None:
 
 
 def add_defaults(path: Path, group: Any, words: list[str]) -> list[str]:
-    """Return the words of a command line, with the arguments that a file of defaults gives to its command.
+    """Return the words of a command line, with the default arguments from a file inserted before the user's own arguments.
 
-    `group`: Typer's group of all commands. They precede the user's own arguments, which therefore override them. Raises
-    CommandError with the line if the file cannot be read, or if a name or value in it is wrong."""
+    So the user's arguments override the defaults. `group`: Typer's group of all commands. Raises CommandError with the line if
+    the file cannot be read, or contains an invalid name or value."""
     arguments_by_command = _read_arguments(path, group)
     place = next((number for number, word in enumerate(words) if word in group.commands), None)
     if place is None:
@@ -45,7 +45,7 @@ def add_defaults(path: Path, group: Any, words: list[str]) -> list[str]:
 
 
 def _read_arguments(path: Path, group: Any) -> dict[str, list[str]]:
-    """Return the arguments in a file of defaults, by the name of the command."""
+    """Return the default arguments in a file, by command name."""
     import tomllib
 
     from antdsl.safe_read import read_size_limited
@@ -78,7 +78,7 @@ def _read_arguments(path: Path, group: Any) -> dict[str, list[str]]:
 
 
 def _make_error(path: Path, text: str, section: str, key: str, message: str, names: Iterable[str]) -> CommandError:
-    """Return the error about a section of the file, or a key in it, with the line. `names`: the valid names."""
+    """Return an error about a section of the defaults file, or about a key in it, with its line. `names`: the valid names."""
     from antdsl.diagnostics.suggestion import find_nearest_name
 
     line_number, is_in_section = 1, False
@@ -93,7 +93,7 @@ def _make_error(path: Path, text: str, section: str, key: str, message: str, nam
 
 
 def run_with_defaults(app: Any) -> None:
-    """Run the command line of a Typer application. If the user has a file of defaults, use it."""
+    """Run the command line of a Typer application, with the user's default arguments if there are any."""
     path = find_defaults_path()
     if path is None:
         app(standalone_mode=True, prog_name="antdsl")

@@ -1,5 +1,6 @@
-"""Checks output paths before the work begins. Results must be writable, so that hours of work are not lost. They must not
-overwrite any input."""
+"""Checks of output paths, made before the work begins.
+
+Output must be writable, so that hours of work are not lost, and must not overwrite any input."""
 
 from __future__ import annotations
 
@@ -18,8 +19,8 @@ from antdsl.cli.exits import CommandError, ExitCode
 
 
 def require_writable_file(path: Path | None, flag: str) -> None:
-    """Exit with a message about `flag` if no file can be written to the path. None is accepted. The check leaves no file behind
-    and does not change existing files."""
+    """Exit with a message about `flag` if no file can be written to `path`. Accept None. The check leaves no file behind and
+    does not change existing files."""
     if path is None or is_standard_output(path) or _is_same_file(path, Path(os.devnull)):
         return
     if path.is_dir():
@@ -32,21 +33,21 @@ def require_writable_file(path: Path | None, flag: str) -> None:
 
 
 def is_standard_output(path: Path | None) -> bool:
-    """Return whether a path means standard output."""
+    """Return whether a path means standard output, which is written as `-`."""
     return path is not None and str(path) in ("-", "/dev/stdout")
 
 
 @contextmanager
 def redirect_messages(*paths: Path | None) -> Iterator[TextIO]:
-    """Redirect prints to standard error if one of these output paths is standard output. Yield the standard output, for
-    `write_result`."""
+    """Redirect printed messages to standard error if one of these output paths is standard output. Yield the real standard
+    output, for `write_result`."""
     output = sys.stdout
     with redirect_stdout(sys.stderr) if any(map(is_standard_output, paths)) else nullcontext():
         yield output
 
 
 def write_result(path: Path | None, data: bytes, output: TextIO) -> None:
-    """Write a result to a file (atomically), to `output` if `path` means standard output, or nowhere if it is None."""
+    """Write a result to `path` atomically, to `output` if `path` means standard output, or nowhere if `path` is None."""
     if path is None or _is_same_file(path, Path(os.devnull)):
         return
     if not is_standard_output(path):
@@ -58,9 +59,9 @@ def write_result(path: Path | None, data: bytes, output: TextIO) -> None:
 
 
 def choose_default_path(base: Path, *names: str, flag: str = "--out") -> Path:
-    """Return the default output path for a command without the flag `flag`. It is `base` with `names` below it.
+    """Return the default output path of a command without the flag `flag`: `base` with `names` appended.
 
-    Exit if one of `names` is a link: a link could lead anywhere, and only the user may choose such a path."""
+    Exit if one of `names` is a link, because a link could lead anywhere. Only the user may choose such a path."""
     from antdsl.atomic_write import find_first_link
 
     link = find_first_link(base, *names)
@@ -71,8 +72,7 @@ def choose_default_path(base: Path, *names: str, flag: str = "--out") -> Path:
 
 
 def require_writable_folder(path: Path | None, flag: str, *names: str) -> None:
-    """Exit with a message about `flag` if files with these names cannot be written in a folder. The folder is created if it is
-    missing."""
+    """Exit with a message about `flag` if files called `names` cannot be written in a folder. A missing folder is created."""
     if path is None:
         return
     existing_parent = next(each for each in (path.absolute(), *path.absolute().parents) if os.path.lexists(each))
@@ -90,8 +90,8 @@ def require_writable_folder(path: Path | None, flag: str, *names: str) -> None:
 def protect_inputs(
     files: Mapping[str, Path | None], folders: Mapping[str, tuple[Path | None, Iterable[str]]] | None = None
 ) -> Iterator[list[Path]]:
-    """Exit if a result would overwrite another result or an input. Inputs are files that are read while the context is active,
-    files in the yielded list, and files that come with antdsl.
+    """Exit if an output would overwrite another output or an input. Inputs are the files that are read while the context is
+    active, those in the yielded list, and those that come with antdsl.
 
     `files`: the output files, by their flags.
     `folders`: the output folders by their flags, with the names of files that are written there.
@@ -134,7 +134,7 @@ def _is_same_file(path: Path, other: Path) -> bool:
 
 
 def _is_same_destination(path: Path, other: Path) -> bool:
-    """Return whether output to two paths would go to the same file or stream."""
+    """Return whether output to the two paths would go to the same file or stream."""
     return (
         (is_standard_output(path) and is_standard_output(other))
         or _is_same_file(path, other)
@@ -143,13 +143,13 @@ def _is_same_destination(path: Path, other: Path) -> bool:
 
 
 def _find_first_name_below(path: Path, folder: Path) -> str | None:
-    """Return the first component of `path` relative to `folder`, or None if `path` is not below `folder`."""
+    """Return the first component of `path` below `folder`, or None if `path` is not in `folder`."""
     real_path, start = Path(os.path.realpath(path)), os.path.realpath(folder)
     return real_path.relative_to(start).parts[0] if real_path != Path(start) and real_path.is_relative_to(start) else None
 
 
 def _require_writable(probe_path: Path, path: Path, flag: str) -> None:
-    """Exit with a message about `flag` if no file can be created next to `probe_path`. The message names `path`."""
+    """Exit with a message about `flag` if no file can be created next to `probe_path`. The message mentions `path` instead."""
     try:
         create_sibling_file(probe_path).unlink()
     except OSError as error:

@@ -1,5 +1,6 @@
-"""Exit codes, and the errors that end a command with a message instead of a traceback. These include disk and memory failures,
-for which the message gives the operation, the file, and how to continue."""
+"""Exit codes, and the errors that end a command with a message instead of a traceback.
+
+For disk and memory failures, the message gives the operation, the file, and how to continue."""
 
 from __future__ import annotations
 
@@ -63,7 +64,7 @@ _PROCESS_STARTING_MODULES = frozenset(
 
 
 def is_out_of_memory(problem: BaseException | None) -> bool:
-    """Return whether the system refused to provide memory, a thread or a process. This may be the error or one of its causes."""
+    """Return whether an error, or one of its causes, means that the system could not provide memory, a thread or a process."""
     visited: set[int] = set()
     while problem is not None and id(problem) not in visited:
         visited.add(id(problem))
@@ -85,7 +86,7 @@ def _contains_phrase(words: str, phrases: tuple[str, ...]) -> bool:
 
 
 def is_out_of_process_memory(problem: OSError) -> bool:
-    """Return whether the system refused to provide memory, or refused to start a process for lack of memory."""
+    """Return whether the system could not provide memory, or could not start a process for lack of memory."""
     if problem.errno != EAGAIN:
         return problem.errno == ENOMEM
     place = problem.__traceback__
@@ -96,7 +97,7 @@ def is_out_of_process_memory(problem: OSError) -> bool:
 
 @contextmanager
 def report_failures(operation: str, retry_advice: str = RETRY_ADVICE) -> Iterator[None]:
-    """While the context is active, disk and memory failures end the command with exit code 3.
+    """While the context is active, turn disk and memory failures into an end of the command with exit code 3.
 
     `operation`: the operation that failed, for the message. `retry_advice`: how to continue."""
     try:
@@ -114,8 +115,8 @@ def report_failures(operation: str, retry_advice: str = RETRY_ADVICE) -> Iterato
 def explain_cache_errors(cache: Path | None = None, retry_purpose: str = "to recompute damaged frames") -> Iterator[None]:
     """While the context is active, end the command with advice if a cache cannot be read or written.
 
-    `cache`: the cache; None if damaged frames cannot be computed again. `retry_purpose`: the words before the command that
-    computes them again."""
+    `cache`: the cache; None if damaged frames cannot be recomputed. `retry_purpose`: the words that precede the command for
+    this."""
     try:
         yield
     except Exception as error:
@@ -132,7 +133,7 @@ def explain_cache_errors(cache: Path | None = None, retry_purpose: str = "to rec
 def _find_cache_advice(error: Exception) -> tuple[ExitCode, str]:
     """Return the exit code and the advice for an error of a cache. For any other error, the code is BUG.
 
-    Damaged frames have no advice here: the caller adds the command that computes them again."""
+    There is no advice about damaged frames, because the caller adds the command that recomputes them."""
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.cache.cache_writer import DifferentHashes, DifferentInputs, ForeignFolder, PathBlocked
     from antdsl.outputs.cache.lock import FolderLocked
@@ -158,14 +159,14 @@ def _find_cache_advice(error: Exception) -> tuple[ExitCode, str]:
 
 
 def find_machine_failure(problem: Exception) -> OSError | MemoryError | None:
-    """Return the disk or memory error that caused an error of any library, or None."""
+    """Return the disk or memory error that caused an error of any library, or None if there is none."""
     if is_out_of_memory(problem):
         return MemoryError()
     return problem if isinstance(problem, OSError) else None
 
 
 def make_failure_error(problem: OSError | MemoryError, operation: str = "", retry_advice: str = RETRY_ADVICE) -> CommandError:
-    """Return the exception that ends a command after a disk or memory failure."""
+    """Return the exception that ends a command after a disk or memory failure, with a message about it."""
     if isinstance(problem, MemoryError):
         words = "error: out of memory; use fewer agents, larger cells or a lighter mesh"
         return CommandError(ExitCode.INPUT_OUTPUT, words, f"once there is more, {retry_advice}")
@@ -179,7 +180,7 @@ def make_failure_error(problem: OSError | MemoryError, operation: str = "", retr
 
 
 def make_missing_package_error(problem: Exception) -> CommandError | None:
-    """Return the error for a command that needs a missing package, or None for any other problem."""
+    """Return the error for a command that needs a package which is not installed; None for any other problem."""
     from antdsl.packages import INSTALL_ADVICE, find_missing_distribution
 
     if (distribution := find_missing_distribution(problem)) is not None:
@@ -191,8 +192,8 @@ def make_missing_package_error(problem: Exception) -> CommandError | None:
 
 
 def limit_threads() -> None:
-    """Limit the threads of NumPy's linear algebra if the address space of this process is limited. Call this before NumPy is
-    loaded.
+    """Limit the threads of NumPy's linear algebra if the address space of this process is limited. Call this before importing
+    NumPy.
 
     That library reserves memory for each thread, and ends the process if this fails. Raises CommandError if the limit is too low
     even for one thread."""
@@ -217,5 +218,5 @@ def _has_working_directory() -> bool:
 
 
 def describe_recovery(problem: OSError) -> str:
-    """Return what the user must do before the command can continue, as the start of a sentence."""
+    """Return the start of a sentence that says what the user must do before the command can continue."""
     return _ADVICE_BY_ERRNO.get(problem.errno or 0, "once that is corrected,")

@@ -1,4 +1,4 @@
-"""Checks the available memory before a run. The demand is estimated from counts before anything is allocated."""
+"""A check of the available memory before a run. The demand is estimated from counts, before anything is allocated."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MAX_LISTED_THINGS = 3  # maximum number of things named in a message
 
 
 def estimate_shot_work(shot: Shot) -> list[WorkEstimate]:
-    """Return the estimated allocations for the world and the crowd of a shot."""
+    """Return estimates of the memory that the world and the crowd of a shot will allocate."""
     from antdsl.plan.registers import count_bytes_by_purpose
     from antdsl.program.model import Constant
     from antdsl.runtime.binding.work_estimates import estimate_world_work
@@ -36,11 +36,10 @@ def estimate_shot_work(shot: Shot) -> list[WorkEstimate]:
 
 
 def require_available_memory(shots: Sequence[Shot], parallel_runs: int = 1, runs_per_shot: int = 1) -> None:
-    """End the command if runs need more than 80 % of the available memory. The message names the largest allocations, and the
-    line of the scene that causes the largest one.
+    """End the command if runs would need more than 80 % of the available memory.
 
-    `parallel_runs`: how many runs are active at the same time; the largest ones are counted. `runs_per_shot`: the number of runs
-    of each shot."""
+    The message names the largest allocations, and the scene line that causes the largest one. `parallel_runs`: how many runs are
+    active at once; the largest are counted. `runs_per_shot`: the number of runs of each shot."""
     from antdsl.numerics.processor.host import measure_available_memory
 
     available = measure_available_memory()
@@ -63,7 +62,7 @@ def require_available_memory(shots: Sequence[Shot], parallel_runs: int = 1, runs
 
 
 def _find_work_span(shot: Shot, work: WorkEstimate) -> Span:
-    """Return the location in the scene, or in its program, that causes an allocation."""
+    """Return the location, in the scene or its program, of the text that causes an allocation."""
     kind, _, name = work.thing.partition(" ")
     if kind == "field":
         return shot.program.fields[name].span
@@ -71,7 +70,7 @@ def _find_work_span(shot: Shot, work: WorkEstimate) -> Span:
 
 
 def format_bytes(bytes: int) -> str:
-    """Return a number of bytes as text, in the largest suitable unit."""
+    """Return a number of bytes as text, in a suitable unit."""
     from antdsl import limits
 
     for unit, words in ((limits.GIB, "GiB"), (limits.MIB, "MiB"), (limits.KIB, "KiB")):

@@ -1,4 +1,4 @@
-"""Options of `antdsl render` that describe pictures. Converts their texts to values, and reports options that are in conflict."""
+"""The picture options of `antdsl render`. Their texts are converted to values, and conflicting options are reported."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def parse_point(text: str | None, option: str) -> tuple[float, float, float] | N
 
 
 def check_camera(gallery: Gallery, settings: DrawRequest) -> None:
-    """End the command if camera options are in conflict, or if the scene has no camera of that name."""
+    """End the command if camera options contradict each other, or if the scene has no camera of the requested name."""
     from antdsl.diagnostics.suggestion import find_nearest_name
     from antdsl.scene.camera_models import CAMERA_VIEWS
 
@@ -57,14 +57,14 @@ def check_camera(gallery: Gallery, settings: DrawRequest) -> None:
 
 
 def choose_samples(samples: int | None, *, is_blender: bool) -> int:
-    """Return the paths per pixel for Cycles, 0 for a picture that antdsl draws. `samples`: the option's value."""
+    """Return the number of paths per pixel for Cycles, or 0 if antdsl draws the picture. `samples`: the option's value."""
     if samples is not None and not is_blender:
         raise typer.BadParameter("only Cycles has paths per pixel: add `--blender`", param_hint="--samples")
     return (samples or _DEFAULT_SAMPLES) if is_blender else 0
 
 
 def check_blender_request(settings: DrawRequest, is_on_cluster: bool) -> None:
-    """End the command if Blender is missing, or if options are set that only apply to antdsl's own pictures."""
+    """End the command if Blender is missing, or if options are set that apply only to antdsl's own pictures."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.blender.rendering import check_blender
 

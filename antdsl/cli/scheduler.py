@@ -1,7 +1,6 @@
-"""Chooses where the tasks of a command run: in processes on this machine, or on a new or existing Dask cluster. Also handles
-Ctrl-C and SIGTERM.
+"""The choice of where a command's tasks run: in processes on this machine, or on a new or existing Dask cluster.
 
-Workers of a cluster read a cache from a shared folder, or receive its files.
+This module also handles Ctrl-C and SIGTERM. Workers of a cluster read a cache from a shared folder, or receive its files.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ _INSTALL_HINT = "pip install 'antdsl[cluster]'"
 
 
 def require_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> None:
-    """Raise BadParameter if the scheduler arguments are inconsistent. Call this before anything is created."""
+    """Raise BadParameter if the scheduler options contradict each other. Call this before anything is created."""
     if address is not None:
         _find_certificate_folder(address, tls, no_tls)
     elif tls is not None or no_tls:
@@ -61,11 +60,11 @@ def require_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> No
 def open_engine(
     scheduler: SchedulerAddress, workers: int, threads: int, files: Iterable[Path], visible_file: VisibleFile | None = None
 ) -> Iterator[Engine]:
-    """Yield the engine that runs the tasks of a command. Problems end the command. Raises WorkersLostError if no scheduler
-    answers.
+    """Yield the engine that runs the tasks of a command. Problems end the command.
 
-    Without an address in `scheduler`, the engine has `workers` processes with `threads` threads each. Otherwise it is the cluster
-    at that address. Its workers receive `files`, or see `visible_file` at its path."""
+    Without an address in `scheduler`, the engine has `workers` processes with `threads` threads each. Otherwise it is the
+    cluster at that address. Its workers receive `files`, or can read `visible_file` at its path. Raises WorkersLostError if no
+    scheduler answers."""
     address, tls, no_tls = scheduler
     if not address:
         from antdsl.executors import ProcessEngine
@@ -94,7 +93,7 @@ def open_engine(
 
 
 def _find_certificate_folder(address: str, tls: Path | None, no_tls: bool) -> Path | None:
-    """Return the folder of certificates for an address, or None if none is needed."""
+    """Return the folder with the certificates for an address, or None if none are needed."""
     from antdsl.executors.tasks import TLS_FILE_NAMES
 
     match = re.fullmatch(r"(tls|tcp)://(\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9_.-]{1,253}):([0-9]{1,5})", address)
@@ -128,7 +127,7 @@ def _find_certificate_folder(address: str, tls: Path | None, no_tls: bool) -> Pa
 
 
 def _require_certificates(folder: Path) -> None:
-    """Raise BadParameter unless the files of a folder are certificates, and `key.pem` is the key of `cert.pem`. Without this
+    """Raise BadParameter unless the files in a folder are certificates, and `key.pem` is the key of `cert.pem`. Without this
     check, Dask would only report that no scheduler answers."""
     import ssl
 
@@ -158,7 +157,7 @@ def _is_loopback_address(host: str) -> bool:
 
 
 class TerminationSignal(KeyboardInterrupt):
-    """The exception that SIGTERM raises. It is handled like Ctrl-C, but gives a different exit code."""
+    """The exception that SIGTERM raises. It is handled like Ctrl-C, but leads to a different exit code."""
 
 
 def choose_stop_exit_code(exception: BaseException) -> ExitCode:
@@ -184,11 +183,11 @@ def raise_on_sigterm() -> Iterator[None]:
 def run_cache_tasks(
     scheduler: SchedulerAddress, cache: Path, folder: Path, make_tasks: Callable[[Path, Destination], Iterable[Task]]
 ) -> Iterator[TaskOutcome]:
-    """Run tasks on a cluster, and yield the result of each as soon as its files are in `folder`. If a task fails, the command
-    ends after all tasks have run. It also ends if the scheduler is lost.
+    """Run tasks on a cluster, and yield the outcome of each task as soon as its files are in `folder`. If a task fails, the
+    command ends after all tasks have run. It also ends if the connection to the scheduler is lost.
 
     `scheduler`: address, certificates, and whether the scheduler may run without certificates.
-    `make_tasks`: is called with the path of the cache, its links resolved, and the destination of files.
+    `make_tasks`: called with the path of the cache (links resolved) and the destination of files; returns the tasks.
     """
     from antdsl.executors import WorkersLostError, run_tasks
     from antdsl.executors.input_bundle import VisibleFile

@@ -1,4 +1,4 @@
-"""Simulates several scenes, or one scene on a cluster. Each scene is a task that writes its own cache."""
+"""Simulation of several scenes, or of one scene on a cluster. Each scene is one task, which writes its own cache."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def run_shots(
     `out`: the folder for all caches.
     `options`: see `shots.caches.make_cache_task`.
     `threads`: threads per scene; 0 divides the cores among the scenes.
-    `scheduler`: the scheduler, its certificates, and whether it may run without certificates.
-    `ignore_memory_limit`: start even if the runs need too much memory.
+    `scheduler`: the scheduler, its certificates, and whether it may be used without certificates.
+    `ignore_memory_limit`: whether to start even if the runs need too much memory.
     """
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.diagnostics import Report
@@ -118,7 +118,7 @@ def run_shots(
 
 
 def _choose_cache_folders(scenes: Sequence[Path], parent_folder: Path | None) -> list[Path]:
-    """Return the folder for each scene's cache."""
+    """Return the folder of each scene's cache."""
     is_single = len(scenes) == 1 and parent_folder is not None
     folders = [
         parent_folder

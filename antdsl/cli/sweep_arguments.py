@@ -1,5 +1,6 @@
-"""Converts the arguments of `antdsl sweep` to runs. They come from the command line, or from an earlier sweep in the same
-folder. They are checked before any run starts."""
+"""Conversion of the arguments of `antdsl sweep` to runs.
+
+The arguments come from the command line or from an earlier sweep in the same folder. They are checked before any run starts."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def reject_missing_scene() -> list[str]:
-    """Raise BadParameter, because the command line has no scene."""
+    """Raise BadParameter because no scene is given on the command line."""
     raise typer.BadParameter("name a scene, or continue a sweep: `--resume --out DIR`", param_hint="SCENE")
 
 
@@ -40,7 +41,7 @@ _STUDY_OPTIONS = {
 
 
 def load_request(context: typer.Context, folder: Path | None) -> SweepRequest:
-    """Return the request of the earlier sweep in a folder.
+    """Return the request that an earlier sweep stored in a folder.
 
     Raises BadParameter if the command line also has options that define the runs. Raises CommandError if the folder has no
     sweep."""
@@ -59,7 +60,7 @@ def load_request(context: typer.Context, folder: Path | None) -> SweepRequest:
 
 
 def build_study(request: SweepRequest) -> tuple[SweepStudy, list[SweepJob], Report]:
-    """Return the study of a request, all its runs, and a report. Wrong arguments end the command with a usage error."""
+    """Return the study that a request defines, all its runs, and a report. Wrong arguments end the command with a usage error."""
     from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs
     from antdsl.sweeps import build_jobs, make_variations
     from antdsl.sweeps.designs import choose_design
@@ -93,8 +94,8 @@ def build_study(request: SweepRequest) -> tuple[SweepStudy, list[SweepJob], Repo
 
 
 def open_scene_shots(study: SweepStudy, request: SweepRequest) -> list[Shot]:
-    """Return a shot for each scene of a sweep, opened with the scene's own values. All runs of a scene have the same things;
-    only values differ."""
+    """Return a shot for each scene of a sweep, opened with the scene's own values. One shot per scene is enough: all runs of a
+    scene have the same things, and only values differ."""
     from antdsl.cli.arguments import parse_grants
     from antdsl.pipeline import RunChoices, open_scene
 
@@ -136,7 +137,7 @@ def parse_widths(request: SweepRequest) -> list[WidthGoal]:
 
 
 def parse_seeds(text: str) -> range:
-    """Return the seeds of `N` or `A..B`. Raises BadParameter for another text."""
+    """Return the range of seeds from `N` (1 to N) or `A..B`. Raises BadParameter for any other text."""
     from antdsl.scene.quantities import QuantityError, parse_integer_range
 
     try:

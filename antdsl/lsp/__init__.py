@@ -1,3 +1,4 @@
-"""The language server: answers an editor's requests about `.ant` files and scenes, with the checks that `antdsl check` runs.
+"""The language server: it answers an editor's requests about `.ant` files and scenes, and runs the same checks as `antdsl
+check`.
 
-`server.start` runs it; it needs pygls, the extra `[lsp]`. All other files of this package work without it."""
+`server.start` starts it; this needs pygls (extra `[lsp]`). The other modules of this package work without pygls."""

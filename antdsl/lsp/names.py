@@ -1,4 +1,5 @@
-"""The names that a file declares, and each use of a name with its meaning: the checker's bindings, applied to the tree."""
+"""The names that a file declares, and the meaning of every use of a name. Meanings come from the checker's bindings and the
+syntax tree."""
 
 from __future__ import annotations
 
@@ -35,7 +36,7 @@ _CALLED_WORDS = frozenset({*BUILTINS_BY_NAME, *REDUCER_HELP, *AGGREGATE_WORDS, "
 
 @dataclass(frozen=True, slots=True)
 class NameOccurrence:
-    """A name in the text. A word with two meanings, as in `take 1 load from meal`, has two occurrences."""
+    """A name in the text and its meaning. A word with two meanings, as in `take 1 load from meal`, has two occurrences."""
 
     span: Span
     key: NameKey
@@ -46,7 +47,7 @@ class NameOccurrence:
 class SpeciesTable:
     """The names that a species declares.
 
-    - `node`: None for a species of another file, of which only the attributes in `world` are known.
+    - `node`: the declaration; None for a species of another file, of which only the attributes in `world` are known.
     - `own_members`: the declarations of its params, attributes, lets, latches and fuzzy values, by name.
     - `machines`: for each machine name, the machine's states by name."""
 
@@ -58,7 +59,7 @@ class SpeciesTable:
 
 @dataclass(slots=True)
 class ProgramNames:
-    """The declarations of one file, by key and by kind. `libraries`: the files that `use` lines name."""
+    """The declarations of one file, by key and by kind. `libraries`: the files that its `use` lines name."""
 
     path: Path
     file: nodes.File
@@ -74,7 +75,7 @@ class ProgramNames:
 
 
 def collect_names(path: Path, file: nodes.File) -> ProgramNames:
-    """Return the tables of a file. If a name is declared twice, the first declaration counts, as for the checker."""
+    """Return the declarations of a file. If a name is declared twice, the first declaration counts, as in the checker."""
     names = ProgramNames(path, file)
     for each in list_declarations(file):
         names.declaration_by_key.setdefault(each.key, each)
@@ -108,9 +109,8 @@ def collect_names(path: Path, file: nodes.File) -> ProgramNames:
 
 
 def find_occurrences(names: ProgramNames, bindings: NameBindings) -> list[NameOccurrence]:
-    """Return every name in a file. It is declared in the file, bound by the checker, or a word of the language in this position.
-
-    If the checker did not resolve or did not reach a name, its kind begins with `?`."""
+    """Return every occurrence of a name in a file. A name is declared in the file, bound by the checker, or a word of the
+    language at this position. If the checker did not resolve or reach a name, its kind begins with `?`."""
     bound: dict[Span, dict[NameKey, None]] = {}
     for span, declared in bindings.uses:
         key = (
@@ -126,8 +126,8 @@ def find_occurrences(names: ProgramNames, bindings: NameBindings) -> list[NameOc
 
 
 def _make_element_key(names: ProgramNames, declaration: Span) -> NameKey:
-    """Return the key of a symbol that is visible only in one expression or handler. Such a name is unique only together with its
-    position."""
+    """Return the key of a symbol that is visible only in one expression or handler. The key contains the position of the
+    declaration, because the name alone is not unique."""
     return ("element", str(names.file.file_span(declaration).start), declaration.text)
 
 
@@ -135,8 +135,8 @@ def _make_element_key(names: ProgramNames, declaration: Span) -> NameKey:
 class _OccurrenceIndexer:
     """Collects all names of one file.
 
-    - `bound_keys`: by span, the keys of the declarations that the checker found for a name.
-    - `meaning_by_span`: for other words, the key of the meaning, and whether the word is a declaration; None if it is no name.
+    - `bound_keys`: for the span of each name, the keys of the declarations that the checker has bound to it.
+    - `meaning_by_span`: for each other word, the key of its meaning and whether it is a declaration; None if it is not a name.
     - `occurrences`: the result."""
 
     names: ProgramNames
@@ -156,7 +156,7 @@ class _OccurrenceIndexer:
                 _MARKERS_BY_NODE_TYPE[type(part)](self, part)
 
     def add_name(self, name: nodes.Name, item: nodes.TopItem) -> None:
-        """Add a name with its meaning: its declaration, its bindings, or the meaning of its position."""
+        """Add a name with its meaning, from its declaration, its bindings, or its position in the tree."""
         span = Span(name.span.source, name.span.start, name.span.start + len(name.text))  # without the colon of an argument
         declared = self.names.key_by_declaration_span.get(name.span)
         if declared is not None:
@@ -167,9 +167,8 @@ class _OccurrenceIndexer:
             self.occurrences.append(NameOccurrence(span, self.resolve_nearby(meaning[0], item), meaning[1]))
 
     def resolve_nearby(self, key: NameKey, item: nodes.TopItem) -> NameKey:
-        """Return the key of a name that the checker did not resolve.
-
-        It is the declaration with this name in the enclosing behaviour or species. If there is none, the key is unchanged."""
+        """Return the key of a name that the checker did not resolve. It is the key of a declaration with this name in the
+        enclosing behaviour or species. If there is none, `key` is returned unchanged."""
         if key[0] in ("?", "?state") and isinstance(item, (nodes.Behaviour, nodes.Species)):
             scope = ("inner", str(self.names.path), item.name.text) if isinstance(item, nodes.Behaviour) else (item.name.text,)
             for each in self.names.declaration_by_key:
@@ -179,7 +178,7 @@ class _OccurrenceIndexer:
         return key
 
     def mark_by_position(self, names: nodes.Name | tuple[nodes.Name, ...] | None, kind: str) -> None:
-        """Record the meaning that names have because of their positions in the tree, unless another meaning is known."""
+        """Record names that have the meaning `kind` because of their positions in the tree. Known meanings are not changed."""
         for name in names if isinstance(names, tuple) else (names,):
             if name is not None:
                 self.meaning_by_span.setdefault(name.span, ((kind, name.text), False))
@@ -221,7 +220,7 @@ class _OccurrenceIndexer:
         self.mark_variable(node.variable)
 
     def mark_variable(self, variable: nodes.Name | None) -> None:
-        """Record a variable as a declaration."""
+        """Record a variable as a declaration. None is ignored."""
         if variable is not None:
             self.meaning_by_span[variable.span] = (_make_element_key(self.names, variable.span), True)
 
@@ -263,7 +262,7 @@ class _OccurrenceIndexer:
         self.mark_arguments(node.verb, node)
 
     def mark_arguments(self, function_name: str, node: nodes.Call | nodes.VerbLine) -> None:
-        """Record the names of arguments. `function_name`: the function or verb."""
+        """Record the names of the arguments in a call or statement. `function_name`: the function or verb."""
         for each in node.arguments:
             if isinstance(each, nodes.Argument) and each.name is not None:
                 self.meaning_by_span[each.name.span] = (("builtin-argument", function_name, each.name.text), False)

@@ -1,4 +1,6 @@
-"""Answers requests about complete documents and the workspace: symbols, folds, colours, links, hints, corrections, layout."""
+"""Handlers of requests about complete documents and the workspace.
+
+They answer with symbols, folding ranges, colours, links, hints, corrections and formatting."""
 
 from __future__ import annotations
 
@@ -114,7 +116,7 @@ def _handle_code_lenses(ls: AntLanguageServer, params: lsp.CodeLensParams) -> li
 
 
 async def _run_spec(ls: AntLanguageServer, path: str, name: str) -> None:
-    """Run a spec of the saved file, and show the user whether it passed. The code lens supplies the arguments."""
+    """Run a spec of the saved file, and show the user whether it passed. The code lens supplies `path` and `name`."""
     failed, text = await run_spec(Path(path), name)
     kind = lsp.MessageType.Warning if failed else lsp.MessageType.Info
     ls.window_show_message(lsp.ShowMessageParams(kind, text))

@@ -1,5 +1,6 @@
-"""Converts the results of this package to messages of the language server protocol. Only this file and `server` import
-lsprotocol."""
+"""Conversion of this package's results to messages of the language server protocol.
+
+Only this module and `server` import lsprotocol."""
 
 from __future__ import annotations
 
@@ -41,7 +42,7 @@ def to_lsp_range(range: TextRange) -> lsp.Range:
 
 
 def to_lsp_diagnostic(workspace: Workspace, document: OpenDocument, complaint: Diagnostic) -> lsp.Diagnostic:
-    """Convert a finding to the protocol's form: its message with the help, its code, and related locations."""
+    """Convert a finding to the protocol's form: message with help, code, and related locations."""
     related = []
     for label in complaint.labels:
         place = workspace.locate_span(label.span)
@@ -65,7 +66,7 @@ def to_lsp_diagnostic(workspace: Workspace, document: OpenDocument, complaint: D
 
 
 def to_completion_item(proposal: CompletionItem, allow_snippets: bool) -> lsp.CompletionItem:
-    """Convert a proposal. `allow_snippets`: whether the editor supports snippets."""
+    """Convert a completion proposal. `allow_snippets`: whether the editor supports snippets."""
     snippet = proposal.is_snippet and allow_snippets
     insert = proposal.insert_text if proposal.insert_text and (snippet or not proposal.is_snippet) else None
     return lsp.CompletionItem(
@@ -79,7 +80,7 @@ def to_completion_item(proposal: CompletionItem, allow_snippets: bool) -> lsp.Co
 
 
 def to_document_symbol(document: OpenDocument, entry: OutlineSymbol) -> lsp.DocumentSymbol:
-    """Convert a symbol of the outline, with the symbols inside it."""
+    """Convert a symbol of the outline together with the symbols inside it."""
     name = document.find_range(entry.name_span)
     full_range = document.find_range(entry.span)
     return lsp.DocumentSymbol(
@@ -93,25 +94,25 @@ def to_document_symbol(document: OpenDocument, entry: OutlineSymbol) -> lsp.Docu
 
 
 def to_workspace_symbol(document: OpenDocument, entry: OutlineSymbol, uri: str) -> lsp.WorkspaceSymbol:
-    """Convert a symbol of the document `uri` for a search in all files."""
+    """Convert a symbol for the results of a search in all files. `uri`: the URI of its document."""
     place = lsp.Location(uri, to_lsp_range(document.find_range(entry.name_span)))
     return lsp.WorkspaceSymbol(place, entry.name or "…", _SYMBOL_KINDS[entry.kind], container_name=document.path.name)
 
 
 def to_signature(signature: Signature) -> lsp.SignatureInformation:
-    """Convert a signature, with the parameter at the cursor."""
+    """Convert a signature together with its active parameter."""
     parameters = [lsp.ParameterInformation(label) for label in signature.parameters]
     help = lsp.MarkupContent(lsp.MarkupKind.Markdown, signature.help) if signature.help else None
     return lsp.SignatureInformation(signature.label, help, parameters, signature.active_parameter)
 
 
 def to_lsp_colour(rgb: RgbTriple) -> lsp.Color:
-    """Convert a colour from 0..255 to 0..1."""
+    """Convert a colour with channels from 0 to 255 to one with channels from 0 to 1."""
     return lsp.Color(rgb[0] / 255, rgb[1] / 255, rgb[2] / 255, 1.0)
 
 
 def to_rgb(colour: lsp.Color) -> RgbTriple:
-    """Convert a colour from 0..1 to 0..255."""
+    """Convert a colour with channels from 0 to 1 to one with channels from 0 to 255."""
     return round(colour.red * 255), round(colour.green * 255), round(colour.blue * 255)
 
 
@@ -140,12 +141,12 @@ def to_text_edits(document: OpenDocument, edits: list[TextEdit]) -> list[lsp.Tex
 
 
 def to_workspace_edit(edits: dict[Path, list[lsp.TextEdit]], uris: dict[Path, str]) -> lsp.WorkspaceEdit:
-    """Return edits of several files as one change. `uris`: the URIs of open documents."""
+    """Return edits of several files as a single change. `uris`: the URIs of open documents."""
     return lsp.WorkspaceEdit(changes={uris.get(path, path_to_uri(path)): each for path, each in edits.items()})
 
 
 def to_code_action(workspace: Workspace, document: OpenDocument, fix: QuickFix, uri: str) -> lsp.CodeAction:
-    """Convert a correction to a code action of the document `uri`."""
+    """Convert a quick fix to a code action for the document `uri`."""
     return lsp.CodeAction(
         fix.title,
         kind=lsp.CodeActionKind.QuickFix,

@@ -1,4 +1,4 @@
-"""Sample lines for calls and for queries of sets. Editors display them as hover text, and `check --explain` prints them."""
+"""Sample lines for calls and for queries of sets. Editors display them on hover, and `antdsl check --explain` prints them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The meanings and possible values of a scene's keys. They come from the schema and from the programs of the scene's crowd."""
+"""The meanings and possible values of keys in scenes. They come from the schema, and from the programs that the scene's crowd
+uses."""
 
 from __future__ import annotations
 
@@ -24,9 +25,9 @@ _KEY_PATTERN = re.compile(r"^(\s*)(?:- )?([A-Za-z_.][A-Za-z_0-9.]*):")
 
 
 def find_key_path(text: str, offset: int) -> tuple[tuple[str, ...], str]:
-    """Return the keys of a scene around a position, outermost first, and the part of the line before the position.
+    """Return the path of keys that encloses a position, outermost first, and the part of the line before the position.
 
-    Keys are found by indentation and open braces, because the YAML may be invalid at the position."""
+    The path is derived from indentation and open braces, because the YAML may be invalid at this position."""
     begin = text.rfind("\n", 0, offset) + 1
     line = text[begin:offset]
     indent = len(line) - len(line.lstrip())
@@ -45,7 +46,7 @@ def find_key_path(text: str, offset: int) -> tuple[tuple[str, ...], str]:
 
 
 def _find_open_keys(line: str) -> list[str]:
-    """Return the keys of a line with values that are still open at its end, such as crowd and place for `crowd: - {place: {`."""
+    """Return the keys of a line that still need a value at its end, such as crowd and place for `crowd: - {place: {`."""
     stack: list[str] = []
     key = ""
     for piece in re.finditer(r"([A-Za-z_.][A-Za-z_0-9.]*):|[{}\[\]]", line):
@@ -76,7 +77,7 @@ def complete_scene(workspace: Workspace, document: OpenDocument, offset: int) ->
 
 
 def _find_crowd_programs(workspace: Workspace, document: OpenDocument) -> Iterator[OpenDocument]:
-    """Yield the programs of a scene."""
+    """Yield the programs that a scene's crowd uses."""
     for path in workspace.find_linked_files(document.path):
         other = workspace.find_document(path)
         if other is not None and other.is_program:
@@ -84,7 +85,7 @@ def _find_crowd_programs(workspace: Workspace, document: OpenDocument) -> Iterat
 
 
 def _propose_keys(workspace: Workspace, document: OpenDocument, path: tuple[str, ...], line: str) -> Iterator[CompletionItem]:
-    """Yield the keys that are possible at a position. `path`: the keys above it. `line`: its line up to the position."""
+    """Yield the keys that may be written at a position. `path`: the enclosing keys. `line`: the line up to the position."""
     if not path and not line.lstrip().startswith("-"):
         yield from _propose_model_fields(scene_model.SceneModel)
     elif path[:1] in (("world",), ("cameras",)):
@@ -127,7 +128,7 @@ def _propose_initial_values(workspace: Workspace, document: OpenDocument) -> Ite
 
 
 def _propose_model_fields(part: type[scene_model.ScenePart]) -> Iterator[CompletionItem]:
-    """Yield the keys of a part of the scene's schema."""
+    """Yield the keys of one part of the scene schema."""
     for name, field in part.model_fields.items():
         key = field.alias or name
         yield CompletionItem(
@@ -136,7 +137,7 @@ def _propose_model_fields(part: type[scene_model.ScenePart]) -> Iterator[Complet
 
 
 def _propose_world_keys(workspace: Workspace, document: OpenDocument, path: tuple[str, ...]) -> Iterator[CompletionItem]:
-    """Yield keys below `world` or `cameras`: names of things, or keys of one thing."""
+    """Yield the keys that may be written below `world` or `cameras`: names of things, or the keys of one thing."""
     things = {name: item for each in _find_crowd_programs(workspace, document) for name, item in each.names.things.items()}
     if len(path) == 1:
         for name, item in things.items():
@@ -182,7 +183,7 @@ def _propose_settings(workspace: Workspace, document: OpenDocument) -> Iterator[
 
 
 def _propose_values(workspace: Workspace, document: OpenDocument, key: str, path: tuple[str, ...]) -> Iterator[CompletionItem]:
-    """Yield possible values of a key. `path`: the keys above it."""
+    """Yield the possible values of a key. `path`: the enclosing keys."""
     things: dict[str, Any] = {n: i for each in _find_crowd_programs(workspace, document) for n, i in each.names.things.items()}
     if key == "species":
         for each in _find_crowd_programs(workspace, document):

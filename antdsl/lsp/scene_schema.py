@@ -1,7 +1,8 @@
-"""The JSON Schema of scenes, for YAML editors. `python -m antdsl.lsp.scene_schema` writes the schema file that is distributed.
+"""The JSON Schema of scenes, for YAML editors. `python -m antdsl.lsp.scene_schema` writes the schema file that antdsl
+distributes.
 
-It has the keys of the scene's models, with their help. It accepts more values than a scene does. A number may also be a text
-with a unit, and a list may be a text such as `1..240`. `antdsl check` checks the values."""
+The schema has the keys of the scene models, with their help. It accepts more values than a scene does: a number may be a text
+with a unit, and a list may be a text such as `1..240`. `antdsl check` checks these values."""
 
 from __future__ import annotations
 
@@ -37,7 +38,7 @@ def build_schema() -> dict[str, Any]:
 
 
 def build_schema_text() -> str:
-    """Return the schema as the text of its file, with one line for each key of a scene and each definition."""
+    """Return the text of the schema file. It has one line for each key of a scene and one for each definition."""
     schema = build_schema()
     lines = []
     for keyword, value in schema.items():
@@ -50,14 +51,14 @@ def build_schema_text() -> str:
 
 
 def _list_models(model: type[ScenePart]) -> Iterator[type[ScenePart]]:
-    """Yield the subclasses of a model, at all levels."""
+    """Yield all subclasses of a model, direct and indirect."""
     for child in model.__subclasses__():
         yield child
         yield from _list_models(child)
 
 
 def _allow_scalar_texts(part: Any) -> Any:
-    """Return a part of the schema in which scalars may also be texts with units."""
+    """Return a part of the schema, changed so that scalars may also be texts with units."""
     if isinstance(part, list):
         return [_allow_scalar_texts(each) for each in part]
     if not isinstance(part, dict):
@@ -80,13 +81,13 @@ def _allow_scalar_texts(part: Any) -> Any:
 
 
 def _describe(key: str, schema: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of a key with the key's help."""
+    """Return the schema of a key with the help for this key added."""
     help = find_scene_key_help(key)
     return {**schema, "description": help} if help else schema
 
 
 def main() -> None:
-    """Write the schema next to the grammar of the checkout."""
+    """Write the schema file next to the grammar in the checkout."""
     path = resources.grammar_file(SCHEMA_FILE_NAME)
     write_atomically(path, build_schema_text().encode())
 

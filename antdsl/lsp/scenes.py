@@ -1,4 +1,4 @@
-"""Indexes the text of a scene: names that programs declare, files that the scene uses, and the possible values of its keys."""
+"""An index of the names in a scene: names that programs declare, and files that the scene uses."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _NAMING_KEYS = frozenset(("on", "around", "toward", "away", "border", "solved", 
 class SceneIndex:
     """The names in the text of a scene.
 
-    `document`: the parsed text; None while it is not valid YAML. `files`: the files that the scene names. `fps`: the frame rate,
-    as text from the source. `items`: the spans of the names of items."""
+    `document`: the parsed text; None if it is not valid YAML. `files`: the files that the scene names. `fps`: the frame rate as
+    written in the scene. `items`: the locations of the names of items."""
 
     path: Path
     document: MappingNode | None
@@ -37,12 +37,12 @@ class SceneIndex:
     items: dict[str, Span] = field(default_factory=dict)  # names that this scene gives to single items
 
     def add_occurrence(self, span: Span, key: NameKey, declares: bool = False) -> None:
-        """Add a name at a span."""
+        """Record that a name occurs at a span. `declares`: whether this is the name's declaration."""
         self.occurrences.append(NameOccurrence(span, key, declares))
 
 
 def build_scene_index(path: Path, text: str) -> SceneIndex:
-    """Return the names in a scene's text, in text order. Does not check them."""
+    """Return the index of the names in a scene, in text order. The names are not checked."""
     document, _ = read_document(Source(str(path), text))
     index = SceneIndex(path, document)
     if document is None:
@@ -57,12 +57,12 @@ def build_scene_index(path: Path, text: str) -> SceneIndex:
 
 
 def _list_mapping_entries(node: DocumentNode | None) -> list[tuple[str, Span, DocumentNode]]:
-    """Return the keys of a mapping with their spans and values; [] for any other node."""
+    """Return the entries of a mapping as (key, span, value); [] for any other node."""
     return [(key, node.keys[key], value) for key, value in node.entries.items()] if isinstance(node, MappingNode) else []
 
 
 def _index_file(index: SceneIndex, node: DocumentNode) -> None:
-    """Record a file that the scene names. A value with `:` is not a file."""
+    """Record a file that the scene names. A value that contains `:` is not a file name."""
     if isinstance(node, ScalarNode) and ":" not in node.text:
         path = resolve_path(index.path.parent.joinpath(node.text))
         index.add_occurrence(node.span, ("file", str(path)))
@@ -89,7 +89,7 @@ def _index_world(index: SceneIndex, node: DocumentNode) -> None:
 
 
 def _index_item(index: SceneIndex, thing: str, node: DocumentNode, things: set[str]) -> None:
-    """Record the attributes of an item, and the thing that it is on."""
+    """Record the attributes of an item, and the thing on which the item is placed."""
     _index_attributes(index, thing, node)
     for word, _, inner in _list_mapping_entries(node):
         if word == "on":
@@ -97,7 +97,7 @@ def _index_item(index: SceneIndex, thing: str, node: DocumentNode, things: set[s
 
 
 def _index_attributes(index: SceneIndex, thing: str, node: DocumentNode) -> None:
-    """Record the keys of an item that are attributes of the program."""
+    """Record those keys of an item that are attributes declared by the program."""
     built_in_names = {*ItemThing.model_fields, *ITEM_ATTRIBUTE_TYPES}
     for word, span, _ in _list_mapping_entries(node):
         if word not in built_in_names:
@@ -105,7 +105,8 @@ def _index_attributes(index: SceneIndex, thing: str, node: DocumentNode) -> None
 
 
 def _index_named_thing(index: SceneIndex, key: str, node: DocumentNode, things: set[str]) -> None:
-    """Record a value that may name a thing of the world or an item. Its kind is `?scene` if it depends on the base scene."""
+    """Record a value that may name a thing of the world or an item. The kind of the name is `?scene` if only the base scene
+    could declare it."""
     if isinstance(node, ScalarNode):
         if node.text in things:
             index.add_occurrence(node.span, ("thing", node.text))
@@ -154,7 +155,7 @@ def _index_changed_values(index: SceneIndex, node: DocumentNode) -> None:
 
 
 def _index_fields(index: SceneIndex, node: DocumentNode) -> None:
-    """Record the names of fields in the scene, and the things that they start around."""
+    """Record the names of fields in the scene, and the things around which their initial values are placed."""
     for name, span, value in _list_mapping_entries(node):
         index.add_occurrence(span, ("field", name))
         for key, _, inner in _list_mapping_entries(value):
@@ -163,7 +164,8 @@ def _index_fields(index: SceneIndex, node: DocumentNode) -> None:
 
 
 def _index_layers(index: SceneIndex, node: DocumentNode) -> None:
-    """Record the layers of a node. A layer is named by its text, or by the first word of its text."""
+    """Record the behaviours and layers in a list of layers. A layer is identified by its text, or by the first word of its
+    text."""
     for species, span, value in _list_mapping_entries(node):
         index.add_occurrence(span, ("species", species))
         for item in value.items if isinstance(value, SequenceNode) else ():
@@ -187,7 +189,7 @@ def _index_camera(index: SceneIndex, node: DocumentNode) -> None:
 
 
 def _index_cameras(index: SceneIndex, node: DocumentNode) -> None:
-    """Record the names below `cameras`, which programs may use, and their files."""
+    """Record the names below `cameras`, which programs may use, and the files of the cameras."""
     for name, span, value in _list_mapping_entries(node):
         index.add_occurrence(span, ("thing", name))
         _index_camera(index, value)

@@ -1,4 +1,4 @@
-"""The language server. It passes each request of the protocol to the file of this package that answers it."""
+"""The language server. It passes each request of the protocol to the module of this package that answers it."""
 
 from __future__ import annotations
 
@@ -109,7 +109,8 @@ def _handle_did_change_watched_files(ls: AntLanguageServer, params: lsp.DidChang
 
 
 def _recheck_open_documents(ls: AntLanguageServer) -> None:
-    """Check all open documents again after a file on disk has changed. Unchanged documents cost almost nothing."""
+    """Check all open documents again after a file on disk has changed. This is cheap for documents that do not depend on the
+    file."""
     ls.files.invalidate_file_list()
     for path in ls.files.open_documents:
         ls.schedule_check(path)
@@ -119,7 +120,7 @@ def _recheck_open_documents(ls: AntLanguageServer) -> None:
 
 
 def _answer_at_position(ls: AntLanguageServer, params: Any, answer: Callable[[OpenDocument, int], T]) -> T | None:
-    """Return what `answer` returns for the document and the offset of a request. Return None if there is no document."""
+    """Return the result of `answer` for the document and offset of a request; None if the document cannot be read."""
     document = ls.find_document(params.text_document.uri)
     if document is None:
         return None
@@ -233,9 +234,9 @@ def _handle_rename(ls: AntLanguageServer, params: lsp.RenameParams) -> lsp.Works
 
 
 class _MessageOutput(io.RawIOBase):
-    """The output stream of messages to the editor. After a write has failed, it writes nothing more.
+    """The output stream of messages to the editor. After a write fails, it writes nothing more.
 
-    `problem`: the reason of the failure; None if all messages were written, or if the editor has ended."""
+    `problem`: why the write failed; None if all messages were written, or if the editor has exited."""
 
     def __init__(self, handle: int) -> None:
         self._handle: int | None = handle
@@ -252,8 +253,8 @@ class _MessageOutput(io.RawIOBase):
 
 
 def run_server() -> bool:
-    """Serve an editor over standard input and output until it ends the session. Return False if it left without a shutdown
-    request. Raises OSError if messages could not be written."""
+    """Serve an editor over standard input and output until it ends the session. Return False if the editor left without a
+    shutdown request. Raises OSError if messages could not be written."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")  # to standard error
     output = _MessageOutput(os.dup(1))
     with os.fdopen(os.dup(0), "rb") as reader:

@@ -1,4 +1,4 @@
-"""The session of an editor: its documents, and the findings that are sent to it."""
+"""The session of an editor: its documents, and the findings that are published to it."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _log = logging.getLogger(__name__)
 
 
 class AntLanguageServer(LanguageServer):
-    """The pygls server with the documents of the session. `uris`: the URI of each open document as the editor sent it, because
-    editors expect that URI in answers."""
+    """The pygls server, with the documents of the session. `uris`: the URI of each open document exactly as the editor sent it,
+    because editors expect the same URI in answers."""
 
     def __init__(self) -> None:
         super().__init__("antdsl", __version__)
@@ -30,7 +30,7 @@ class AntLanguageServer(LanguageServer):
         self.pending_paths: set[Path] = set()  # documents with findings to report when no other message waits
 
     def find_path(self, uri: str) -> Path:
-        """Return the path of the file that a URI names. A document that is not saved yet gets a path in the current folder."""
+        """Return the path of the file that a URI names. A document that was never saved gets a path in the current folder."""
         file_path = uri_to_path(uri)
         if file_path is None:
             name = "".join(c if c.isalnum() or c in "._-" else "_" for c in uri)
@@ -42,11 +42,11 @@ class AntLanguageServer(LanguageServer):
         return self.files.find_document(self.find_path(uri))
 
     def make_location(self, target: navigation.NameLocation) -> lsp.Location:
-        """Return a location in the protocol's form."""
+        """Return a location in the form that the protocol requires."""
         return lsp.Location(self.find_uri(target.document.path), protocol.to_lsp_range(target.range))
 
     def find_uri(self, path: Path) -> str:
-        """Return the URI of a file, as the editor sent it if the file is open."""
+        """Return the URI of a file. For an open file, this is the URI that the editor sent."""
         return self.uris.get(path, path_to_uri(path))
 
     def has_snippet_support(self) -> bool:
@@ -59,14 +59,14 @@ class AntLanguageServer(LanguageServer):
     # --- findings ---
 
     def schedule_check(self, path: Path) -> None:
-        """Check a file after all pending messages have been read, so that several quick key presses cause only one check."""
+        """Schedule a check of a file for when no messages are waiting, so that several quick key presses cause only one check."""
         import asyncio
 
         self.pending_paths.add(path)
         asyncio.get_running_loop().call_soon(self._check_pending)
 
     def _check_pending(self) -> None:
-        """Check all pending files, then the scenes that use them."""
+        """Check all files with a scheduled check, then the scenes that use them."""
         waiting, self.pending_paths = self.pending_paths, set()
         for path in sorted(waiting):
             self.publish_findings(path)
@@ -74,7 +74,7 @@ class AntLanguageServer(LanguageServer):
             self.publish_findings(path)
 
     def publish_findings(self, path: Path) -> None:
-        """Publish the findings in an open document."""
+        """Send the findings in an open document to the editor."""
         document = self.files.open_documents.get(path)
         if document is None or path not in self.uris:
             return

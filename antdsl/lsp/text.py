@@ -1,4 +1,4 @@
-"""The text of a document. Converts between offsets and an editor's lines and columns, and between URIs and paths."""
+"""The text of a document, with conversions between offsets and an editor's lines and columns, and between URIs and paths."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TextRange = tuple[LineColumn, LineColumn]
 
 @dataclass(frozen=True, slots=True)
 class TextEdit:
-    """An edit that replaces the characters from `start` to `end` by a text."""
+    """An edit that replaces the text between the offsets `start` and `end`."""
 
     start: int
     end: int
@@ -22,12 +22,12 @@ class TextEdit:
 
 
 def normalise_line_ends(text: str) -> str:
-    """Normalise line ends as `syntax.read` does. An editor's lines and columns are the same in both."""
+    """Return a text with line ends normalised as by `syntax.read`. Lines and columns in an editor stay the same."""
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n") if "\r" in text or "\ufeff" in text[:1] else text
 
 
 class DocumentText:
-    """A text with LF line ends. `encoding`: the unit of the editor's columns, which is utf-16 (the protocol's default), utf-8 or
+    """A text with LF line ends. `encoding`: the unit of the editor's columns: utf-16 (the protocol's default), utf-8 or
     utf-32."""
 
     __slots__ = ("encoding", "line_starts", "text")
@@ -43,15 +43,15 @@ class DocumentText:
         self.line_starts = starts
 
     def get_line(self, number: int) -> str:
-        """Return a line by its number, counted from 0, without its end; empty beyond the last line."""
+        """Return the text of a line without its line end. `number` counts from 0; beyond the last line, the result is ""."""
         if not 0 <= number < len(self.line_starts):
             return ""
         end = self.line_starts[number + 1] - 1 if number + 1 < len(self.line_starts) else len(self.text)
         return self.text[self.line_starts[number] : end]
 
     def find_offset(self, line: int, column: int) -> int:
-        """Return the offset of a position. A column beyond the end of its line means the end of the line. A line beyond the last
-        line means the end of the text."""
+        """Return the offset of a position. A column beyond the end of its line means the end of that line. A line beyond the
+        last one means the end of the text."""
         if line >= len(self.line_starts):
             return len(self.text)
         text, start = self.get_line(line), self.line_starts[line]
@@ -65,14 +65,15 @@ class DocumentText:
         return start + len(text)
 
     def find_line_column(self, offset: int) -> LineColumn:
-        """Return line and column of an offset, both counted from 0. Offsets outside the text are clamped."""
+        """Return the line and column of an offset, both counted from 0. An offset outside the text is moved to its start or
+        end."""
         offset = max(0, min(offset, len(self.text)))
         line = bisect_right(self.line_starts, offset) - 1
         prefix = self.text[self.line_starts[line] : offset]
         return line, len(prefix) if prefix.isascii() else self.count_columns(prefix)
 
     def find_range(self, start: int, end: int) -> TextRange:
-        """Return the lines and columns from one offset to another."""
+        """Return the lines and columns of the text between two offsets."""
         return self.find_line_column(start), self.find_line_column(max(start, end))
 
     def count_columns(self, text: str) -> int:
@@ -86,17 +87,17 @@ class DocumentText:
         return 2 if self.encoding == "utf-16" and character > "\uffff" else 1
 
     def with_text(self, text: str) -> DocumentText:
-        """Return another text with the same encoding."""
+        """Return a document with another text and the same encoding."""
         return DocumentText(normalise_line_ends(text), self.encoding)
 
     def replace_range(self, start: LineColumn, end: LineColumn, text: str) -> DocumentText:
-        """Return the text with a range replaced."""
+        """Return a document in which `text` replaces a range."""
         first, last = self.find_offset(*start), self.find_offset(*end)
         return DocumentText(self.text[:first] + normalise_line_ends(text) + self.text[max(first, last) :], self.encoding)
 
 
 def uri_to_path(uri: str) -> Path | None:
-    """Return the path of the file that a URI names, with links resolved. Return None if it is not a file, such as
+    """Return the path of the file that a URI names, with links resolved. Return None if the URI does not name a file, such as
     `untitled:Untitled-1`."""
     parts = urlsplit(uri)
     if parts.scheme != "file":

@@ -1,4 +1,5 @@
-"""Short descriptions of the words of programs and scenes: for hover, and beside completion proposals. Most have a sample line."""
+"""Short descriptions of the words of programs and scenes, mostly with a sample line. Editors show them on hover and in
+completions."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from antdsl.program.tables.things import KIND_BY_WORD
 
 
 class WordHelp(NamedTuple):
-    """The help for one meaning of a word. `sample`: an example line; "" without one."""
+    """The help for one meaning of a word. `sample`: a sample line; "" if there is none."""
 
     help: str
     sample: str
@@ -212,7 +213,7 @@ _RATE_SAMPLE = "crowd: [{species: forager, from: forager.ant, rate: 20 /s, frame
 
 
 def _make_crowd_sample(part: str) -> str:
-    """Return a sample of a crowd with one more part in its line."""
+    """Return a sample crowd line that contains `part`."""
     return f"crowd: [{{species: forager, from: forager.ant, count: 50, {part}}}]"
 
 
@@ -295,5 +296,5 @@ SCENE_KEY_HELP = {
 
 
 def find_scene_key_help(key: str) -> str:
-    """Return the purpose of a scene's key; "" for another word."""
+    """Return the help for a key of scenes; "" if the word is not a key."""
     return SCENE_KEY_HELP[key].help if key in SCENE_KEY_HELP else ""

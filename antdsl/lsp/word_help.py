@@ -34,13 +34,14 @@ def collapse_whitespace(text: str) -> str:
 
 
 def find_help_text(node: Any) -> str:
-    """Return the purpose of a declared thing, as a text; "" without one."""
+    """Return the help text of a declaration; "" if it has none."""
     help = getattr(node, "help", None)
     return help.text if help is not None else ""
 
 
 def format_markdown(form: str, *lines: str, notation: str = "ant") -> str:
-    """Return Markdown with a form in the language, followed by explanations, one paragraph each."""
+    """Return Markdown that consists of a code block and explanations, one paragraph each. `form`: the code. `notation`: its
+    language."""
     return "\n\n".join([f"```{notation}\n{form}\n```", *(line for line in lines if line)])
 
 
@@ -54,7 +55,7 @@ def format_signature(node: nodes.Behaviour) -> str:
 
 
 def _describe_event(key: NameKey) -> str | None:
-    """Return the help for an event."""
+    """Return the help for an event, built in or declared."""
     text_by_event = {"spawn": "the event at an agent's birth", "collision": "the agent's body begins to touch another one"}
     return format_markdown(
         f"on {key[1]}", text_by_event.get(key[1], "an event: agents notice it once, in the step after it was emitted")
@@ -83,7 +84,7 @@ def _describe_builtin_attribute(key: NameKey) -> str | None:
 
 
 def _describe_defaults(name: str) -> str:
-    """Return the default of a setting in edition 1, and in each later edition that changed it."""
+    """Return a description of a setting's default in edition 1, and in each later edition that changed it."""
     row = DEFAULT_BY_SETTING[name]
     texts = [row.get_default(edition) or "none" for edition in EDITIONS]
     changed_defaults = [f"in `ant {edition}`: {text}" for edition, text in zip(EDITIONS, texts, strict=True) if text != texts[0]]
@@ -91,7 +92,7 @@ def _describe_defaults(name: str) -> str:
 
 
 def format_builtin(name: str, row: BuiltinRow) -> str:
-    """Return the form of a built-in, such as `clamp(x: number A, to: range A) -> number A`."""
+    """Return the signature of a built-in, such as `clamp(x: number A, to: range A) -> number A`."""
     parts = []
     for arg in row.args:
         default = f" = {arg.default}" if arg.default is not None else ""
@@ -100,7 +101,7 @@ def format_builtin(name: str, row: BuiltinRow) -> str:
 
 
 def _describe_builtin(key: NameKey) -> str | None:
-    """Return the help for a word that is called: a function, a reducer or an aggregate."""
+    """Return the help for a word that can be called: a function, a reducer or an aggregate."""
     texts = [rule(key) for rule in (_describe_builtin_function, _describe_reducer, _describe_aggregate)]
     return "\n\n".join(each for each in texts if each) or None
 
@@ -138,7 +139,7 @@ def _describe_builtin_argument(key: NameKey) -> str | None:
 
 
 def _describe_value_word(key: NameKey) -> str | None:
-    """Return the help for a word that is a value or a property of a state; None for another word."""
+    """Return the help for a word that stands for a value or a property of a state; None for another word."""
     word = key[1]
     row = tables.STATE_WORD_HELP.get(word) or tables.VALUE_HELP.get(word)
     type = vocabulary.RUN_VALUE_TYPES.get(word) or vocabulary.SENSE_TYPE_BY_NAME.get(word)
@@ -146,7 +147,7 @@ def _describe_value_word(key: NameKey) -> str | None:
 
 
 def _describe_unit(key: NameKey) -> str | None:
-    """Return the help for a unit, which may consist of several units, such as `mm/s`; None for an unknown unit."""
+    """Return the help for a unit, which may be compound, such as `mm/s`; None for an unknown unit."""
     measure = find_unit_measure(key[1])
     if measure is None:
         return None
@@ -163,7 +164,8 @@ def _describe_unit(key: NameKey) -> str | None:
 
 
 def _make_typed_word_rule(table: Any, explanation: str, form: str) -> WordHelpRule:
-    """Return a rule for the words of a table of types. `explanation`: the explanation. `form`: a sample with a placeholder."""
+    """Return a rule that describes the words of `table`, which maps words to types. `explanation`: added to each description.
+    `form`: a sample line with a placeholder for the word."""
 
     def describe_typed_word(key: NameKey) -> str | None:
         return format_markdown(f"{key[1]}: {table[key[1]]}\n{form.format(key[1])}", explanation) if key[1] in table else None
@@ -172,7 +174,8 @@ def _make_typed_word_rule(table: Any, explanation: str, form: str) -> WordHelpRu
 
 
 def _make_word_rule(table: Mapping[str, tables.WordHelp | ThingKindRow], explanation: str, notation: str = "ant") -> WordHelpRule:
-    """Return a rule for the words of a table of help texts. `explanation`: the explanation of all words."""
+    """Return a rule that describes the words of `table`, which maps words to help texts. `explanation`: added to each
+    description."""
 
     def describe_word(key: NameKey) -> str | None:
         row = table.get(key[1])
@@ -210,7 +213,7 @@ def _describe_type_word(key: NameKey) -> str | None:
 
 
 def _describe_steered_state(key: NameKey) -> str | None:
-    """Return the help for `state` in a layer."""
+    """Return the help for the word `state` in a list of layers."""
     return format_markdown("state", "the push that the animal's states steer")
 
 
@@ -273,9 +276,9 @@ def list_known_words() -> set[str]:
 
 
 def explain_word(word: str) -> str | None:
-    """Return all meanings of a word as Markdown, or None for an unknown word.
+    """Return all meanings of a word as Markdown; None for an unknown word.
 
-    The word may be a compound unit, and may have a number before it."""
+    The word may be a compound unit, with or without a number before it."""
     meanings = [(title, rule(("", word))) for title, table, rule in _WORD_MEANINGS if word in table]
     unit = word.lstrip("0123456789. ")
     if not meanings and (unit_text := _describe_unit(("unit", unit))):
@@ -305,7 +308,7 @@ _PARAGRAPH_BREAK = "\n\n"
 
 
 def _describe_argument_uses(word: str) -> Iterator[str]:
-    """Yield the help for each call that has an argument of this name."""
+    """Yield the help for each built-in call that has an argument of this name."""
     for function_name, rows in vocabulary.BUILTINS_BY_NAME.items():
         for row in rows:
             if any(arg.name == word for arg in row.args):

@@ -1,4 +1,4 @@
-"""The files of one editing session. Open documents override the files on disk, and are checked in the same way as by `antdsl
+"""The files of an editing session. Open documents override the files on disk. They are checked in the same way as by `antdsl
 check`."""
 
 from __future__ import annotations
@@ -42,25 +42,25 @@ _SCENE_KEY_PATTERN = re.compile(r"^(?:antdsl|crowd|extends)[ \t]*:", re.MULTILIN
 
 @dataclass(frozen=True)
 class NameIndex:
-    """The names of a document in text order, and the start offset of each."""
+    """The names of a document in text order, and the offset at which each starts."""
 
     occurrences: list[NameOccurrence]
     start_offsets: list[int]
 
     @cached_property
     def meaning_by_offset(self) -> dict[int, tuple[str, bool]]:
-        """Return, for the word at each offset, the kind of its symbol and whether the symbol is declared there."""
+        """Return, by the offset of each word, the kind of its symbol and whether this word declares the symbol."""
         pairs = zip(reversed(self.start_offsets), reversed(self.occurrences), strict=True)
         return {start: (str(each.key[0]), each.is_declaration) for start, each in pairs}
 
 
 @dataclass(eq=False)
 class OpenDocument:
-    """A file in its current state, in the editor or on disk.
+    """A file in its current state, as open in the editor or as on disk.
 
-    - `find_bindings`: returns the bindings of the file and of all files that it uses.
+    - `find_bindings`: a function that returns the bindings of the file and of all files that it uses.
     - `file_stamp`: two numbers that identify the version of the file on disk; None for an open buffer.
-    - `version`: the editor's version number of an open buffer.
+    - `version`: the version number that the editor gave to an open buffer.
     - `last_valid_scene`: the names in the last valid text of the scene. They are used while the text is not valid YAML."""
 
     path: Path
@@ -89,13 +89,13 @@ class OpenDocument:
 
     @cached_property
     def used_files(self) -> list[Path]:
-        """Return the files that the program uses by `use "PATH"`."""
+        """Return the files that `use "PATH"` lines of the program name."""
         paths = (item.path for item in self.parsed[0].items if isinstance(item, nodes.Use))
         return [resolve_path(self.path.parent.joinpath(path.text)) for path in paths if path is not None]
 
     @property
     def index(self) -> NameIndex:
-        """Return the index of the document's names. It is built again when a new check gives other bindings."""
+        """Return the index of the document's names. It is rebuilt when a new check has changed the bindings."""
         bindings = self.find_bindings(self.path) if self.is_program else NO_BINDINGS
         if self._cached_index is None or self._cached_index[0] is not bindings:
             name_occurrences = find_occurrences(self.names, bindings) if self.is_program else self.scene.occurrences
@@ -129,7 +129,7 @@ class OpenDocument:
         return self._find_file_span(span).end
 
     def _find_file_span(self, span: Span) -> Span:
-        """Return a span of a parsed part as a span of the complete file."""
+        """Return the span in the complete file of a span in one of its separately parsed parts."""
         return self.parsed[0].file_span(span) if self.is_program else span
 
     def find_range(self, span: Span) -> TextRange:
@@ -137,7 +137,7 @@ class OpenDocument:
         return self.text.find_range(self.find_start(span), self.find_end(span))
 
     def find_occurrences(self, offset: int) -> list[NameOccurrence]:
-        """Return the names at an offset. A name that starts at or covers the offset precedes one that ends there."""
+        """Return the names at an offset. Names that start at the offset or contain it come before names that end there."""
         index = self.index
         name_occurrences: list[NameOccurrence] = []
         for number in range(bisect_right(index.start_offsets, offset) - 1, -1, -1):
@@ -159,7 +159,7 @@ class OpenDocument:
 
 @dataclass(frozen=True, slots=True)
 class DocumentCheck:
-    """The result of checking a document. `program`, `scene`: None if errors prevented their creation."""
+    """The result of checking a document. `program`, `scene`: the checked program or scene; None if errors prevented it."""
 
     program: Program | None
     scene: Scene | None
@@ -168,7 +168,8 @@ class DocumentCheck:
 
 @dataclass(eq=False)
 class Workspace:
-    """All files of the session. `roots`: the editor's folders. `open_documents`: the open documents by real path."""
+    """All files of the session. `roots`: the folders that the editor has opened. `open_documents`: the open documents by real
+    path."""
 
     roots: list[Path] = field(default_factory=list)
     encoding: str = "utf-16"
@@ -182,7 +183,7 @@ class Workspace:
     # --- documents ---
 
     def put_document(self, path: Path, text: str, version: int | None = None) -> OpenDocument:
-        """Add an open buffer, or replace its text."""
+        """Add an open buffer, or replace the text of an existing one."""
         document = self.open_documents[path] = OpenDocument(
             path, DocumentText(normalise_line_ends(text), self.encoding), self.find_bindings, None, version
         )
@@ -197,14 +198,14 @@ class Workspace:
         return document
 
     def close_document(self, path: Path) -> None:
-        """Remove an open buffer. From now on, the file on disk is used."""
+        """Remove an open buffer. From then on, the file on disk is used."""
         self.open_documents.pop(path, None)
         self._check_by_path.pop(path, None)
         self._last_good_programs.pop(path, None)
         self._check_memos.pop(path, None)
 
     def find_document(self, path: Path) -> OpenDocument | None:
-        """Return a file as in the editor, or else as on disk; None when it cannot be read."""
+        """Return a file as open in the editor, or else as on disk; None if it cannot be read."""
         open_document = self.open_documents.get(path)
         if open_document is not None:
             return open_document
@@ -225,7 +226,8 @@ class Workspace:
         return stored
 
     def locate_span(self, span: Span) -> tuple[OpenDocument, TextRange] | None:
-        """Return the document that contains a span, and the span's location in it."""
+        """Return the document that contains a span, and the lines and columns of the span; None if the document cannot be
+        read."""
         for document in (*self.open_documents.values(), *self._disk_documents.values()):
             if document.is_program and "parsed" in document.__dict__:
                 file = document.parsed[0]
@@ -253,22 +255,22 @@ class Workspace:
         return result
 
     def _find_dependency_state(self, path: Path) -> object:
-        """Return a value that changes if the document or one of its dependencies changes."""
+        """Return a value that changes whenever the document or one of its dependencies changes."""
         return [(each, self.find_document(each)) for each in self.find_linked_files(path)]
 
     def find_bindings(self, path: Path) -> NameBindings:
-        """Return the resolved names of a program, as far as its text is valid."""
+        """Return the resolved names of a program, even if parts of its text are invalid."""
         result = self.check_document(path)
         return NO_BINDINGS if result is None or result.program is None else result.program.bindings
 
     def find_last_good_program(self, path: Path) -> Program | None:
-        """Return the program from the document's last check without errors. It answers queries while the text is being edited."""
+        """Return the program from the document's last check without errors, or None. It answers queries while the text is
+        edited."""
         result = self.check_document(path)
         return self._last_good_programs.get(path) or (result.program if result is not None else None)
 
     def find_parsed_files(self, path: Path) -> ParsedFileCache:
-        """Return the parsed files for the checks of `antdsl check`. Documents that are open in the editor replace files on
-        disk."""
+        """Return the cache of parsed files that the checks use. Documents that are open in the editor replace files on disk."""
         programs: ParsedFileCache = {}
         for each in {*self.open_documents, *self.find_linked_files(path), *self._list_libraries()}:
             document = self.find_document(each)
@@ -298,8 +300,8 @@ class Workspace:
         return DocumentCheck(program, scene, report)
 
     def find_diagnostics(self, path: Path) -> list[Diagnostic]:
-        """Return the findings in this document. A finding about the complete document has no span. Only scenes among YAML files
-        have findings, because editors send every YAML file."""
+        """Return the findings in this document. A finding about the complete document has no span. A YAML file that is not a
+        scene has no findings. Editors send every YAML file to the server."""
         document = self.find_document(path)
         if document is not None and not document.is_program and not _SCENE_KEY_PATTERN.search(document.text.text):
             return []
@@ -319,7 +321,7 @@ class Workspace:
     # --- which files belong together ---
 
     def find_linked_files(self, path: Path) -> list[Path]:
-        """Return a file, the files that it names, and the files that they name."""
+        """Return a file, the files that it names, and the files that these name."""
         paths: dict[Path, None] = {}
         stack = [path]
         while stack:
@@ -333,7 +335,7 @@ class Workspace:
         return list(paths)
 
     def find_related_files(self, path: Path) -> list[Path]:
-        """Return all files that may contain a name of this file. They are linked by `use` or by a common scene."""
+        """Return all files that may refer to names of this file. They are linked to it by `use` or by a common scene."""
         links = {each: set(self.find_linked_files(each)) for each in self.list_files()}
         links.setdefault(path, set(self.find_linked_files(path)))
         members = set(links[path]) | {path}
@@ -358,13 +360,13 @@ class Workspace:
         return [path, *sorted(others - {path})]
 
     def find_scenes_using(self, path: Path) -> list[Path]:
-        """Return the open scenes that use a program or extend a scene."""
+        """Return the open scenes that use the program at `path` or extend the scene at `path`."""
         return [each for each in self.open_documents if each != path and path in self.find_linked_files(each)]
 
     def list_files(self) -> list[Path]:
-        """Return the programs and scenes below the editor's folders, and the open ones.
+        """Return the programs and scenes below the editor's folders, and all open ones.
 
-        Large folders are not searched at every request. A result is valid for twenty times the duration of its search, or until
+        The folders are not searched at every request. A result is valid for twenty times the duration of its search, or until
         the editor reports a change."""
         time = monotonic()
         if time >= self._file_search[0]:
@@ -374,5 +376,5 @@ class Workspace:
         return list(dict.fromkeys([*self.open_documents, *self._file_search[1]]))
 
     def invalidate_file_list(self) -> None:
-        """Mark the file lists as outdated, because files may have been added or removed."""
+        """Discard the cached lists of files, because files may have been added or removed."""
         self._file_search = (0.0, [])

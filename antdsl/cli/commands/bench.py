@@ -61,7 +61,7 @@ def run_bench_command(
 
 
 def _choose_backends(names: list[str]) -> list[str]:
-    """Return the requested backends, without duplicates. By default, return all except the slowest. Raises BadParameter for an
+    """Return the requested backends without duplicates; by default all backends except the slowest. Raises BadParameter for an
     unknown name."""
     from antdsl.runtime.backends import BACKENDS
 
@@ -72,8 +72,8 @@ def _choose_backends(names: list[str]) -> list[str]:
 
 
 def _choose_jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | None]]:
-    """Return the cases to measure, each with a number of agents. This is a requested number, or one of the case's own numbers.
-    If no cases are requested, return a quick selection."""
+    """Return pairs of a case and a number of agents to measure. The numbers are those requested, else the case's own, else None.
+    Without requested cases, return a quick selection."""
     from antdsl.bench import BENCH_CASES
 
     if not cases:
@@ -103,7 +103,7 @@ def _require_openable(name: str) -> None:
 def _measure_case(
     name: str, agents: int | None, backends: list[str], turns: int, steps: int, threads: int, full_run: bool
 ) -> BenchCaseResult:
-    """Return the measurements of a case: each backend in a separate process, then all of them alternately in one process."""
+    """Return the measurements of a case. Each backend runs in a separate process, then all run alternately in one process."""
     from antdsl.bench import BenchJob
     from antdsl.bench.tables import BenchCaseResult
 

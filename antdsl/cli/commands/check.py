@@ -1,4 +1,4 @@
-"""`antdsl check PATH…`: runs all checks of programs and scenes that need no simulation."""
+"""`antdsl check PATH…`: runs all checks of programs and scenes that do not need a simulation."""
 
 from __future__ import annotations
 

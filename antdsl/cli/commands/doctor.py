@@ -125,7 +125,7 @@ def _check_machine_code(problems: list[str]) -> None:
 
 
 def _check_kernels() -> None:
-    """Print whether the installation has compiled kernels that fit this processor, this LLVM version and the current sources."""
+    """Print whether the installation has compiled kernels for this processor, this LLVM version and the current sources."""
     from antdsl.machine_code import llvm_compiler, shipped_objects
     from antdsl.numerics.elementary_loops import write_cosines
 
@@ -137,7 +137,7 @@ def _check_kernels() -> None:
 
 
 def _check_tables() -> None:
-    """Print whether computed tables of meshes are stored for later runs and, if not, why."""
+    """Print whether computed tables of meshes are cached for later runs and, if not, why."""
     from antdsl.numerics import stored_tables
 
     table_store = stored_tables.open_store()

@@ -1,5 +1,5 @@
-"""`antdsl edit CACHE --edits edits.yaml`: changes a finished cache. The stored frames remain, and the edits are applied when
-they are read."""
+"""`antdsl edit CACHE --edits edits.yaml`: changes a finished cache. The stored frames do not change; edits are applied when
+frames are read."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ def run_edit_command(
 def _open_view(folder: Path, edits: Path | None, width: int | None, resimulation: _SceneAndRoots | None) -> Cache:
     """Return a view of the cache with the edits of a file, with smoothed orientations, or with the stored edits.
 
-    `edits`: the file, or None. `width`: the number of frames over which orientations are smoothed, or None. `resimulation`:
-    simulate affected agents again with this scene and these roots, or None."""
+    `edits`: the file of edits, or None. `width`: the number of frames over which orientations are smoothed, or None.
+    `resimulation`: the scene and roots for simulating affected agents again, or None to skip this."""
     from antdsl.outputs.edits.edited_cache import open_edited_cache, smooth_cache
 
     if width is not None:
@@ -91,8 +91,8 @@ def _open_view(folder: Path, edits: Path | None, width: int | None, resimulation
 
 
 def _load_edits(folder: Path, edits: Path, resimulation: _SceneAndRoots | None) -> LoadedEdits:
-    """Return the edits of a file for a cache. Unless `resimulation` is None, affected agents are simulated again. Errors in the
-    edits end the command."""
+    """Return the edits of a file for a cache. Errors in the edits end the command. `resimulation`: the scene and roots for
+    simulating affected agents again, or None to skip this."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.cache.cache_reader import open_cache
     from antdsl.outputs.edits.edited_cache import load_edits
@@ -109,7 +109,7 @@ def _load_edits(folder: Path, edits: Path, resimulation: _SceneAndRoots | None) 
 
 
 def _resimulate_edits(loaded: LoadedEdits, scene: Path | None, roots: tuple[str, ...]) -> LoadedEdits:
-    """Simulate the agents again that edits affect, and return the edits with the result. Print how many agents were simulated."""
+    """Simulate again the agents that edits affect, and return the edits with the result. Print the number of these agents."""
     from antdsl.cli.arguments import parse_grants
     from antdsl.cli.printing.reports import exit_on_errors, print_report
     from antdsl.explain import ExplainError
@@ -132,7 +132,8 @@ def _resimulate_edits(loaded: LoadedEdits, scene: Path | None, roots: tuple[str,
 
 
 def _store_edits(folder: Path, edits: Path, resimulation: _SceneAndRoots | None) -> tuple[int, str]:
-    """Store the edits of a file with a cache. Return how many there are, and a sentence on how they are applied and removed."""
+    """Store the edits of a file with a cache. Return the number of edits, and a sentence that says how they are applied and
+    removed."""
     from antdsl.outputs.edits.stored_edits import store_edits
 
     loaded = _load_edits(folder, edits, resimulation)
@@ -143,7 +144,7 @@ def _store_edits(folder: Path, edits: Path, resimulation: _SceneAndRoots | None)
 
 
 def _write_view(view: Cache, cache: Path, folder: Path, force: bool) -> int:
-    """Write the frames of a view to a new folder. Return the number of frames."""
+    """Write the frames of a view to a new cache in `folder`. Return the number of frames."""
     from antdsl.outputs.cache.cache_reader import CACHE_ENTRY_NAMES
     from antdsl.outputs.edits.stored_edits import write_cache
 
@@ -162,7 +163,7 @@ def _remove_edits(cache: Path, quiet: bool) -> None:
 
 
 def _parse_smoothing_width(text: str) -> int:
-    """Return the number of frames over which `orient:9` smooths."""
+    """Return the number of frames in a smoothing option such as `orient:9`."""
     from antdsl.outputs.edits.verbs.smoothing import MAX_SMOOTHING_FRAMES, MIN_SMOOTHING_FRAMES
 
     name, _, number = text.partition(":")

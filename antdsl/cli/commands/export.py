@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def _explain_missing_export(path: Path) -> str:
-    """Return why files of this suffix cannot be exported, and which suffix to use instead."""
+    """Return a text that says why files with this suffix cannot be exported, and which suffix to use instead."""
     from antdsl.outputs.exports import ALTERNATIVE_ADVICE, EXPORT_FORMATS
 
     if str(path) == "-":
@@ -31,8 +31,8 @@ def _explain_missing_export(path: Path) -> str:
 
 
 def _describe_unknown_ids(cache: Cache, frames: Sequence[int], chosen: frozenset[int]) -> str | None:
-    """Return a note about chosen agents that are in no frame, or None if all are in some frame. An id of several species counts
-    as missing if no species has it."""
+    """Return a note about selected agents that exist in no frame, or None if all exist. An id that several species use is only
+    missing if none of these species has an agent with it."""
     from antdsl.outputs.cache.frame_agents import IDENTITY_ARRAYS, make_agent_keys
     from antdsl.outputs.edits.frame_rows import SPECIES_PER_KEY
 

@@ -115,7 +115,7 @@ def run_fit_command(
 
 
 def _choose_points(vary: list[str], points: int, seed: int) -> ChosenPoints:
-    """Return the Sobol points in the ranges. Invalid ranges end the command with a usage error."""
+    """Return Sobol points in the ranges of the varied params. Invalid ranges end the command with a usage error."""
     from antdsl.cli.arguments import parse_pairs
     from antdsl.cli.sweep_arguments import require_no_errors
     from antdsl.sweeps.designs import choose_design

@@ -59,8 +59,8 @@ def _empty_report() -> Report:
 class _FormatCommand:
     """One run of the command, with its options and its results so far.
 
-    `changed_names`: the files that differ from the standard layout. `skipped_count`: the number of files that cannot be
-    formatted. `report`: the errors of these files; their warnings are left to `antdsl check`."""
+    `changed_names`: the files that differ from the standard layout. `skipped_count`: the number of files that could not be
+    formatted. `report`: the errors in these files, without warnings, which `antdsl check` reports."""
 
     is_check_only: bool
     prints_diff: bool
@@ -70,7 +70,7 @@ class _FormatCommand:
     report: Report = field(default_factory=_empty_report)
 
     def format_files(self, paths: list[Path]) -> None:
-        """Format all programs that the paths select, then print how many files changed."""
+        """Format all programs that `paths` select, then print how many files changed."""
         from antdsl.atomic_write import is_link
         from antdsl.files import find_files
 
@@ -94,7 +94,7 @@ class _FormatCommand:
         print_note(", ".join(summary) or "this folder has no .ant files", to_stderr=True)
 
     def format_file(self, path: Path) -> None:
-        """Format one file, or only report the change with `--check` or `--diff`."""
+        """Format one file. With `--check` or `--diff`, only report that it would change."""
         from antdsl import limits, syntax
         from antdsl.safe_read import read_size_limited
 
@@ -115,7 +115,8 @@ class _FormatCommand:
             )
 
     def format_standard_input(self) -> None:
-        """Format standard input and write it to standard output. With `--check` or `--diff`, only report the change."""
+        """Format standard input and write the result to standard output. With `--check` or `--diff`, only report that it would
+        change."""
         from antdsl import syntax
 
         data = read_standard_input()
@@ -129,8 +130,8 @@ class _FormatCommand:
             self.report_change("<stdin>", data.decode("utf-8"), text)
 
     def format_source(self, source: object, report: Report) -> str | None:
-        """Return the text of a source in the standard layout, or None if it cannot be formatted. Add the findings to the
-        command's report.
+        """Return a source in the standard layout, or None if it cannot be formatted. Its findings are added to the command's
+        report.
 
         `source`, `report`: the results of reading the file; `source` is None if that failed."""
         from antdsl import syntax

@@ -60,7 +60,7 @@ def run_graph_command(
 
 
 def _choose_format(format: GraphFormat | None, target: Path | None) -> str:
-    """Return the requested format. By default, return the format of the file's suffix or, without a file, the default format."""
+    """Return the requested format. By default, it follows from the suffix of the output file, or is svg without a file."""
     from antdsl.graphs import CHART_FORMATS
 
     if format is not None:
@@ -75,7 +75,7 @@ def _choose_format(format: GraphFormat | None, target: Path | None) -> str:
 
 
 def _select_charts(charts: tuple[Chart, ...], names: list[str]) -> tuple[Chart, ...]:
-    """Return the charts of the named species and machines, in the order of the text."""
+    """Return the charts of the named species and machines, in the order of the source text."""
     from antdsl.diagnostics.suggestion import find_nearest_name
 
     known_names = dict.fromkeys(part for chart in charts for part in (chart.title.partition(".")[0], chart.title))

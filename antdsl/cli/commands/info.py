@@ -1,4 +1,4 @@
-"""`antdsl info CACHE`: prints the contents of a cache and the inputs from which it was made."""
+"""`antdsl info CACHE`: prints the contents of a cache, and the inputs from which it was made."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def run_info_command(
 
 
 def describe_cache(cache: Cache) -> list[str]:
-    """Return the lines that describe a cache."""
+    """Return lines of text that describe a cache."""
     from antdsl.outputs.cache.field_strengths import list_program_fields
     from antdsl.outputs.edits.edited_cache import EditedCache
     from antdsl.outputs.provenance import make_resume_command
@@ -91,7 +91,7 @@ def describe_cache(cache: Cache) -> list[str]:
 
 
 def _describe_agents(cache: Cache, frames: list[int]) -> list[str]:
-    """Return a line with the number of agents in the first and the last frame. Return nothing if these frames cannot be read."""
+    """Return a line with the number of agents in the first and the last frame; [] if these frames cannot be read."""
     from antdsl.outputs.cache.cache_reader import CacheError
 
     try:
@@ -106,7 +106,7 @@ def _describe_agents(cache: Cache, frames: list[int]) -> list[str]:
 
 
 def _describe_patches(mesh: MeshEntry, units: str) -> str:
-    """Return a note about a surface made of height samples; "" for any other mesh.
+    """Return a note about a surface that was made from height samples; "" for any other mesh.
 
     The note gives the largest distance between its triangles and the bilinear surface through the samples."""
     if mesh.deviation is None:
@@ -120,7 +120,7 @@ def _format_fps(text: str) -> str:
 
 
 def _verify_cache(cache: Cache) -> None:
-    """Compare every frame and checkpoint with the stored hashes. A gap between frames counts as damage."""
+    """Compare every frame and checkpoint with its stored hash. Missing frames count as damage."""
     from antdsl.outputs.cache.cache_reader import STATIC_FILE_NAME
     from antdsl.outputs.cache.hashes import HASHES_FILE_NAME
     from antdsl.outputs.provenance import make_resume_command
@@ -166,7 +166,7 @@ def _verify_cache(cache: Cache) -> None:
 
 
 def _find_read_errors(read: Callable[[], object]) -> list[str]:
-    """Return the reasons why `read` fails, or [] if it succeeds."""
+    """Return the reason why `read` raises an error, as a list of lines; [] if it succeeds."""
     from antdsl.outputs.cache.cache_reader import CacheError
 
     try:

@@ -1,4 +1,4 @@
-"""`antdsl jobs SCENE --to FILE`: writes a shot as a job of a render farm."""
+"""`antdsl jobs SCENE --to FILE`: writes a shot as a job for a render farm."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def run_jobs_command(
 
 
 def _parse_render_words(text: str) -> tuple[str, ...]:
-    """Return the words of `--render` as extra arguments of `antdsl render`, after checking them as that command does."""
+    """Return the words of `--render` as extra arguments of `antdsl render`, after they pass the checks of that command."""
     from antdsl.cli.commands.render import run_render_command
 
     # depending on its version, typer has click as a dependency or a part of it
@@ -124,7 +124,8 @@ def _parse_render_words(text: str) -> tuple[str, ...]:
 
 
 def _require_template(job: FarmJob, frame_step: int, frames: int) -> None:
-    """Raise CommandError if a job has too many tasks for a template, or text with `{{`. `frames`: the number of frames."""
+    """Raise CommandError if a job cannot become a template, because it has too many tasks or a text with `{{`. `frames`: the
+    number of frames of the shot."""
     from antdsl.farm import MAX_TASKS
 
     tasks = max(len(step.chunk_ranges) for step in job.steps)

@@ -1,4 +1,4 @@
-"""`antdsl new DIR` writes a project to start from, and `antdsl examples` copies an example. `docs/ci.md` lists the files of a
+"""`antdsl new DIR` writes a starter project, and `antdsl examples` copies an example. `docs/ci.md` lists the files of a
 project."""
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ _PROGRAM_AND_SCENE = ("walker.ant", "scene.yaml")  # an example has its own
 
 
 def read_template_file(name: str, title: str = "Walkers", program: str = "walker.ant") -> str:
-    """Return the text of a file of the project. `title`, `program`: the heading and the main program, for the README."""
+    """Return the text of a template file of a new project. `title`, `program`: the heading and the main program, for the
+    README."""
     text = project_template_file(TEMPLATE_FILES[name]).read_text(encoding="utf-8")
     replacements = {"antdsl-VERSION-": f"antdsl-{__version__}-", "PROJECT-TITLE": title, "PROGRAM-FILE": program}
     for placeholder, value in replacements.items():
@@ -97,7 +98,8 @@ def run_examples_command(
 
 
 def _make_unknown_name_error(kind: str, name: str, names: tuple[str, ...], usual: str) -> CommandError:
-    """Return the error for a name that is not in `names`. `kind`: the kind of name. `usual`: the advice if no name is similar."""
+    """Return the error for a name that is not in `names`. `kind`: the kind of name, for the message. `usual`: the advice if no
+    valid name is similar."""
     near = find_nearest_name(name, names)
     return CommandError(ExitCode.USAGE, f"error: there is no {kind} `{name}`", f"did you mean `{near}`?" if near else usual)
 
@@ -109,7 +111,7 @@ def require_new_folder(folder: Path) -> None:
 
 
 def describe_example(name: str) -> str:
-    """Return the description of an example. It is the help text of its program or the first comment of its scene."""
+    """Return the description of an example, from the help text of its program or the first comment of its scene."""
     for path in (*sorted(example_file(name).glob("*.ant")), example_file(name) / "scene.yaml"):
         for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
             if line.startswith(('"', "# ")):
@@ -118,20 +120,20 @@ def describe_example(name: str) -> str:
 
 
 def read_example_files(name: str) -> dict[str, bytes]:
-    """Return the content of each file of an example, by name. Results of runs in the folder are left out."""
+    """Return the content of each file of an example, by file name. Results of earlier runs in the folder are left out."""
     files = sorted(path for path in example_file(name).iterdir() if path.suffix in _EXAMPLE_SUFFIXES and path.is_file())
     return {path.name: path.read_bytes() for path in files}
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder. `files`: their contents by path, relative to the folder. Missing folders are created."""
+    """Write files into a folder, creating missing folders. `files`: contents by path relative to `folder`."""
     for name, content in files.items():
         create_folder_durably((folder / name).parent)
         write_atomically(folder / name, content)
 
 
 def build_ground_ply(side: int = 49, width: float = 200.0) -> bytes:
-    """Return gently rolling ground as a binary .ply file. It has `side` × `side` vertices, is `width` mm wide, and y is up."""
+    """Return a gently rolling ground as a binary .ply file. It has `side` × `side` vertices and is `width` mm wide; y is up."""
     import numpy as np
 
     line = np.linspace(-width / 2, width / 2, side)

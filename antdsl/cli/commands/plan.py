@@ -1,4 +1,4 @@
-"""`antdsl plan FILE`: prints the array operations to which a program is compiled."""
+"""`antdsl plan FILE`: prints the array operations into which a program is compiled."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def run_plan_command(
 
 
 def _list_machine_code(final_plan: Plan, setting: WorldSetting | None, include_code: bool) -> str:
-    """Return a listing of a plan's machine code. Raises CommandError if the plan cannot be compiled.
+    """Return a text that describes a plan's machine code. Raises CommandError if the plan cannot be compiled.
 
     `setting`: the world of the scene, or None for a program without a scene.
     `include_code`: append the text of the code."""

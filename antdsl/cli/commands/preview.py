@@ -85,7 +85,8 @@ def _open_sockets(host: str | None, port: int | None, let_others_in: bool) -> Li
 
 
 def _create_live(scene: Path, choices: RunChoices, threads: int) -> LiveSimulation:
-    """Return the live simulation of a scene. Errors in the files are reported; it starts once the user has corrected them."""
+    """Return the live simulation of a scene. Errors in its files are reported, and the simulation starts once they are
+    corrected."""
     from antdsl.cli.commands.run import choose_threads
     from antdsl.cli.printing.reports import choose_exit_code, print_report
     from antdsl.preview.live import LiveSimulation
@@ -101,7 +102,7 @@ def _create_live(scene: Path, choices: RunChoices, threads: int) -> LiveSimulati
 
 
 def _depends_on_params(choices: RunChoices, live: LiveSimulation) -> bool:
-    """Return whether the values on the command line cause the errors: without them, the files have no errors."""
+    """Return whether the values given on the command line cause the errors, that is, whether the files have none without them."""
     from dataclasses import replace
 
     if not choices.params:
@@ -119,10 +120,10 @@ def _serve_preview(
     allows_others: bool,
     allows_reconnect: bool,
 ) -> None:
-    """Serve the preview until it is stopped.
+    """Serve the preview until the user stops it.
 
-    `allows_others`: whether anyone with the address may use it. `allows_reconnect`: whether open pages reconnect after a restart
-    on this port."""
+    `allows_others`: whether anyone with the address may use it. `allows_reconnect`: whether open pages reconnect if the server
+    is restarted on this port."""
     from antdsl.preview.serving.guard import RequestGuard, ReturningPages
     from antdsl.preview.serving.page_files import load_pages
     from antdsl.preview.serving.server import PreviewServer, run_server
@@ -155,7 +156,7 @@ def _serve_preview(
 
 
 def _open_browser(address: str) -> None:
-    """Open a browser if there is a screen. Without a screen, a text browser could start and block this terminal."""
+    """Open a browser, unless there is no graphical display: a text browser would then block this terminal."""
     import os
     import sys
     import webbrowser

@@ -249,10 +249,9 @@ def _draw_frames(
     threads: int,
     stored_stills: StillStore | None,
 ) -> Iterator[tuple[int, Any, bool]]:
-    """Yield, for each frame, its number, its picture, and whether the picture was drawn now. Otherwise it comes from
-    `stored_stills`.
+    """Yield, for each frame, its number, its picture, and whether it was drawn now instead of read from `stored_stills`.
 
-    `camera_frames`: the frames for which the camera is chosen."""
+    `camera_frames`: the frames from which an automatic camera is chosen."""
     from antdsl.outputs.blender.rendering import BlenderError
     from antdsl.outputs.cache.cache_reader import CacheError
     from antdsl.outputs.drawing import AgentMissing
@@ -284,7 +283,7 @@ def _draw_frames(
 def _draw_images(
     gallery: Gallery, settings: DrawRequest, frames: list[int], camera_frames: list[int], threads: int
 ) -> Iterator[Any]:
-    """Yield the pictures of frames, drawn by antdsl or rendered by Blender."""
+    """Yield the picture of each frame, drawn by antdsl or rendered by Blender. `camera_frames`: as for `_draw_frames`."""
     from antdsl.outputs.blender.rendering import render_with_blender
     from antdsl.outputs.drawing import FrameDrawer
 
@@ -305,8 +304,8 @@ def _draw_on_cluster(
     folder: Path,
     fps: float | None,
 ) -> None:
-    """Draw stills on a cluster's workers into `folder`. With `fps`, join them to a film. `camera_frames`: the frames for which
-    the camera is chosen."""
+    """Draw stills on a cluster's workers into `folder`. `camera_frames`: the frames from which an automatic camera is chosen.
+    `fps`: if given, join the stills to a film with this frame rate."""
     from antdsl.outputs.drawing import make_still_path
     from antdsl.shots.stills import make_still_tasks
 
@@ -330,7 +329,8 @@ def _draw_on_cluster(
 
 
 def _join_stills(paths: list[Path], path: Path, fps: float, pixels_per_picture: int) -> None:
-    """Join the pictures `paths` to the film `path`, then remove them. `pixels_per_picture`: the number of pixels of each."""
+    """Join the picture files `paths` to the film `path`, then remove them. `pixels_per_picture`: the number of pixels of each
+    picture."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.drawing import MAX_STILL_BYTES
     from antdsl.outputs.pictures import write_film
@@ -354,7 +354,7 @@ def _join_stills(paths: list[Path], path: Path, fps: float, pixels_per_picture: 
 
 
 def _require_film_support() -> None:
-    """End the command before drawing anything if the extra for films is missing."""
+    """End the command before anything is drawn if the extra for films is not installed."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.pictures import check_film_support
 
@@ -362,7 +362,7 @@ def _require_film_support() -> None:
 
 
 def _write_film(images: Iterator[Any], gallery: Gallery, folder: Path) -> None:
-    """Write each picture to the film as soon as it is drawn. No picture is stored."""
+    """Write each picture to the film as soon as it is drawn. No stills are stored."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.pictures import write_film
 

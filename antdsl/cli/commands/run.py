@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class BackendName(StrEnum):
-    """Backends that `--backend` accepts."""
+    """The backends that `--backend` accepts."""
 
     numpy = "numpy"
     native = "native"
@@ -41,7 +41,7 @@ class BackendName(StrEnum):
 
 
 class FaultReaction(StrEnum):
-    """Reactions to a fault of an agent."""
+    """The values of `--on-fault`: what happens when an agent has a fault."""
 
     stop = "stop"
     quarantine = "quarantine"
@@ -159,11 +159,10 @@ def run_run_command(
 
 
 def choose_threads(requested_threads: int, quiet: bool = False) -> int:
-    """Return the number of threads to use: `requested_threads`, or all usable cores for 0. If the number is reduced, a message
-    says so, unless `quiet`.
+    """Return the number of threads to use: `requested_threads`, but at most the number of usable cores; for 0, all usable cores.
 
-    The result is at most the number of usable cores. More threads would only wait for each other, and libraries print warnings
-    about it."""
+    Unless `quiet`, print a message if the number is reduced. More threads would only wait for each other, and libraries would
+    print warnings."""
     core_count = count_available_cores()
     if requested_threads > core_count and not quiet:
         print_note(
@@ -185,7 +184,7 @@ def _build_resume_command(
     summary: Path | None,
     any_memory: bool,
 ) -> str:
-    """Return the command line that continues a run. It has all arguments that affect results."""
+    """Return a command line that continues a run. It repeats all arguments that affect results."""
     import shlex
 
     words = ["antdsl", "run", str(scene)]
@@ -202,8 +201,8 @@ def _build_resume_command(
 
 @contextmanager
 def _handle_stop_in_set_up(resume_command: str) -> Iterator[None]:
-    """While the context is active, SIGTERM ends the command with the exit code of a stop. During set-up, there is no frame to
-    store."""
+    """While the context is active, let SIGTERM end the command with the exit code of a stopped run. During set-up there is no
+    frame to store."""
     import signal
 
     def raise_stop(number: int, frame: object) -> None:
@@ -240,7 +239,7 @@ def _begin_recording(
 
 
 def _record_to_end(recording: Recording, quiet: bool, resume_command: str) -> None:
-    """Run to the last frame. If Ctrl-C or SIGTERM requests a stop, finish the current frame and stop."""
+    """Run to the last frame. After Ctrl-C or SIGTERM, finish the current frame and stop."""
     import signal
 
     from antdsl.cli.printing.progress import show_progress

@@ -1,4 +1,4 @@
-"""`antdsl sweep SCENE…`: runs scenes with varied values and seeds, locally or on a cluster. It writes a table at the end."""
+"""`antdsl sweep SCENE…`: runs scenes with varied values and seeds, locally or on a cluster, and writes a table of results."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ MAX_PRINTED_LINES = 60  # maximum number of printed lines of a table
 
 
 class DesignName(StrEnum):
-    """Designs that `--design` accepts."""
+    """The sampling designs that `--design` accepts."""
 
     grid = "grid"
     latin = "latin"
@@ -295,7 +295,7 @@ def _write_tables(
 
 
 def _truncate_table(lines: str) -> str:
-    """Return as many lines of a table as are printed, and a note about the rest."""
+    """Return the first lines of a table, up to the printed maximum, and a note about the omitted ones."""
     each = lines.splitlines(keepends=True)
     omitted_count = len(each) - 1 - MAX_PRINTED_LINES
     return "".join(each[: MAX_PRINTED_LINES + 1]) + (
@@ -304,7 +304,7 @@ def _truncate_table(lines: str) -> str:
 
 
 class _RunProgress:
-    """Displays the progress of runs, with one line for each finished run. If quiet, it prints nothing."""
+    """A display of the progress of runs, with one line for each finished run. It prints nothing if the command is quiet."""
 
     def __init__(self, total: int, quiet: bool, is_maximum: bool) -> None:
         self.total, self.quiet, self.count = total, quiet, 0
@@ -315,7 +315,7 @@ class _RunProgress:
         """Display that a run has reached a frame."""
 
     def show_finished(self, outcome: JobOutcome) -> None:
-        """Display that a run has ended, successfully or not."""
+        """Display that a run has ended, whether it succeeded or failed."""
         self.count += 1
         if outcome.measures is None:
             print_note(f"failed: {outcome.job.name}: {outcome.problem}", to_stderr=True)
@@ -323,7 +323,7 @@ class _RunProgress:
             self.print_line(f"{self.count} {self.of}: {outcome.job.name}, {outcome.measures['frames']} frames")
 
     def show_note(self, sentence: str) -> None:
-        """Print a message about a deviation from the request. A message that several runs send is printed once."""
+        """Print a message that says how a run deviates from the request. A message from several runs is printed once."""
         if sentence not in self.printed_notes:
             self.printed_notes.add(sentence)
             print_note(sentence, to_stderr=True)
@@ -334,7 +334,7 @@ class _RunProgress:
 
 
 class _BarProgress(_RunProgress):
-    """Displays progress on one line that is updated in place: finished runs, and the frames of current runs."""
+    """A display of progress on one line that is updated in place. It shows finished runs, and the frames of current runs."""
 
     def __init__(self, total: int, is_maximum: bool, bar: Any) -> None:
         super().__init__(total, False, is_maximum)

@@ -1,4 +1,4 @@
-"""`antdsl test PATH…`: runs the specs of programs without a display, with all their seeds."""
+"""`antdsl test PATH…`: runs the specs of programs, each with all its seeds. No display is needed."""
 
 from __future__ import annotations
 
@@ -149,9 +149,9 @@ def run_test_command(
 
 @contextmanager
 def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
-    """Yield a function to call between frames. It raises KeyboardInterrupt if Ctrl-C was pressed.
+    """Yield a function to call between frames. It raises KeyboardInterrupt if the user has pressed Ctrl-C.
 
-    If Ctrl-C raised immediately, a library could swallow the exception. A second Ctrl-C raises immediately."""
+    If Ctrl-C raised immediately, a library could swallow the exception. A second Ctrl-C does raise immediately."""
     import signal
 
     interrupts: list[int] = []
@@ -173,7 +173,7 @@ def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
 
 
 class _TestProgress:
-    """Displays the current run and its frame on a terminal. Without a terminal, it displays nothing."""
+    """A display of the current run and its frame. Without a terminal, it shows nothing."""
 
     def __init__(self, quiet: bool, runs: int) -> None:
         import sys

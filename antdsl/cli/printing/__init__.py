@@ -1,1 +1,1 @@
-"""Everything that commands print: progress, reports, tables, pages."""
+"""Everything that commands print: progress, reports, tables and pages."""

@@ -1,5 +1,6 @@
-"""Prints a measured case as tables on a terminal. The first has set-up and the complete step, with one column per backend. The
-second has the phases."""
+"""Tables of a benchmark case for the terminal.
+
+The first table has set-up and the complete step, with one column per backend. The second table has the phases."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ from antdsl.cli.printing.messages import print_result
 
 
 def print_case_result(result: BenchCaseResult) -> None:
-    """Print a measured case."""
+    """Print the result of a benchmark case."""
     console = Console(highlight=False, soft_wrap=True)
     with console.capture() as printed:
         for line in (describe_result(result), *list_messages(result)):

@@ -1,4 +1,4 @@
-"""Formats an agent definition as lines of text for users, and as JSON for other programs."""
+"""Descriptions of agent definitions, as lines of text for users and as JSON for other programs."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def format_body(body: Definition) -> Iterator[str]:
 
 
 def _format_language_names(body: Definition) -> Iterator[str]:
-    """Yield the names of a body that are not valid words of the language, and how programs and scenes write them."""
+    """Yield lines about the names of a body that are not valid words of the language, and how programs and scenes write them."""
     names_by_kind: list[tuple[str, Iterable[str]]] = [
         ("clip", body.clips), ("layer", body.layers), ("group", body.groups), ("channel", (c.name for c in body.rig.channels)),
         *((f"mark of {clip.name}", clip.marks) for clip in body.clips.values()),
@@ -109,8 +109,8 @@ def _describe_clip(body: Definition, clip: Clip) -> list[str]:
 
 
 def _is_clip_closed(body: Definition, clip: Clip) -> bool:
-    """Return whether a clip ends in its first pose, except for the displacement of its stride. The tolerance is a thousandth of
-    the body length, and of a turn."""
+    """Return whether a clip ends in its first pose, apart from the displacement of its stride. The tolerance is 1/1000 of the
+    body length for translations, and 0.001 for the values of rotations and scales."""
     ends = ((part[0], part[-1]) for part in (clip.translation, clip.rotation, clip.scale) if len(part))
     near = [1e-3 * body.length + clip.stride, 1e-3, 1e-3]
     gaps = [np.abs(a - b).max(initial=0.0) for a, b in ends]
@@ -121,7 +121,7 @@ def _is_clip_closed(body: Definition, clip: Clip) -> bool:
 
 
 def _list_leg_joints(leg: Leg) -> dict[str, str]:
-    """Return the joints of a leg from hip to foot. The keys are those of a definition file."""
+    """Return the joints of a leg from hip to foot, by their keys in a definition file."""
     return {key: joint for key, joint in leg.to_entry().items() if key != "name"}
 
 
@@ -134,8 +134,8 @@ def _shorten_text(text: str) -> str:
 
 
 def format_body_json(body: Definition | None, report: Report) -> str:
-    """Return the description of a body as JSON. `body` is null if there is none. `findings` has the form of `antdsl check
-    --format json`."""
+    """Return the description of a body as JSON. Its value `body` is null if there is none. Its value `findings` has the form of
+    `antdsl check --format json`."""
     findings = json.loads(render(report, "json")) if choose_visible_diagnostics(report) else None
     content: dict[str, Any] = {"format_version": "1.0", "valid": report.ok, "body": None, "findings": findings}
     if body is not None:

@@ -23,7 +23,7 @@ CheckedPrograms = Sequence[tuple[Path, Program]]
 
 
 def _align_rows(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield rows as lines with aligned columns. The last column may have any width."""
+    """Yield the rows as lines with aligned columns. The last column is not padded."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]) - 1)]
     for row in rows:
         cells = [cell.ljust(width) for cell, width in zip(row, widths, strict=False)]
@@ -34,7 +34,7 @@ def _align_rows(rows: Sequence[Sequence[str]]) -> Iterator[str]:
 
 
 def format_params_table(programs: CheckedPrograms) -> Iterator[str]:
-    """Yield the params of all programs. Each param is listed only under the first file that has it."""
+    """Yield the lines of a table of all params. A param is listed only under the first file that contains it."""
     listed_spans: set[Span] = set()
     for file, program in programs:
         new = [param for param in program.params.values() if param.span not in listed_spans]
@@ -47,7 +47,7 @@ def format_params_table(programs: CheckedPrograms) -> Iterator[str]:
 
 
 def format_settings_table(programs: CheckedPrograms) -> Iterator[str]:
-    """Yield the settings of all species that have defaults which depend on the edition: their value, and its source."""
+    """Yield the lines of a table of all species settings of which the default depends on the edition, with value and source."""
     listed_spans: set[Span] = set()
     for file, program in programs:
         rows = [row for source in program.sources for row in _make_setting_rows(source, program, listed_spans)]
@@ -57,7 +57,7 @@ def format_settings_table(programs: CheckedPrograms) -> Iterator[str]:
 
 
 def _make_setting_rows(source: nodes.File, program: Program, listed_spans: set[Span]) -> Iterator[tuple[str, str, str]]:
-    """Yield the rows of the species of one file, except species with a location in `listed_spans`. Add their locations to it."""
+    """Yield the rows of one file's species. Species at a location in `listed_spans` are skipped; the others are added to it."""
     edition = source.edition_number
     for species in source.items:
         if not isinstance(species, nodes.Species) or species.span in listed_spans or species.name.text not in program.species:
@@ -72,8 +72,8 @@ def _make_setting_rows(source: nodes.File, program: Program, listed_spans: set[S
 
 
 def _make_param_row(param: Param) -> tuple[str, ...]:
-    """Return the cells of a param's row: name, default, unit, range and help. Numbers are in the author's unit. Other values are
-    as in the source."""
+    """Return the cells of a param's row: name, default, unit, range and help. Numbers are in the unit that the author used.
+    Other values are shown as in the source."""
     measure = find_unit_measure(param.unit) if param.unit else None
 
     def format_cell(value: Constant | None) -> str:
@@ -94,7 +94,8 @@ def _make_param_row(param: Param) -> tuple[str, ...]:
 
 
 def format_cost_table(programs: CheckedPrograms) -> Iterator[str]:
-    """Yield the queries of each state and the memory of an agent. A species appears below the first file that has it."""
+    """Yield the lines of a table of the queries of each state and the memory per agent. A species is listed only under the first
+    file that contains it."""
     listed_spans: set[Span] = set()
     for file, program in programs:
         new = [species for species in program.species.values() if species.span not in listed_spans]
@@ -108,14 +109,14 @@ def format_cost_table(programs: CheckedPrograms) -> Iterator[str]:
 
 
 def _make_state_rows(program: Program, species: Species) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of a species: each state, and its queries of senses, fields and random draws."""
+    """Yield a row for each state of a species, with its queries of senses, fields and random draws."""
     for part in estimate_costs(program, species):
         words = "; ".join(_list_counted_operations(part))
         yield part.name, f"{part.weight:,.0f}", f"{part.operation_count:,}", words or "-"
 
 
 def _list_counted_operations(part: StateCost) -> Iterator[str]:
-    """Yield each kind of query that a state makes, with its queries."""
+    """Yield a text for each kind of query that a state makes, with its queries."""
     for kind in ("senses", "fields", "draws"):
         words = [use.description for use in part.cost_entries if use.kind == kind]
         if words:
@@ -126,7 +127,7 @@ _ROLE_PHRASES = {"attribute": "attributes", "pair": "values per pair", "memory":
 
 
 def _describe_memory(program: Program) -> dict[str, str]:
-    """Return a description of the memory of each species, by name. Empty if the program cannot be compiled to a plan yet."""
+    """Return a text about the memory per agent of each species, by name; {} if the program cannot be compiled yet."""
     from antdsl import passes, plan
     from antdsl.plan.registers import count_bytes_by_purpose
 
@@ -146,8 +147,8 @@ def _describe_memory(program: Program) -> dict[str, str]:
 
 
 def format_import_table(files: Sequence[Path], reports: Mapping[Path, Report], choices: RunChoices) -> Iterator[str]:
-    """Yield a report for each mesh of the scenes in `files`: its contents, and how it was changed on import. Scenes with errors
-    are included."""
+    """Yield lines about each mesh of the scenes in `files`: its contents, and what the import changed. Scenes with errors are
+    included."""
     from antdsl.pipeline import read_mesh_imports
     from antdsl.scene.geometry.import_notes import format_import_report
 
@@ -168,7 +169,7 @@ def format_import_table(files: Sequence[Path], reports: Mapping[Path, Report], c
 
 
 def explain_missing_table(table_kind: str, file: Path, report: Report) -> str:
-    """Return the reason why a file has no table of the kind `table_kind`."""
+    """Return the reason why a file has no table. `table_kind`: the kind of table, for the message."""
     errors = sum(each.severity == "error" for each in report.diagnostics)
     return f"no {table_kind} for `{file}`: it has {errors} error{'' if errors == 1 else 's'} (above)"
 
@@ -177,7 +178,7 @@ def explain_missing_table(table_kind: str, file: Path, report: Report) -> str:
 
 
 def format_agent_counts(files: Sequence[Path], choices: RunChoices) -> Iterator[str]:
-    """Yield the largest possible number of agents for each scene that creates agents during the run."""
+    """Yield a line with the largest possible number of agents, for each scene that creates agents during the run."""
     from antdsl.scene.crowds.crowd_checks import count_agents
     from antdsl.scene.load import load_scene
 
@@ -192,8 +193,8 @@ def format_agent_counts(files: Sequence[Path], choices: RunChoices) -> Iterator[
 
 
 def format_work_table(file: Path, shot: Shot) -> Iterator[str]:
-    """Yield the allocations for the world and crowd of a scene, as counts and bytes. They are estimated before anything is
-    allocated."""
+    """Yield lines about the allocations for the world and crowd of a scene, in counts and bytes. They are estimated before
+    anything is allocated."""
     from antdsl.cli.memory_demand import estimate_shot_work, format_bytes
 
     works = estimate_shot_work(shot)

@@ -1,5 +1,7 @@
-"""The terminal streams. A command finishes its work whatever happens to standard output and standard error. They may be closed,
-full, broken or slow, or have an encoding that lacks a character."""
+"""The output streams of the terminal.
+
+A command finishes its work even if standard output or standard error is closed, full, broken or slow, or its encoding lacks a
+character."""
 
 from __future__ import annotations
 
@@ -20,11 +22,11 @@ _PIPE_BLOCK_BYTES = 512  # a ready pipe takes at least this number of bytes with
 
 
 class TerminalWriter(io.RawIOBase):
-    """The raw end of standard output or standard error. Writing never raises OSError.
+    """The raw stream behind standard output or standard error. Writing to it never raises OSError.
 
-    Results wait for a slow reader. Notes do not: they wait in a backlog while the work continues, until `close_streams`.
-    `loss_reason`: the reason why a part of a result could not be written; None if everything was written or nothing reads the
-    stream."""
+    Results wait for a slow reader. Notes do not: they are stored in a backlog while the work continues, until `close_streams`.
+    `loss_reason`: why a part of a result could not be written; None if everything was written, or if nothing reads the stream.
+    """
 
     def __init__(self, raw: Any) -> None:
         self.raw = raw
@@ -34,7 +36,7 @@ class TerminalWriter(io.RawIOBase):
         self.backlog = bytearray()
 
     def write(self, data: Any) -> int:
-        """Write all of the data, or record why this is impossible. In either case, return the length of the data in bytes."""
+        """Write all of the data, or record why this is impossible. In both cases, return the length of the data in bytes."""
         view = memoryview(data).cast("B")
         if self.has_no_reader:
             return len(view)
@@ -48,12 +50,12 @@ class TerminalWriter(io.RawIOBase):
         return len(view)
 
     def flush_backlog(self) -> None:
-        """Write the complete backlog, and wait for the reader if necessary."""
+        """Write everything in the backlog. Wait for the reader if necessary."""
         if self.backlog:
             self._send_backlog(len(self.backlog))
 
     def _send_backlog(self, size: int) -> None:
-        """Write the first `size` bytes of the backlog, and remove them from it."""
+        """Write the first `size` bytes of the backlog and remove them from it."""
         block = bytes(self.backlog[:size])
         del self.backlog[:size]
         self._send(memoryview(block), is_note=True)
@@ -79,7 +81,7 @@ class TerminalWriter(io.RawIOBase):
                 view = view[count:]
 
     def _can_write(self, milliseconds: int = 0) -> bool:
-        """Return whether a small write is possible without blocking."""
+        """Return whether a small write is possible without blocking. `milliseconds`: how long to wait for this."""
         import select
 
         if not hasattr(select, "poll"):
@@ -99,9 +101,10 @@ class TerminalWriter(io.RawIOBase):
 
 
 def guard_streams() -> None:
-    """Make writing to the streams of this process safe. Call this once, before any file is opened.
+    """Make it safe to write to the streams of this process. Call this once, before any file is opened.
 
-    A closed stream is opened on /dev/null. So no other file gets its number, and child processes do not inherit a closed stream.
+    A closed stream is opened on /dev/null. So no other file gets its descriptor, and child processes do not inherit a closed
+    stream.
     """
     for number in range(3):
         _open_null_stream(number)
@@ -135,7 +138,7 @@ def _open_null_stream(number: int) -> None:
 
 
 def close_streams() -> OSError | None:
-    """Flush buffered output, and wait for readers. Return the reason why a part of the result on standard output was lost, or
+    """Flush buffered output and wait for readers. Return the error by which a part of the result on standard output was lost, or
     None."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
@@ -153,8 +156,8 @@ def _find_terminal_writer(stream: TextIO) -> TerminalWriter | None:
 
 @contextmanager
 def treat_output_as_notes(stream: TextIO | None = None) -> Iterator[None]:
-    """Treat everything that is printed while the context is active as notes. Notes do not delay the work, and a lost note does
-    not change the exit code. `stream`: standard output by default."""
+    """While the context is active, treat everything that is printed to `stream` (by default standard output) as notes. Notes do
+    not delay the work, and a lost note does not change the exit code."""
     stream = sys.stdout if stream is None else stream
     terminal = _find_terminal_writer(stream)
     if terminal is None or terminal.is_note:
@@ -170,7 +173,7 @@ def treat_output_as_notes(stream: TextIO | None = None) -> Iterator[None]:
 
 
 def print_note(words: str = "", *, to_stderr: bool = False, newline: bool = True) -> None:
-    """Print a note."""
+    """Print a note: a text that is not part of the command's result."""
     stream = sys.stderr if to_stderr else sys.stdout
     with treat_output_as_notes(stream):
         stream.write(words + "\n" if newline else words)

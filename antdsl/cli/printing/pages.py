@@ -1,4 +1,4 @@
-"""Displays documentation pages, such as the page of a diagnostic's code. They are formatted on a terminal, and Markdown
+"""Display of documentation pages, such as the page of a diagnostic code. They are formatted on a terminal, and plain Markdown
 elsewhere."""
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from antdsl.resources import find_code_page
 
 
 def print_code_page(code: str) -> None:
-    """Print the documentation page of a diagnostic's code. If the pages are not installed, print its one-line meaning."""
+    """Print the documentation page of a diagnostic code. If the pages are not installed, print the code's one-line meaning."""
     path = find_code_page(code)
     print_markdown(f"# {code}\n\n{CODE_DESCRIPTIONS[code]}\n" if path is None else path.read_text(encoding="utf-8"))
 
 
 def print_markdown(text: str) -> None:
-    """Print a Markdown text."""
+    """Print Markdown text, formatted if the output is a terminal."""
     if not sys.stdout.isatty():
         print_result(text.rstrip("\n"))
         return

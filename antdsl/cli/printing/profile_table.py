@@ -1,5 +1,6 @@
-"""Prints the time of a run as tables on a terminal: phases, layers, and the most expensive lines. Numbers fit into 80 columns;
-longer text is cut at its end."""
+"""Tables of the time of a run for the terminal: phases, layers, and the most expensive lines.
+
+Numbers fit into 80 columns; longer text is cut at its end."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ _MIN_TEXT_CHARACTERS = 12  # minimum number of displayed characters of a text, e
 
 
 def print_profile(profile: StepProfile, *, show_lines: bool) -> None:
-    """Print a profile. `show_lines`: false if the backend measures only phases."""
+    """Print a profile. `show_lines`: whether to print layers and lines; false if the backend measures only phases."""
     console = Console(highlight=False, soft_wrap=True)
     with console.capture() as capture:
         _print_tables(console, profile, show_lines)
@@ -47,14 +48,14 @@ def _print_tables(console: Console, profile: StepProfile, show_lines: bool) -> N
 
 
 def _describe_backend(profile: StepProfile) -> str:
-    """Return a sentence about the backend that ran the lines, and about frames that were not counted."""
+    """Return words to append to a heading: the backend that ran the lines, and the frames that are left out."""
     if len(profile.frames_by_backend) < 2:
         return "".join(f", by {name}" for name in profile.frames_by_backend)
     return f", by machine code; left out: {profile.frames_by_backend['NumPy']:,} by NumPy before"
 
 
 def _shorten_path(file: str) -> str:
-    """Return the last two components of a file's path, because a long path would leave no space for numbers."""
+    """Return the last two components of a file's path, so that space remains for numbers."""
     return "/".join(Path(file).parts[-2:])
 
 
@@ -65,10 +66,10 @@ def _print_table(
     total: float,
     cpu_milliseconds: Mapping[str, float] | None = None,
 ) -> None:
-    """Print the rows of one kind (`row_kind`): name, details and milliseconds. Columns show milliseconds, CPU milliseconds, and
-    the percentage of `total` milliseconds.
+    """Print the rows of one kind. Each row has a name, details and milliseconds.
 
-    `cpu_milliseconds`: CPU milliseconds by the name of the row, or None."""
+    `row_kind`: the kind, for the heading. `total`: milliseconds that count as 100 %. `cpu_milliseconds`: CPU milliseconds by row
+    name, or None."""
     rows = list(rows)
     if not rows:
         return

@@ -1,5 +1,5 @@
-"""Displays the progress of a run. On a terminal, it is a bar with frames per second and states. Elsewhere, it is an occasional
-plain line."""
+"""Display of the progress of a run: on a terminal, a bar with frames per second and states; elsewhere, a plain line now and
+then."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _BAR_CHARACTER = "█"
 
 
 class ProgressDisplay:
-    """A progress display that shows nothing. The other displays are subclasses."""
+    """A progress display that shows nothing. It is the base class of the other displays."""
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
@@ -38,12 +38,12 @@ class ProgressDisplay:
         return self.written_frames / max(time.perf_counter() - self.start_seconds, 1e-6)
 
     def describe_states(self) -> str:
-        """Return the states that have agents, each with their number: `search 312 · carry 45`."""
+        """Return the states that have agents, each with the number of agents: `search 312 · carry 45`."""
         return " · ".join(f"{name.split('.', 1)[1]} {count:,}" for name, count in count_states(self.recording).items() if count)
 
 
 class LineProgress(ProgressDisplay):
-    """Displays progress as plain lines. There is always a line for the first and the last frame."""
+    """A progress display that prints plain lines, always including one for the first and one for the last frame."""
 
     def __init__(self, recording: Recording) -> None:
         super().__init__(recording)
@@ -68,7 +68,7 @@ class LineProgress(ProgressDisplay):
 
 
 class BarProgress(ProgressDisplay):
-    """Displays progress on one line that is updated in place."""
+    """A progress display on one line that is updated in place."""
 
     def __init__(self, recording: Recording, bar: Any, task: Any) -> None:
         super().__init__(recording)
@@ -92,7 +92,7 @@ class BarProgress(ProgressDisplay):
 
 @contextmanager
 def show_set_up(is_quiet: bool) -> Iterator[None]:
-    """Display the stages of a set-up. On a terminal, they are on a temporary line; elsewhere, they are occasional plain lines."""
+    """Display the stages of a set-up while the context is active: on a terminal on a temporary line, elsewhere as plain lines."""
     if is_quiet:
         yield
     elif can_draw_bar():
@@ -121,7 +121,7 @@ def _make_stage_printer() -> Callable[[str], None]:
 
 @contextmanager
 def show_progress(recording: Recording, is_quiet: bool) -> Iterator[ProgressDisplay]:
-    """Yield a progress display that suits the output stream. When the context ends, print where the cache is."""
+    """Yield a progress display that suits the output stream. When the context ends, print the folder of the cache."""
     frames, preroll = recording.shot.frames, recording.shot.scene.model.preroll
     if recording.resumed_from is not None and not is_quiet:
         print_note(f"continues after frame {recording.resumed_from}")
@@ -153,13 +153,13 @@ def can_draw_bar() -> bool:
 
 
 def _format_milliseconds(seconds_by_part: Mapping[str, float], steps: int) -> str:
-    """Return the milliseconds per step of each part, longest first. Negligible parts are left out."""
+    """Return a text with the milliseconds per step of each part, longest first. Negligible parts are left out."""
     shares = sorted(((value / max(steps, 1), name) for name, value in seconds_by_part.items()), reverse=True)
     return ", ".join(f"{name} {1000 * share:.1f}" for share, name in shares if share > 5e-5)
 
 
 def _print_summary(recording: Recording) -> None:
-    """Print the number of agents, the run time and the cache folder. With `--profile`, also print the parts."""
+    """Print the number of agents, the run time and the cache folder. With `--profile`, also print the time of each part."""
     simulated = sum(recording.seconds.get(part, 0.0) for part in ("first_step", "preroll", "step", "hand_over"))
     bind = recording.seconds.get("bind", 0.0)
     print_note(f"{len(recording.world):,} agents; set up in {bind:.1f} s, simulated in {simulated:.1f} s")

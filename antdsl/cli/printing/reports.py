@@ -1,4 +1,4 @@
-"""Prints the findings of all stages, in the requested format."""
+"""Printing of findings from all stages, in the requested format."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ _FILE_ERROR_CODES = frozenset(("cannot-read", "cannot-write", "no-such-file", "n
 
 
 def print_report(report: Report, format: str = "full", *, to_stderr: bool = False) -> None:
-    """Print the findings that no comment ignores. Machine-readable formats are printed even if there are no findings, because
-    other programs expect a document."""
+    """Print the findings, except those that a comment ignores. Machine-readable formats are printed even without findings,
+    because other programs expect a document."""
     from antdsl.diagnostics.ignore_comments import remove_ignored
     from antdsl.diagnostics.render import render
 
@@ -25,14 +25,14 @@ def print_report(report: Report, format: str = "full", *, to_stderr: bool = Fals
 
 
 def exit_on_errors(report: Report) -> None:
-    """Print the findings to standard error. If there are errors, exit with the code of `choose_exit_code`."""
+    """Print the findings to standard error. If there are errors, exit with the code from `choose_exit_code`."""
     print_report(report, to_stderr=True)
     if not report.ok:
         raise CommandError(choose_exit_code(report))
 
 
 def choose_exit_code(report: Report) -> ExitCode:
-    """Return the exit code for a report. It is INPUT_OUTPUT if a file cannot be read or written, else FINDINGS."""
+    """Return the exit code for a report: INPUT_OUTPUT if a file could not be read or written, else FINDINGS."""
     errors = [d for d in report.diagnostics if d.severity == "error"]
     if errors and all(d.span is None and d.code in _FILE_ERROR_CODES for d in errors):
         return ExitCode.INPUT_OUTPUT

@@ -1,4 +1,4 @@
-"""Code actions. If a finding suggests a replacement, the editor offers it as an edit."""
+"""Code actions: if a finding suggests a replacement text, the editor offers to apply it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NAME_PATTERN = re.compile(r"[A-Za-z_][A-Za-z_0-9.]*")
 
 @dataclass(frozen=True, slots=True)
 class QuickFix:
-    """An edit that corrects a finding. `title`: its description in the editor."""
+    """An edit that corrects a finding. `title`: the description that the editor shows."""
 
     title: str
     edit: TextEdit
@@ -36,7 +36,8 @@ def find_quick_fixes(workspace: Workspace, document: OpenDocument, start: int, e
 
 
 def find_edit(document: OpenDocument, diagnostic: Diagnostic) -> TextEdit | None:
-    """Return the edit for a finding: its fix, or the suggested name if the finding covers a single name."""
+    """Return the edit for a finding, or None if there is none. It is the fix of the finding, or replaces the marked name by the
+    suggested name if the finding marks a single name."""
     if diagnostic.fix is not None:
         span = diagnostic.fix.span
         return TextEdit(document.find_start(span), document.find_end(span), diagnostic.fix.text)

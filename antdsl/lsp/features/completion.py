@@ -1,4 +1,4 @@
-"""Completion at a position of a program: states after `->`, units after a number, arguments inside brackets."""
+"""Completion at a position in a program: for example states after `->`, units after a number, and arguments inside brackets."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from antdsl.syntax.words import EXAMPLE_LINES, FIXED_FIELD_SETTINGS, LINE_WORDS_
 
 
 def complete_program(workspace: Workspace, document: OpenDocument, offset: int) -> list[CompletionItem]:
-    """Return the proposals at an offset of a program, without duplicate labels."""
+    """Return the completion proposals at an offset of a program. No two have the same label."""
     context = find_context(document.text.text, offset)
     if context.is_in_text_or_comment:
         return []
@@ -164,12 +164,12 @@ def _propose_states(request: CompletionRequest, all_machines: bool = False) -> I
 
 
 def _propose_all_states(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose the states with which a state may be compared."""
+    """Propose the states of all machines, because a state may be compared with any of them."""
     return _propose_states(request, all_machines=True)
 
 
 def _propose_handled_events(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose the events that a handler may name."""
+    """Propose the events that may follow `on` in a handler."""
     yield CompletionItem("spawn", "keyword", "once, at birth")
     yield CompletionItem(
         "collision", "keyword", "the agent's body begins to touch another one", "", "collision(${1:other})", True
@@ -201,7 +201,7 @@ def _propose_library_names(request: CompletionRequest) -> Iterator[CompletionIte
 
 
 def _propose_amounts(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose the animal's own attributes, as amounts to take or give."""
+    """Propose the attributes of the animal, as amounts that it may take or give."""
     return propose_own_names(request, only_assignable=True)
 
 
@@ -236,13 +236,13 @@ def _make_setting_item(name: str, value: nodes.Expr, help: nodes.Text | None) ->
 
 
 def _propose_items_and_animals(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose items and animals, which are the things that may be missing."""
+    """Propose items and species: the things that a reference may fail to find."""
     yield from make_thing_proposer("items")(request)
     yield from propose_species(request)
 
 
 def _make_kind_rule(kind: str) -> Callable[[CompletionRequest], Iterator[CompletionItem]]:
-    """Return the function that proposes names for a statement, by the kind in its row."""
+    """Return the function that proposes names for a statement. `kind`: the kind of name, from the table row of the statement."""
     others = {"field": propose_fields, "event": _propose_events, "species": propose_species}
     return others.get(kind) or make_thing_proposer(*list_replacements(kind))
 
@@ -271,7 +271,7 @@ _RULE_BY_LINE_PATTERN: tuple[tuple[str, Callable[[CompletionRequest], Iterator[C
 
 
 def _propose_after_colon(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose after `name:`: a type in a declaration, a condition in a spec, a weight in `choose`."""
+    """Propose what may follow `name:`, which is a type in a declaration, a condition in a spec, or a weight in `choose`."""
     if request.context.rule in ("spec_line", "weight"):
         return propose_values(request)
     return _propose_types(request)

@@ -1,4 +1,5 @@
-"""Finds the context of a position in a program: block, call, and word of the line. It uses only the text before the position."""
+"""The context of a position in a program: enclosing blocks, open call, and current word. It depends only on the text before the
+position."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ _CALLED_NAME_PATTERN = re.compile(r"([a-z_][a-z_0-9]*(?:\.[a-z_][a-z_0-9]*)?)\s*
 
 @dataclass(frozen=True, slots=True)
 class ContextBlock:
-    """An open block: the rule for its lines, and the line that opened it."""
+    """A block that is still open at the position: the grammar rule for its lines, and the line that opened it."""
 
     rule: str
     opening_line: str
@@ -22,12 +23,13 @@ class ContextBlock:
 
 @dataclass(frozen=True, slots=True)
 class CursorContext:
-    """The context of a position, found from the text before it.
+    """The context of a position, derived from the text before it.
 
     - `blocks`: the open blocks, outermost first.
     - `line`: the statement up to the position, without closed brackets and their content.
     - `word_prefix`: the unfinished word at the end of the line; "" if there is none.
-    - `called_function`: the function with an open bracket, if there is one. `arguments`: the text after this bracket."""
+    - `called_function`: the function of which the bracket is still open, if there is one. `arguments`: the text after this
+      bracket."""
 
     blocks: tuple[ContextBlock, ...]
     line: str
@@ -42,7 +44,8 @@ class CursorContext:
         return self.blocks[-1].rule if self.blocks else "top"
 
     def find_enclosing_name(self, rule: str, word: str) -> str | None:
-        """Return the name of the enclosing block of a kind: ("top", "species") gives `forager`."""
+        """Return the name of the enclosing block that begins with `word` in a block of the rule `rule`; None if there is none.
+        For example, ("top", "species") gives `forager`."""
         outer_rule = "top"
         for block in self.blocks:
             words = _HEAD_WORD_PATTERN.findall(block.opening_line)
@@ -53,12 +56,12 @@ class CursorContext:
 
 
 def is_line_start(text: str, start: int) -> bool:
-    """Return whether the word at `start` is the first of its statement; in a state's line, `interrupt` may precede it."""
+    """Return whether the word at `start` is the first word of its statement. In a line of a state, `interrupt` may precede it."""
     return find_context(text, start).line.strip() in ("", "interrupt")
 
 
 def find_context(text: str, offset: int) -> CursorContext:
-    """Return the context of an offset. This works for any text, even if it is invalid."""
+    """Return the context of an offset. Any text is accepted, even if it is not a valid program."""
     blocks: list[ContextBlock] = []
     brackets: list[int] = []  # offsets of open round and square brackets in this statement
     begin, quiet = 0, False

@@ -1,4 +1,4 @@
-"""Proposals inside an expression: values in scope, members after a dot, arguments inside brackets."""
+"""Completion inside an expression: values in scope, members after a dot, and arguments inside brackets."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from antdsl.syntax.verbs import VERB_BY_WORD
 
 @dataclass(frozen=True, slots=True)
 class CompletionItem:
-    """One proposal. `kind`: keyword, state, unit, function, argument, variable, property, thing, type, colour, file; if
-    `is_snippet` is true, `insert_text` may contain placeholders such as `${1:name}`."""
+    """One completion proposal. `kind`: keyword, state, unit, function, argument, variable, property, thing, type, colour or
+    file. `is_snippet`: whether `insert_text` may contain placeholders such as `${1:name}`."""
 
     label: str
     kind: str
@@ -37,7 +37,7 @@ class CompletionItem:
 
 @dataclass(frozen=True, slots=True)
 class CompletionRequest:
-    """A position in a program at which proposals are requested."""
+    """A request for completion at a position in a program."""
 
     workspace: Workspace
     document: OpenDocument
@@ -46,7 +46,7 @@ class CompletionRequest:
 
     @property
     def prefix(self) -> str:
-        """Return the statement up to the beginning of the unfinished word."""
+        """Return the statement up to the start of the unfinished word."""
         return self.context.line.removesuffix(self.context.word_prefix)
 
     @property
@@ -66,7 +66,7 @@ class CompletionRequest:
 
 
 def make_thing_proposer(*kinds: str) -> Callable[[CompletionRequest], Iterator[CompletionItem]]:
-    """Return a function that proposes the things of the kinds `kinds`. If there are none, it proposes all things."""
+    """Return a function that proposes the things of the given kinds, or all things if the file has none of these kinds."""
 
     def propose_things(request: CompletionRequest) -> Iterator[CompletionItem]:
         for name, item in request.names.things.items():
@@ -89,7 +89,7 @@ def propose_species(request: CompletionRequest) -> Iterator[CompletionItem]:
 
 
 def _find_local_names(request: CompletionRequest) -> dict[str, tuple[str, ValueType | None]]:
-    """Return the local names at this position. Each has a description, and its type if known."""
+    """Return the local names that are visible at this position. Each has a description and, if known, its type."""
     behaviour = request.names.behaviours.get(request.context.find_enclosing_name("top", "behaviour") or "")
     known_names: dict[str, tuple[str, ValueType | None]] = {}
     for each in (*behaviour.arguments, *behaviour.body) if behaviour is not None else ():
@@ -114,7 +114,7 @@ def _find_local_names(request: CompletionRequest) -> dict[str, tuple[str, ValueT
 def _find_type(
     request: CompletionRequest, name: str, local_names: Mapping[str, tuple[str, ValueType | None]]
 ) -> ValueType | None:
-    """Return the type of a name from the last check. If that has none, return the type from the last check without errors."""
+    """Return the type of a name from the last check, or from the last check without errors; None if neither knows it."""
     if name in local_names:
         return local_names[name][1]
     if name == "self" and request.species:
@@ -173,7 +173,7 @@ def propose_members(request: CompletionRequest) -> Iterator[CompletionItem]:
 
 
 def propose_argument_names(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose the arguments that a call does not have yet."""
+    """Propose the arguments of the current call that have no value yet."""
     context = request.context
     if not re.search(r"(^|[,(])\s*[a-z_0-9]*$", "(" + context.arguments):
         return
@@ -219,7 +219,7 @@ def find_behaviour(request: CompletionRequest, function_name: str) -> nodes.Beha
 
 
 def _list_known_behaviours(request: CompletionRequest) -> Iterator[tuple[str, nodes.Behaviour]]:
-    """Yield the behaviours of the libraries that are used, then those of the file."""
+    """Yield the behaviours of the libraries that the file uses, then those of the file itself."""
     for path in request.names.libraries.values():
         library = request.workspace.find_document(path.resolve())
         if library is not None:
@@ -228,7 +228,7 @@ def _list_known_behaviours(request: CompletionRequest) -> Iterator[tuple[str, no
 
 
 def propose_behaviours(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose behaviours, and files that have further behaviours."""
+    """Propose behaviours, and library files that contain further behaviours."""
     for behaviour in dict(_list_known_behaviours(request)).values():
         yield _make_call_item(behaviour)
     for alias in request.names.modules:
@@ -236,7 +236,7 @@ def propose_behaviours(request: CompletionRequest) -> Iterator[CompletionItem]:
 
 
 def _make_call_item(node: nodes.Behaviour) -> CompletionItem:
-    """Return the proposal of a behaviour, with a placeholder for each required argument."""
+    """Return the proposal that inserts a call of a behaviour, with a placeholder for each required argument."""
     required = [argument for argument in node.arguments if argument.default is None]
     placeholders = ", ".join(f"${{{number}:{argument.name.text}}}" for number, argument in enumerate(required, 1))
     optional = "$0" if not required and node.arguments else ""
@@ -245,7 +245,7 @@ def _make_call_item(node: nodes.Behaviour) -> CompletionItem:
 
 
 def propose_own_names(request: CompletionRequest, only_assignable: bool = False) -> Iterator[CompletionItem]:
-    """Propose the params and attributes of the species. `only_assignable`: whether to propose only those that a statement may
+    """Propose the params and attributes of the current species. `only_assignable`: propose only those that a statement may
     set."""
     table = request.names.species.get(request.species or "")
     for name, member in (table.own_members if table is not None else {}).items():
@@ -263,7 +263,7 @@ _INSIDE_EXPRESSIONS = (
 
 
 def propose_values(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose everything that is a value or may begin one."""
+    """Propose everything that is a value or may start one."""
     for name, (description, _) in _find_local_names(request).items():
         yield CompletionItem(name, "variable", description)
     if request.context.find_enclosing_name("top", "behaviour") is None:

@@ -1,4 +1,4 @@
-"""Formats a document as `antdsl fmt` does, by edits of the lines that differ."""
+"""Formatting of a document, with the same result as `antdsl fmt`. Only lines that differ are edited."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from antdsl.source import Source
 
 
 def find_formatting_edits(document: OpenDocument) -> list[TextEdit] | None:
-    """Return the edits that format a document. The list is empty if it is already formatted. Return None if it has errors."""
+    """Return the edits that format a document; [] if it is already formatted, or None if it has errors."""
     new_text, _ = syntax.format(Source(str(document.path), document.text.text))
     if new_text is None:
         return None

@@ -1,4 +1,4 @@
-"""Inlay hints, which display the rank of each layer, and the number of frames of each duration."""
+"""Inlay hints: the rank of each layer, and the number of frames of each duration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ _DEFAULT_FPS = Fraction(24)
 
 @dataclass(frozen=True, slots=True)
 class InlayHint:
-    """A text that the editor displays next to a span. `is_before`: whether it is in front of the span instead of after it."""
+    """A text that the editor displays next to a span. `is_before`: whether it is displayed before the span instead of after
+    it."""
 
     span: Span  # the hint is displayed before the start of this span, or after its end
     is_before: bool
@@ -28,14 +29,14 @@ class InlayHint:
 
 
 def find_hints(workspace: Workspace, document: OpenDocument) -> list[InlayHint]:
-    """Return the hints of a program in text order."""
+    """Return the hints of a program, in text order."""
     fps = find_frame_rate(workspace, document)
     all_hints = [hint for item in document.parsed[0].items for hint in _find_item_hints(item, fps)]
     return sorted(all_hints, key=lambda hint: document.find_start(hint.span))
 
 
 def find_frame_rate(workspace: Workspace, document: OpenDocument) -> Fraction | None:
-    """Return the frame rate of the scenes that use a program. Return None if they differ or there is none."""
+    """Return the frame rate of the scenes that use a program. Return None if no scene uses it, or if their rates differ."""
     rates = set()
     for path in workspace.list_files():
         if path.suffix == ".ant" or document.path not in workspace.find_linked_files(path):
@@ -69,7 +70,7 @@ def _find_rank_hints(node: nodes.Layers) -> Iterator[InlayHint]:
 
 
 def _make_frame_hint(node: nodes.Quantity, fps: Fraction | None) -> InlayHint | None:
-    """Return a hint with the number of frames that a duration takes, rounded up to whole steps."""
+    """Return a hint with the number of frames that a duration takes, rounded up; None if there is nothing to show."""
     measure = find_unit_measure(node.unit)
     if measure is None or measure.dim != TIME_DIMENSION or measure.step:
         return None

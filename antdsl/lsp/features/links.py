@@ -13,14 +13,14 @@ from antdsl.syntax import nodes
 
 
 class FileLink(NamedTuple):
-    """A text that names an existing file."""
+    """A piece of text that names an existing file."""
 
     span: Span
     path: Path
 
 
 def find_links(document: OpenDocument) -> Iterator[FileLink]:
-    """Yield the links of a program or a scene to files that exist."""
+    """Yield links for the file names in a program or a scene. Names of missing files give no link."""
     for link in _list_program_links(document) if document.is_program else _list_scene_links(document):
         if link.path.is_file():
             yield link
@@ -40,7 +40,7 @@ def _list_program_links(document: OpenDocument) -> Iterator[FileLink]:
 
 
 def _list_scene_links(document: OpenDocument) -> Iterator[FileLink]:
-    """Yield the programs, meshes and other files of a scene."""
+    """Yield links to the programs, meshes and other files that a scene names."""
     for name in document.scene.occurrences:
         if name.key[0] == "file":
             yield FileLink(name.span, Path(str(name.key[1])))

@@ -61,7 +61,8 @@ class NameLocation:
 
 
 def find_declaration(workspace: Workspace, document: OpenDocument, key: NameKey) -> tuple[OpenDocument, Declaration] | None:
-    """Return the declaration of a symbol and its document; None without one. `document` has priority over other files."""
+    """Return the declaration of a symbol and the document that contains it; None if there is none. A declaration in `document`
+    has priority over those in other files."""
     if key[0] in ("behaviour", "inner", "alias"):
         paths = [Path(key[1])]
     else:
@@ -80,7 +81,7 @@ def find_declaration(workspace: Workspace, document: OpenDocument, key: NameKey)
 
 
 def _list_candidate_keys(document: OpenDocument, key: NameKey) -> Iterator[NameKey]:
-    """Yield the keys that a name without a known meaning may have in another file."""
+    """Yield the keys that a name may have in another file, if its meaning is not known here."""
     kinds = _CANDIDATE_KINDS.get(key[0])
     if kinds is None:
         yield key
@@ -91,15 +92,15 @@ def _list_candidate_keys(document: OpenDocument, key: NameKey) -> Iterator[NameK
 
 
 def find_occurrence_at(document: OpenDocument, offset: int) -> NameOccurrence | None:
-    """Return the name at an offset, or None."""
+    """Return the occurrence of a name at an offset, or None."""
     occurrences = document.find_occurrences(offset)
     return occurrences[0] if occurrences else None
 
 
 def find_definition(workspace: Workspace, document: OpenDocument, offset: int) -> list[NameLocation]:
-    """Return the location where the name at an offset is declared. This may be in this file, another file or a library.
+    """Return where the name at an offset is declared: in this file, another file or a library.
 
-    If the offset is in the path of a file, return that file."""
+    If the offset is in the path of a file, return the start of that file."""
     locations: dict[tuple[Path, int], NameLocation] = {}
     for occurrence in document.find_occurrences(offset):
         key = occurrence.key
@@ -145,7 +146,7 @@ def _make_source(document: OpenDocument) -> Source:
 def find_references(
     workspace: Workspace, document: OpenDocument, offset: int, include_declaration: bool = True
 ) -> list[NameLocation]:
-    """Return all references to the same symbol, in all related files."""
+    """Return all references to the symbol at an offset, in all related files."""
     keys = {resolve_key(workspace, document, each.key) for each in _find_occurrences_at(document, offset)}
     locations: dict[tuple[Path, int], NameLocation] = {}
     for other, occurrence in _find_all_occurrences(workspace, document, keys):
@@ -162,9 +163,9 @@ def find_references(
 
 
 def resolve_key(workspace: Workspace, document: OpenDocument, key: NameKey) -> NameKey:
-    """Return the key under which another file declares a name: an item of the base scene, or a declaration of a program.
+    """Return the key under which another file declares a name.
 
-    A key that this file declares is returned unchanged."""
+    That file is a base scene for items, or a program. A key that this file declares is returned unchanged."""
     if key[0] not in _CANDIDATE_KINDS:
         return key
     if key[0] == "?scene" and any(_find_item_locations(workspace, document, key[1])):
@@ -204,7 +205,7 @@ def _find_all_occurrences(
 
 
 def find_renamable_name(workspace: Workspace, document: OpenDocument, offset: int) -> NameOccurrence:
-    """Return the name at an offset if it can be renamed. Raises RenameRejected if there is none."""
+    """Return the name at an offset if it can be renamed. Raises RenameRejected if there is no such name."""
     occurrence = find_occurrence_at(document, offset)
     if occurrence is None:
         raise RenameRejected("no name at this position")
@@ -218,7 +219,8 @@ def find_renamable_name(workspace: Workspace, document: OpenDocument, offset: in
 
 
 def rename_symbol(workspace: Workspace, document: OpenDocument, offset: int, new_name: str) -> list[NameLocation]:
-    """Return all locations where a new name must be written. Names that `take` and `give` link are renamed together."""
+    """Return all locations at which the new name must be written. Names that `take` and `give` link with each other are renamed
+    together. Raises RenameRejected if the meaning would change."""
     first = find_renamable_name(workspace, document, offset)
     if not _NAME_PATTERN.fullmatch(new_name) or len(new_name) > limits.MAX_NAME_CHARACTERS:
         raise RenameRejected(f"`{new_name[:80]}` is not a name: write small letters, digits and `_`, beginning with a letter")
@@ -254,10 +256,10 @@ def _is_built_in(key: NameKey, new_name: str) -> bool:
 
 
 def _find_jointly_bound_keys(workspace: Workspace, document: OpenDocument, keys: set[NameKey]) -> set[NameKey]:
-    """Return `keys` and the keys of all names that must be renamed together with them.
+    """Return `keys` and the keys of all names that must be renamed together with these.
 
-    The word `load` in `take 1 load from meal` names an attribute of the animal and one of the food. If one is renamed, the other
-    must be renamed too."""
+    For example, the word `load` in `take 1 load from meal` names an attribute of the animal and one of the food. If one is
+    renamed, the other must be renamed too."""
     pairs: list[set[NameKey]] = []
     for path in workspace.find_related_files(document.path):
         other = workspace.find_document(path)
@@ -275,7 +277,7 @@ def _find_jointly_bound_keys(workspace: Workspace, document: OpenDocument, keys:
 
 
 def _reject_collision(workspace: Workspace, document: OpenDocument, key: NameKey, new_name: str) -> None:
-    """Raise RenameRejected if the new name is already in use in the same scope, or would be hidden."""
+    """Raise RenameRejected if the new name is already used in the same scope, or if another name would hide it."""
     rivals: set[NameKey] = {(*key[:-1], new_name)}
     if key[0] in ("own", "let", "machine"):
         rivals |= {("own", key[1], new_name), ("machine", key[1], new_name)}
@@ -304,7 +306,7 @@ def _reject_collision(workspace: Workspace, document: OpenDocument, key: NameKey
 
 
 def _is_scope_shared(key: NameKey, other: NameKey) -> bool:
-    """Return whether there is a position in a program at which both names are visible."""
+    """Return whether both names are visible at some common position in a program."""
     world = ("thing", "field", "species", "event")
     if key[0] in world or other[0] in world:
         return key[0] in world or key[0] in ("own", "let", "element", "inner")

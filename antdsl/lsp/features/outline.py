@@ -1,4 +1,4 @@
-"""The outline of a file for an editor: nested symbols, and the parts that can be folded."""
+"""The outline of a file in an editor: nested symbols, and ranges of lines that can be folded."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _PIECE_PATTERN = re.compile(r'"[^"\n]*"?|#[^\n]*|[{}()\[\]]')
 
 @dataclass(slots=True)
 class OutlineSymbol:
-    """`kind`: species, state, behaviour, param, attribute, value, machine, layers, field, thing, world, spec, event, key,
-    file."""
+    """A symbol of the outline. `kind`: species, state, behaviour, param, attribute, value, machine, layers, field, thing, world,
+    spec, event, key or file."""
 
     name: str
     kind: str
@@ -39,10 +39,10 @@ def list_symbols(document: OpenDocument) -> list[OutlineSymbol]:
 
 
 def find_workspace_symbols(workspace: Workspace, query: str) -> list[tuple[OpenDocument, OutlineSymbol]]:
-    """Return the symbols of all programs that match a query, and their documents. A name matches if it contains the query's
-    letters in order.
+    """Return the symbols of all programs that match a query, with their documents.
 
-    Names that begin with the query come first. An empty query returns all symbols, up to the limit."""
+    A name matches if it contains the letters of the query in the same order. Names that begin with the query come first. An
+    empty query returns all symbols, up to the limit."""
     letters = re.compile(".*?".join(map(re.escape, query.lower())))
     matches = [
         (document, symbol)
@@ -56,14 +56,14 @@ def find_workspace_symbols(workspace: Workspace, query: str) -> list[tuple[OpenD
 
 
 def _iterate_symbols(symbols: Iterable[OutlineSymbol]) -> Iterator[OutlineSymbol]:
-    """Yield symbols, each followed by those inside it."""
+    """Yield the symbols and all nested symbols, each before those inside it."""
     for symbol in symbols:
         yield symbol
         yield from _iterate_symbols(symbol.children)
 
 
 def _make_item_symbol(item: Any) -> OutlineSymbol | None:
-    """Return the symbol of a top-level item; None if it has none."""
+    """Return the symbol of a top-level item; None if the item is not in the outline."""
     if isinstance(item, nodes.World):
         inner = [OutlineSymbol(each.name.text, "thing", each.span, each.name.span, each.kind.text) for each in item.items]
         return OutlineSymbol("world", "world", item.span, Span(item.span.source, item.span.start, item.span.start + 5), "", inner)
@@ -86,7 +86,7 @@ def _make_item_symbol(item: Any) -> OutlineSymbol | None:
 
 
 def _list_member_symbols(members: Any) -> Iterator[OutlineSymbol]:
-    """Yield the symbols of a species' or machine's members."""
+    """Yield the symbols of the members of a species or machine."""
     for member in members:
         declared = find_declaring_node(member)
         if declared is not None:
@@ -112,7 +112,7 @@ def _list_member_symbols(members: Any) -> Iterator[OutlineSymbol]:
 
 
 def _list_key_symbols(node: DocumentNode) -> Iterator[OutlineSymbol]:
-    """Yield the keys of a scene's mapping, with the keys inside them."""
+    """Yield a symbol for each key of a scene's mapping, with nested keys inside it."""
     if isinstance(node, MappingNode):
         for key, value in node.entries.items():
             span = node.keys[key]
@@ -138,8 +138,8 @@ class FoldedRange:
 
 
 def find_folding_ranges(document: OpenDocument) -> list[FoldedRange]:
-    """Return the foldable ranges: brackets over several lines and runs of comments in a program, or values below keys in a
-    scene."""
+    """Return the ranges that can be folded. These are brackets over several lines and runs of comment lines in a program, or the
+    values below keys in a scene."""
     if not document.is_program:
         return _find_scene_folds(document)
     text, all_folds, stack = document.text, [], []

@@ -1,4 +1,4 @@
-"""Signatures for the call around a position, and the parameter at that position."""
+"""Signature help: the signatures of the call around a position, and the parameter at the position."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ _OPENING_BRACKETS, _CLOSING_BRACKETS = "([{", ")]}"
 
 
 class Signature(NamedTuple):
-    """A signature. `label`: its text. `parameters`: the part of the text for each parameter.
-
-    `active_parameter`: the index of the parameter at the cursor; None if the function has no such parameter."""
+    """The signature of a function, as text. `label`: the complete text. `parameters`: the part of the text for each parameter.
+    `active_parameter`: the index of the parameter at the cursor, or None."""
 
     label: str
     help: str
@@ -41,7 +40,7 @@ def find_signatures(workspace: Workspace, document: OpenDocument, offset: int) -
 
 
 def _make_signature(label: str, help: str, arguments: str) -> Signature:
-    """Return a signature. `arguments`: the text between the bracket and the cursor."""
+    """Return a signature with the active parameter. `arguments`: the text between the opening bracket and the cursor."""
     inner = label[label.index("(") + 1 : label.rindex(") ->")]
     parameters = tuple(_split_arguments(inner)) if inner else ()
     parts = _split_arguments(arguments)
@@ -56,7 +55,7 @@ def _make_signature(label: str, help: str, arguments: str) -> Signature:
 
 
 def _split_arguments(text: str) -> list[str]:
-    """Return the parts of a text between commas outside brackets."""
+    """Return the parts of a text that are separated by commas. Commas inside brackets do not separate."""
     parts, depth, begin = [], 0, 0
     for offset, character in enumerate(text):
         if character in _OPENING_BRACKETS:

@@ -1,4 +1,4 @@
-"""Runs one spec of a saved program. The code lens above a spec calls this."""
+"""The command behind the code lens above a spec: it runs this spec of a saved program."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The help that an editor displays for a name: its declaration as in the language, its type, range, default and help text."""
+"""Hover help for a name: its declaration in the language, with its type, range, default and help text."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from antdsl.syntax import nodes
 
 
 def describe_symbol(workspace: Workspace, document: OpenDocument, key: NameKey) -> str | None:
-    """Return the help for a symbol as Markdown; None if nothing is known."""
+    """Return the help for a symbol as Markdown; None if there is none."""
     if key[0] in HELP_RULES:
         return HELP_RULES[key[0]](key)
     if key[0] not in _DESCRIPTION_RULES:
@@ -49,7 +49,7 @@ def _find_checked_type(program: Program | None, key: NameKey) -> ValueType | Non
 
 
 def _format_kind_line(type: ValueType | None, *details: str) -> str:
-    """Return a type with its unit, then further details, on one line."""
+    """Return one line with a type, its unit, and further details."""
     if type is None or type.kind is TypeKind.BAD:
         return "; ".join(details)
     unit = choose_default_unit(type.dimension) if type.kind in (TypeKind.NUMBER, TypeKind.VECTOR) else ""
@@ -134,7 +134,7 @@ def _describe_state(symbol: SymbolDeclaration, node: nodes.State) -> str:
 
 
 def _is_resting_state(symbol: SymbolDeclaration, state: nodes.State) -> bool:
-    """Return whether a state does not steer although another state of its machine does."""
+    """Return whether a state does not steer, although another state of its machine does."""
     key = symbol.key
     target = find_declaration(symbol.workspace, symbol.document, ("species", key[1]))
     members = target[1].node.members if target is not None else ()

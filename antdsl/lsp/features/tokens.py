@@ -1,4 +1,4 @@
-"""Semantic tokens: each word of a program with its meaning, for editors that colour by meaning."""
+"""Semantic tokens: the words of a program with their meanings, for editors that colour words by meaning."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _PIECE_PATTERN = re.compile(
 
 @lru_cache(maxsize=1)
 def list_keywords() -> frozenset[str]:
-    """Return the words that are part of the grammar."""
+    """Return all words that are keywords of the grammar."""
     text = grammar_file("antdsl.lark").read_text(encoding="utf-8")
     return frozenset(re.findall(r"^_?[A-Z]+\.1: /([a-z]+)\(", text, re.MULTILINE))
 
 
 def encode_tokens(document: OpenDocument, first_line: int = 0, last_line: int | None = None) -> list[int]:
-    """Return the tokens of some lines in the protocol's form. Each has five numbers; positions are relative to the previous
-    token."""
+    """Return the tokens of the lines from `first_line` to `last_line`, encoded as the protocol requires. Each token is five
+    numbers. Its position is relative to the previous token."""
     text, words = document.text, list_keywords()
     begin = text.line_starts[min(first_line, len(text.line_starts) - 1)]
     end = len(text.text) if last_line is None or last_line + 1 >= len(text.line_starts) else text.line_starts[last_line + 1]

@@ -45,7 +45,7 @@ def run_docs_command(
 
 
 def _choose_cached_site() -> Path:
-    """Return the folder of this user's copy of the site. Its name depends on the content of the installed pages."""
+    """Return the folder of this user's copy of the site. The folder's name contains a hash of the installed pages."""
     root = documentation_folder()
     digest = blake2b(__version__.encode(), digest_size=8)
     for path in sorted([root / "docs" / "conf.py", *root.glob("docs/**/*.md"), *root.glob("*.md"), *root.glob("grammar/*.md")]):
@@ -66,7 +66,7 @@ def _require_sphinx() -> None:
 
 
 def _build_site(site: Path) -> None:
-    """Build the site, and move it to its folder once it is complete."""
+    """Build the site in a temporary folder, and move it to `site` once it is complete."""
     import socket
     from io import StringIO
 
