@@ -1,4 +1,4 @@
-"""Measures what `docs/benchmarks.md` tells and puts the tables into it, a row for each backend that there is.
+"""Measures what `docs/benchmarks.md` and the pages below it report, and writes their tables, with a row for each backend.
 
 `python tests/benchmarks/page.py` measures all, which takes a quarter of an hour and 6 GiB; with names of cases, those only, and
 the others stay as they were measured before (`page.json`). `--agents N` with them takes one size. `--peers FILE` takes what
@@ -34,7 +34,8 @@ from antdsl.bench.tables import (
 )
 from antdsl.runtime.backends import BACKENDS
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "benchmarks.md"
+_DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGES = tuple(_DOCS / f"{name}.md" for name in ("benchmarks", "benchmarks_tables", "benchmarks_compared"))
 RESULTS_FILE = Path(__file__).with_suffix(".json")
 SLOWEST = "reference"  # measured where few agents make few steps
 BESIDE_SLOWEST = {("foraging", 125), ("node", 500)}
@@ -195,14 +196,16 @@ def machines(measurements: Measurements) -> str:
 
 
 def put(text: str, name: str, table: str) -> str:
-    """The text with a table between the marks of its name. Raises ValueError where the page has none."""
+    """The text with a table between the marks of its name; the same text if it has no such marks."""
     first, last = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
+    if first not in text:
+        return text
     start, end = text.index(first) + len(first), text.index(last)
     return text[:start] + "\n" + table + "\n" + text[end:]
 
 
 def write(measurements: Measurements) -> None:
-    """Put all tables into the page."""
+    """Put each table into the page that has its marks. Raises ValueError if not exactly one page has them."""
     measured_cases = {name: each for name, each in measurements.items() if name != "peers"}
     all_results = results(measured_cases)
     operations = {}
@@ -210,7 +213,7 @@ def write(measurements: Measurements) -> None:
         if each["operations"] is not None:
             first = result_of(each).alone[0]
             operations[first.job.case, first.agents] = each["operations"]
-    text = PAGE.read_text(encoding="utf-8")
+    texts = {page: page.read_text(encoding="utf-8") for page in PAGES}
     tables = {
         "machine": machines(measurements),
         "runs": runs_table(all_results),
@@ -224,8 +227,11 @@ def write(measurements: Measurements) -> None:
     if "peers" in measurements:
         tables["peers"] = markdown_table(peers.COLUMNS, measurements["peers"]["rows"])
     for name, table in tables.items():
-        text = put(text, name, table)
-    PAGE.write_text(text, encoding="utf-8")
+        if sum(f"<!-- {name} -->\n" in text for text in texts.values()) != 1:
+            raise ValueError(f"not exactly one page has the marks of the table {name!r}")
+        texts = {page: put(text, name, table) for page, text in texts.items()}
+    for page, text in texts.items():
+        page.write_text(text, encoding="utf-8")
 
 
 def main() -> None:

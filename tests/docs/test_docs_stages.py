@@ -1,4 +1,4 @@
-"""The tables of stages from a phase to the processor name files and functions that exist, and so does the rest of the page."""
+"""The tables of stages from a phase to the processor name files and functions that exist, and so do the pages about the code."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "implementation.md"
+PAGES = [ROOT / "docs" / f"implementation{part}.md" for part in ("", "_blocks", "_kernels", "_motion")]
+TEXT = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
 HEADERS = ("| stage | a contact | a foot | a ray |", "| stage | files and functions |")
 
 
 def stages() -> list[list[str]]:
     """The cells of the tables, without headers."""
-    lines, rows = PAGE.read_text(encoding="utf-8").splitlines(), []
+    lines, rows = TEXT.splitlines(), []
     for header in HEADERS:
         begin = lines.index(header) + 2
         end = next(k for k in range(begin, len(lines)) if not lines[k].startswith("|"))
@@ -57,9 +58,9 @@ def test_the_stages_name_what_is_in_the_code() -> None:
     assert checked > 25
 
 
-def test_the_page_names_files_that_exist() -> None:
+def test_the_pages_name_files_that_exist() -> None:
     folders = [ROOT / name for name in ("antdsl", ".ci", "tests")]
     files = {path.as_posix() for folder in folders for path in folder.rglob("*")}
-    words = re.findall(r"`([\w/.-]+\.(?:py|ll|ts|js))`", PAGE.read_text(encoding="utf-8"))
+    words = re.findall(r"`([\w/.-]+\.(?:py|ll|ts|js))`", TEXT)
     assert len(words) > 100
     assert not [word for word in words if not any(file.endswith(f"/{word}") for file in files)]
