@@ -1,4 +1,4 @@
-"""Passes: each turns a plan into an equivalent plan with less work. They run in the order of PASSES."""
+"""Passes over plans. Each pass returns an equivalent plan that needs less work. They run in the order of PASSES."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ PASSES: tuple[Callable[[Plan], Plan], ...] = (
 
 
 def optimise_plan(plan: Plan, *, thorough: bool = True) -> Plan:
-    """Run all passes on a newly lowered plan. The plan is verified before the first pass and after each pass. If `thorough` is
-    false, it is verified only after the last pass, which is faster."""
+    """Return the plan after all passes. `plan`: a newly lowered plan. The plan is verified before the first pass and after each
+    pass or, if `thorough` is false, only after the last pass, which is faster."""
     if thorough:
         verify_plan(plan)
     for run in PASSES:

@@ -1,4 +1,4 @@
-"""Removes stores to temporary registers that no part of the plan reads, and these registers."""
+"""Removes temporary registers that no part of the plan reads, and the stores to them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ RESULT_TEMPS = frozenset(f"{name}.{axis}" for name in ("push", "~face") for axis
 
 
 def drop_unused_stores(plan: Plan) -> Plan:
-    """Return an equivalent plan without temporary registers that are never read. Attributes and memories are part of the state,
-    so they remain.
+    """Return an equivalent plan without temporary registers that are never read. Attributes and memories remain, because they
+    are part of the agent's state.
 
     Nodes that only these stores used are removed by the next pass that rebuilds nodes."""
     return replace(plan, species={name: _drop_unused_in_species(s) for name, s in plan.species.items()})

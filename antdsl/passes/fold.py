@@ -1,4 +1,4 @@
-"""Removes regions with a constant condition: a false region is dropped, a true one is replaced by its statements."""
+"""Folds regions with a constant condition: a false region is removed, and a true one is replaced by its statements."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from antdsl.plan.simplify import get_constant_value
 
 
 def fold_regions(plan: Plan) -> Plan:
-    """Return an equivalent plan. Regions with a false condition are removed. Regions with a true condition are replaced by their
-    statements.
+    """Return an equivalent plan without regions that have a constant condition. A false region is removed, and a true one is
+    replaced by its statements.
 
-    This pass computes no constants, because the PlanBuilder has already computed them."""
+    This pass does not fold constants in expressions, because the PlanBuilder has already done so."""
     return replace_blocks(plan, lambda species, block: _fold_block(species, block))
 
 

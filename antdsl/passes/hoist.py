@@ -1,10 +1,10 @@
-"""Moves factors that are equal for all pairs of an agent out of the computation per pair. Computes factors common to x, y and z
-once.
+"""Moves factors that are equal for all pairs of an agent out of the computation per pair. Factors common to x, y and z are also
+computed once.
 
 A product within a set becomes component * (scalars of the pair * (factors of the agent)). The inner bracket is computed once per
 agent. The outer bracket is computed once per pair instead of once per component. Division by an agent's value is treated as a
-factor. A sign moves to the outside, even out of a sum. The last bit of a result may change. Every backend runs the resulting
-plan, so all backends still give equal results."""
+factor. A sign moves to the outside, even out of a sum. The last bit of a result may change. All backends run the same plan after
+this pass, so their results remain equal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PAIR_OPERATIONS = frozenset(("pair.x", "pair.y", "pair.z", "other"))
 
 
 def hoist_factors(plan: Plan, tracked_nodes: dict[PlanNode, PlanNode] | None = None) -> Plan:
-    """Return the plan with products and quotients per pair reordered, so that factors of the agent are computed once per agent.
+    """Return the plan with products and quotients per pair reordered, so that the agent's factors are multiplied once per agent.
 
     `tracked_nodes`: see `rebuild_plan`."""
     return rebuild_plan(plan, _reorder_product, tracked_nodes)
@@ -38,7 +38,7 @@ def _reorder_product(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs:
 
 
 def _build_product(b: PlanBuilder, args: tuple[PlanNode, ...]) -> PlanNode:
-    """Return the product of the operands' factors in the order component * (pair scalars * (agent factors))."""
+    """Return the product of all factors of the operands, in the order component * (pair scalars * (agent factors))."""
     factors, negative = _collect_factors(args)
     agent = [n for n in factors if not _is_computed_per_pair(n)]
     pair = [n for n in factors if _is_computed_per_pair(n)]
@@ -50,7 +50,7 @@ def _build_product(b: PlanBuilder, args: tuple[PlanNode, ...]) -> PlanNode:
 
 
 def _collect_factors(args: tuple[PlanNode, ...]) -> tuple[list[PlanNode], bool]:
-    """Return the factors of the operands, from left to right. Also return whether the number of negations among them is odd."""
+    """Return the factors of the operands, from left to right, and whether the number of negations among them is odd."""
     factors: list[PlanNode] = []
     negative = False
     stack = list(reversed(args))

@@ -1,4 +1,4 @@
-"""Finds the senses that several regions use, so that each result is computed once per step and stored until its end."""
+"""Finds the senses that several regions use, so that each is computed once per step and stored until the step ends."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from antdsl.plan.traverse import find_shared_senses
 
 
 def memoise_senses(plan: Plan) -> Plan:
-    """Return the plan with updated `memoised_senses` for each species. Other passes change which regions use a sense."""
+    """Return the plan with `memoised_senses` recomputed for each species, since other passes change which regions use a sense."""
     return replace(
         plan,
         species={n: replace(s, memoised_senses=find_shared_senses(s.decide, s.act, s.blend)) for n, s in plan.species.items()},

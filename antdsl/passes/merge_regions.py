@@ -1,4 +1,4 @@
-"""Merges two successive regions with the same condition, so that the agents for which it holds are collected only once."""
+"""Merges consecutive regions with the same condition, so that the agents that fulfil it are collected only once."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from antdsl.plan.verify import find_written_registers
 
 
 def merge_regions(plan: Plan) -> Plan:
-    """Return an equivalent plan with merged regions. Two regions are not merged if the first writes a register that the
-    condition reads."""
+    """Return an equivalent plan in which consecutive regions with the same condition are merged. They stay separate if the first
+    region writes a register that the condition reads."""
     return replace_blocks(plan, lambda species, block: _merge_in_block(species, block))
 
 
@@ -30,6 +30,6 @@ def _merge_in_block(species: SpeciesPlan, block: Block) -> Block:
 
 
 def _has_condition_store(block: Block, condition: PlanNode) -> bool:
-    """Return whether the statements write a register that the condition loads."""
+    """Return whether the statements of a block write a register that the condition loads."""
     loaded = find_registers_read(node for node in collect_required_nodes([condition]) if node.op == "load")
     return any(name in loaded for _, statement in iterate_statements(block) for name in find_written_registers(statement))

@@ -1,4 +1,5 @@
-"""Builds a plan again. A new PlanBuilder makes every node, folds constants and shares equal nodes. Every statement is copied."""
+"""Rebuilds a plan: a new PlanBuilder makes every node again, folds constants and shares equal nodes. Every statement is
+copied."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ NodeMaker = Callable[[PlanBuilder, str, tuple[PlanNode, ...], tuple[Any, ...]], 
 
 
 def replace_blocks(plan: Plan, change_block: Callable[[SpeciesPlan, Block], Block]) -> Plan:
-    """Return the plan with `change_block` applied to each phase of each species."""
+    """Return the plan with `change_block` applied to the block of each phase of each species."""
     species = {
         name: replace(s, **{phase: change_block(s, getattr(s, phase)) for phase in PHASES})  # type: ignore[arg-type]
         for name, s in plan.species.items()
@@ -36,10 +37,10 @@ def replace_blocks(plan: Plan, change_block: Callable[[SpeciesPlan, Block], Bloc
 
 
 def rebuild_plan(plan: Plan, make_node: NodeMaker | None = None, tracked_nodes: dict[PlanNode, PlanNode] | None = None) -> Plan:
-    """Return an equivalent plan that has only the needed nodes. They are simplified, shared and numbered without gaps.
+    """Return an equivalent plan that has only the needed nodes. They are simplified, shared, and numbered without gaps.
 
-    - `make_node`: returns another node for an operation, or None for no change. The operands are already rebuilt.
-    - `tracked_nodes`: nodes of the plan, or outside it, that must not be removed. On return, each is mapped to its new node."""
+    - `make_node`: returns a replacement for an operation, or None to leave it unchanged. Its operands are already rebuilt.
+    - `tracked_nodes`: nodes that must not be removed; they may be outside the plan. On return, each is mapped to its new node."""
     builder = PlanBuilder()
     new: dict[PlanNode, PlanNode] = {}
     beside = {} if tracked_nodes is None else tracked_nodes
@@ -54,7 +55,7 @@ def rebuild_plan(plan: Plan, make_node: NodeMaker | None = None, tracked_nodes: 
 
 
 def _renumber_nodes(plan: Plan, tracked_nodes: dict[PlanNode, PlanNode]) -> Plan:
-    """Return the plan without the unused nodes that remain after folding. A new PlanBuilder made all nodes, so no two nodes are
+    """Return the plan without nodes that became unused by folding. A new PlanBuilder made all nodes, so no two nodes are
     equal."""
     new: dict[PlanNode, PlanNode] = {}
     for number, node in enumerate(collect_required_nodes([*list_root_nodes(plan), *tracked_nodes.values()])):

@@ -1,5 +1,5 @@
-"""Splits conditions into a cheap and an expensive part. The expensive part is evaluated only for agents for which the cheap part
-holds."""
+"""Splits conditions into a cheap and an expensive part, so that the expensive part runs only for agents that fulfil the cheap
+part."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from antdsl.plan.traverse import collect_required_nodes
 
 
 def split_conditions(plan: Plan) -> Plan:
-    """Replace each `where cheap and expensive:` by two nested regions. Return the new plan. Only the inner region's conditions
-    need a sense."""
+    """Return the plan with each `where cheap and expensive:` replaced by two nested regions. Only the inner region's condition
+    needs a sense."""
     return replace_blocks(plan, lambda species, block: _split_in_block(species, block))
 
 
@@ -36,7 +36,7 @@ def _split_statement(species: SpeciesPlan, statement: PlanStatement) -> PlanStat
 
 
 def _split_conjunction(condition: PlanNode) -> list[PlanNode]:
-    """Return the parts of a condition that `and` joins, in order."""
+    """Return the operands of a condition's `and` operators, in order."""
     conditions: list[PlanNode] = []
     stack = [condition]
     while stack:

@@ -1,4 +1,4 @@
-"""Builds plan nodes. It checks operands against the table of operations, folds constants, and returns the same object for equal
+"""Builds plan nodes: checks the operands against the table of operations, folds constants, and returns the same object for equal
 operations."""
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _REGISTER_OPERATIONS = frozenset(("snap", "load", "other", "agent.get", "item.ge
 
 
 class PlanError(AssertionError):
-    """Error for a plan that breaks the rules of plans. The cause is a bug in antdsl, not the author's program."""
+    """Error for a plan that breaks the rules of plans. The cause is a bug in antdsl, not a mistake in the author's program."""
 
 
 def find_operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> str | None:
@@ -54,7 +54,7 @@ def _find_operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any,
 
 
 def infer_result_kind(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...], kind: ValueKind | None) -> ValueKind:
-    """Return the kind of an operation's result. For an operation that reads a register, this is `kind`."""
+    """Return the kind of an operation's result. `kind`: the kind of the register, for an operation that reads a register."""
     if op in _REGISTER_OPERATIONS:
         return kind or ValueKind.F32
     if op == "where":
@@ -66,9 +66,9 @@ def infer_result_kind(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...
 
 
 def infer_result_rate(op: str, args: tuple[PlanNode, ...]) -> UpdateRate:
-    """Return the rate of the result of an operation: the highest rate of the operation and its operands.
+    """Return the update rate of an operation's result: the highest of the operation's own rate and the rates of its operands.
 
-    A reduction over a set has the rate AGENT."""
+    A reduction over a set has the rate AGENT, whatever the rates of its operands."""
     if op.startswith("reduce."):
         return UpdateRate.AGENT
     rate = OPERATION_BY_NAME[op].rate
@@ -79,7 +79,8 @@ def infer_result_rate(op: str, args: tuple[PlanNode, ...]) -> UpdateRate:
 
 
 class PlanBuilder:
-    """Builds the list of all nodes of a plan, without duplicates. `span`: the source location for the next nodes."""
+    """Builder of the nodes of a plan, which stores each distinct node once. `span`: the source location that new nodes
+    receive."""
 
     def __init__(self) -> None:
         self.nodes: list[PlanNode] = []
@@ -89,7 +90,7 @@ class PlanBuilder:
         self.false = self("const.bool", attrs=(False,))
 
     def __call__(self, op: str, *args: PlanNode, attrs: tuple[Any, ...] = (), kind: ValueKind | None = None) -> PlanNode:
-        """Return the node of an operation, simplified if the operands allow it."""
+        """Return the node of an operation, or a simpler node with the same value if there is one."""
         wrong = find_operand_problem(op, args, attrs)
         if wrong:
             raise PlanError(wrong)
@@ -99,7 +100,7 @@ class PlanBuilder:
     def find_or_add(
         self, op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...], kind: ValueKind, span: Span | None = None
     ) -> PlanNode:
-        """Return the node of an operation with these operands and attributes. It is added only if there is no equal node."""
+        """Return the node of an operation with these operands and attributes. If no equal node exists, a new one is added."""
         key = (op, tuple([a.number for a in args]), repr(attrs) if attrs else "", kind)
         node = self._interned_nodes.get(key)
         if node is None:
@@ -117,11 +118,11 @@ class PlanBuilder:
         return self.true if x else self.false
 
     def add_row(self, index: int) -> PlanNode:
-        """Return the node of an I32 constant, which is a state index or an item row."""
+        """Return the node of an I32 constant: the index of a state or the row of an item."""
         return self("const.i32", attrs=(int(index),))
 
     def add_agent_id(self, x: int) -> PlanNode:
-        """Return the node of an I64 constant, which is the id of an agent."""
+        """Return the node of an I64 constant: the id of an agent."""
         return self("const.i64", attrs=(int(x),))
 
     def add_constant(self, kind: ValueKind, value: float | int | bool = 0) -> PlanNode:

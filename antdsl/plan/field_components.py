@@ -1,8 +1,8 @@
-"""The names of the scalar fields that store the components of a field of vectors."""
+"""The names of the three scalar fields that store a vector field."""
 
 from __future__ import annotations
 
 
 def name_field_components(name: str) -> tuple[str, str, str]:
-    """Return the names of the three scalar fields that store the components x, y and z of a field of vectors."""
+    """Return the names of the three scalar fields that store the x, y and z components of the vector field `name`."""
     return f"{name}.x", f"{name}.y", f"{name}.z"

@@ -1,8 +1,8 @@
-"""The plan, the intermediate form of a program: scalar nodes with operations of a closed table, statements and registers.
+"""The plan, the intermediate form of a program: statements, registers, and scalar nodes with operations from a closed table.
 
-A `PlanNode` is pure and interned by its builder: the same operation of the same operands is one object. A vector is three nodes.
-A statement acts on the agents of its region: all agents of the species for which each enclosing `If` holds. Base units: mm, s, g,
-rad. Positions are float32, relative to the origin of the scene."""
+A `PlanNode` is pure and interned by its builder: nodes with the same operation and operands are one object. A vector is three
+nodes. A statement acts on the agents of its region: the agents of the species that fulfil all enclosing `If` conditions. Base
+units: mm, s, g, rad. Positions are float32, relative to the origin of the scene."""
 
 # One line per row and one letter per kind keep the table readable.
 
@@ -44,7 +44,7 @@ class UpdateRate(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanNode:
-    """One operation on other nodes. `attrs`: names and constants that are no nodes, as its row in OPERATION_BY_NAME defines."""
+    """An operation on other nodes. `attrs`: names and constants (not nodes), as OPERATION_BY_NAME lists them."""
 
     op: str
     args: tuple[PlanNode, ...]
@@ -61,8 +61,8 @@ class PlanNode:
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """Row of the table of operations. `args`: the kinds of the operands, one letter each: f F32, b BOOL, i I32, l I64, t TUPLE,
-    s SET, x any scalar, * repeats the last one. `kind`: the kind of the result. `rate`: the lowest rate of the result."""
+    """A row of the table of operations. `args`: one letter for the kind of each operand (f F32, b BOOL, i I32, l I64, t TUPLE, s
+    SET, x any scalar); * repeats the last letter. `kind`: the kind of the result. `rate`: the lowest rate of the result."""
 
     args: str
     attrs: tuple[str, ...]
@@ -190,7 +190,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class If:
-    """A region. Its statements apply to the agents for which the condition holds. A NaN condition does not hold."""
+    """A region: statements for the agents that fulfil `condition`. NaN does not fulfil it."""
 
     condition: PlanNode
     body: Block
@@ -199,7 +199,7 @@ class If:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Store:
-    """Assignment of a value to a register. A value that is not finite is a fault. If `allows_infinity` is true, +inf is allowed
+    """Assignment of a value to a register. NaN and infinite values are faults. If `allows_infinity` is true, +inf is allowed
     (decision 24 of the language reference)."""
 
     register: str
@@ -210,11 +210,11 @@ class Store:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Claim:
-    """Claim of an amount from an attribute of an item or, if `item` is None, from the agent's cell of the field `target`.
+    """Claim of an amount from an item's attribute or, if `item` is None, from the cell of the field `target` at the agent.
 
     `amount`: None claims all that remains. After `decide`, claims are granted in random order (ties by id) as long as enough
-    remains. `won_register`: the BOOL register that is set for agents with a granted claim. `register`: the register of the agent
-    to which the amount is added; None: no register."""
+    remains. `won_register`: the BOOL register that is set for agents with a granted claim. `register`: the agent's register to
+    which the amount is added; None: the amount is not stored."""
 
     target: str
     attribute: str
@@ -229,7 +229,7 @@ class Claim:
 @dataclass(frozen=True, slots=True, eq=False)
 class Give:
     """Transfer of an amount from the agent's register `register` to an item's attribute, which receives it in the next step.
-    `amount`: None gives all. The amount is capped at the value of `register`."""
+    `amount`: None transfers all; larger amounts are capped at the register's value."""
 
     items: str
     attribute: str
@@ -241,11 +241,11 @@ class Give:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Request:
-    """A request to the world.
+    """A request for a change in the world, such as a deposit.
 
-    `op`: a row of `program.tables.effects`. `target`: the name of its target. `args`: the row's operands (None: absent).
-    `register`: the agent's register to which the result is added after the step's blocks. `target_species`: the species
-    of the agent that receives it; its id is an I64 operand."""
+    `op`: the name of a row in `program.tables.effects`. `target`: the thing that changes. `args`: the operands in the order of
+    that row; None: absent. `register`: the agent's register to which the result is added, after all blocks of the step.
+    `target_species`: the species of the agent that receives the request; its id is an I64 operand."""
 
     op: str
     target: str
@@ -262,9 +262,9 @@ PlanStatement = If | Store | Claim | Give | Request
 @dataclass(frozen=True, slots=True, eq=False)
 class Register:
     """A named value of each agent. `role`: attribute, memory (keep, latch, held, state of machines), temp, or pair (a slot of a
-    pair value). A temp lasts one step and starts at `initial_value`. The others are stored from step to step and hashed.
-    `language_type`: the type in the language; () if it has none. A reload retains the value only if the edited program declares
-    the name with the same type."""
+    pair value). A temp lasts one step and starts at `initial_value`. Registers with other roles persist between steps and are
+    hashed. `language_type`: the type in the language; () if it has none. A reload retains the value only if the edited
+    program declares the same name with the same type."""
 
     name: str
     kind: ValueKind
@@ -275,14 +275,14 @@ class Register:
 
 
 def format_birth_register_name(attribute: str) -> str:
-    """Return the name of the temp that has the scene's value of an attribute at birth; infinite if the scene sets none."""
+    """Return the name of the temp with the value that the scene sets for an attribute at birth. It is infinite if none is set."""
     return f"~born.{attribute}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MachinePlan:
-    """A machine, with registers `NAME.state`, `.previous`, `.next` (I32) and `.time_in_state` (F32, seconds). `state_labels`,
-    `colours`: display names and colours (RGB from 0 to 1) of the states. `start`: the index of the start state."""
+    """A machine. Its registers are NAME.state, NAME.previous, NAME.next (I32) and NAME.time_in_state (F32, seconds).
+    `state_labels`, `colours`: the display name and colour (RGB, 0 to 1) of each state. `start`: the index of the start state."""
 
     name: str
     states: tuple[str, ...]
@@ -293,7 +293,7 @@ class MachinePlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LayerPlan:
-    """A layer of a species. `text`: the line in the source."""
+    """A layer of a species. `text`: its line in the source."""
 
     text: str
     span: Span
@@ -301,9 +301,9 @@ class LayerPlan:
 
 @dataclass(frozen=True, slots=True)
 class ClipPlan:
-    """A clip of the body. `on`: the transform group that it moves; "" for all joints. `is_additive`: whether its differences from
-    the rest pose are added to the other clips. `left_turn_clip`, `right_turn_clip`, `climbing_clip`, `descending_clip`: the clips
-    that replace it as an agent turns, climbs or descends; "" if absent."""
+    """A clip of the body. `on`: the transform group that it moves; "" for all joints. `is_additive`: whether its differences
+    from the rest pose are added to the other clips. `left_turn_clip`, `right_turn_clip`, `climbing_clip`, `descending_clip`:
+    the clips that replace it while the agent turns, climbs or descends; "" if absent."""
 
     name: str
     on: str = ""
@@ -320,13 +320,13 @@ class ClipPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeciesPlan:
-    """The plan of one species. `born` fills the registers at birth and runs `on spawn`; position and velocity are already set.
+    """The plan of one species. `born` fills the registers at birth and runs `on spawn`; position and velocity are set before it.
     Each step runs `decide`, `act` and `blend` in this order. Claims are resolved between `decide` and `act`.
-    A vector is three registers NAME.x NAME.y NAME.z. Every species has the registers position velocity heading up (vectors), push
-    (vector, temp), size mass radius clearance max_speed max_force max_turn response group. An infinite max_turn is no limit.
-    If `response` is 0 or `kinematic`, the push changes the velocity at once. All species have `moved` if the program reads how
-    far contacts pushed an agent. A species with a minimum speed has min_speed. One with `face` lines has ~face (vector, temp),
-    which is zero for agents that face their direction of motion."""
+    A vector is three registers: NAME.x, NAME.y and NAME.z. Every species has these registers: position, velocity, heading and up
+    (vectors), push (vector, temp), size, mass, radius, clearance, max_speed, max_force, max_turn, response and group. An
+    infinite max_turn means no limit. If `response` is 0 or `kinematic`, the push changes the velocity at once. All species have
+    `moved` if the program reads how far contacts pushed an agent. A species with a minimum speed has min_speed. A species with
+    `face` lines has ~face (vector, temp), which is zero for agents that face their direction of motion."""
 
     name: str
     registers: dict[str, Register]
@@ -350,8 +350,8 @@ class SpeciesPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldPlan:
-    """The plan of a field. Its nodes have the rate RUN. `cell`: mm. `retained_share`: factor per step. `deposits`: "first" if
-    deposits are added before diffusion and evaporation, "last" if after. `stencil`: the cells to which one diffuses, 4 or 8."""
+    """The plan of a field. Its nodes have the rate RUN. `cell`: mm. `retained_share`: factor per step. `deposits`: "first" or
+    "last": before or after diffusion and evaporation. `stencil`: how many neighbours a cell diffuses to, 4 or 8."""
 
     name: str
     surfaces: tuple[str, ...]
@@ -380,7 +380,7 @@ class ParamPlan:
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Plan:
-    """The plan of a complete program: its declarations by name, and all nodes, in which operands precede operations."""
+    """The plan of a complete program: declarations by name, and all nodes. Operands precede the operations that use them."""
 
     species: dict[str, SpeciesPlan]
     fields: dict[str, FieldPlan]
@@ -391,7 +391,7 @@ class Plan:
     period: tuple[float, float, float] | None = None  # widths (mm) of its periodic world, 0 along axes that do not wrap
 
     def list_things_of_kind(self, *kinds: str) -> tuple[str, ...]:
-        """Return the names of all things that have one of the kinds `kinds`."""
+        """Return the names of all things of one of the kinds `kinds`."""
         return tuple(name for kind in kinds for name in self.thing_names_by_kind.get(kind, ()))
 
     @property

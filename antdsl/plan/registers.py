@@ -1,8 +1,8 @@
-"""Registers of agents: the registers of pair values, sizes in bytes, and the times at which a block reads registers.
+"""The registers of agents: those of pair values, their sizes in bytes, and the times at which a block reads registers.
 
-A pair value has slots. Each slot has the id of another agent and the value that is stored about it. A `load` is evaluated at its
-first use, with one exception. A load may have uses before and after a store to its register, in regions that do not share values.
-It is then evaluated before the statement that contains both uses. `find_early_loads` returns these loads by place."""
+A pair value has slots. A slot stores the id of another agent and the value about it. A `load` is normally evaluated at its first
+use. The exception is a load with uses before and after a store to its register, in regions that do not share values. It is then
+evaluated before the statement that contains both uses. `find_early_loads` returns these loads by position."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _ID_BYTES = 8  # bytes of the other agent's id in a slot
 
 
 def find_written_register(statement: ir.PlanStatement) -> str | None:
-    """Return the register to which a statement assigns a value. Return None if there is none."""
+    """Return the name of the register to which a statement assigns a value, or None."""
     if isinstance(statement, ir.Store):
         return statement.register
     return statement.register if isinstance(statement, ir.Give) else None
 
 
 def find_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
-    """Return the loads that must run before their first use, grouped by the statement that they must precede.
+    """Return the loads that must run before their first use, grouped by the position of the statement that they must precede.
 
     A statement's position is its index in each block around it, outermost first."""
     read_paths: dict[ir.PlanNode, list[tuple[int, ...]]] = {}
@@ -44,7 +44,7 @@ def find_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]
 
 
 def _find_common_place(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
-    """Return the place of the statement, in the smallest block around all places `paths`, that contains the first of them."""
+    """Return the position of the statement that contains the first of `paths`, in the smallest block around all of them."""
     first, depth = paths[0], min(len(p) for p in paths) - 1
     while any(p[:depth] != first[:depth] for p in paths):
         depth -= 1
@@ -52,7 +52,7 @@ def _find_common_place(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
 
 
 def number_statements(species: ir.SpeciesPlan) -> dict[ir.PlanStatement, int]:
-    """Return a number for every statement of a species: its position in the order of blocks and statements, from 0."""
+    """Return the number of each statement of a species: its position in the order of blocks and statements, from 0."""
     blocks = (species.born, species.decide, species.act, species.blend)
     return {
         statement: k
@@ -61,18 +61,18 @@ def number_statements(species: ir.SpeciesPlan) -> dict[ir.PlanStatement, int]:
 
 
 def find_cacheable_senses(species: ir.SpeciesPlan) -> tuple[ir.PlanNode, ...]:
-    """Return the shared senses that have the same value during the complete step, because no statement writes a register that
-    they read."""
+    """Return the shared senses that have one value during the complete step, because no statement writes a register that they
+    read."""
     return tuple(node for node in species.memoised_senses if all(part.op != "load" for part in collect_required_nodes((node,))))
 
 
 def count_bytes_by_purpose(species: SpeciesPlan) -> dict[str, int]:
-    """Return the number of bytes per agent that the registers of a species need, by their purpose.
+    """Return how many bytes per agent the registers of a species need, by their purpose.
 
-    - `attribute`: built-in attributes and those of the author.
+    - `attribute`: built-in attributes and those that the author declares.
     - `memory`: states, `keep`, latches, waiting times.
     - `pair`: pair values.
-    - `temp`: used during one step only. The others persist from step to step."""
+    - `temp`: registers that last only one step. All other registers persist from step to step."""
     sizes = {"attribute": _ID_BYTES, "pair": 0, "memory": 0, "temp": 0}
     for register in species.registers.values():
         sizes[register.role] += _BYTES_BY_KIND[register.kind]
@@ -80,14 +80,14 @@ def count_bytes_by_purpose(species: SpeciesPlan) -> dict[str, int]:
 
 
 def list_slot_register_names(name: str, count: int) -> list[tuple[str, str]]:
-    """Return the two registers of each slot of a pair value. They store the other agent's id (I64, -1 for a free slot) and the
-    value (F32)."""
+    """Return, for each slot of a pair value, the names of its two registers. They store the other agent's id (I64, -1 for a free
+    slot) and the value (F32)."""
     return [(f"{name}|{k}.id", f"{name}|{k}") for k in range(count)]
 
 
 def find_pair_values(registers: Iterable[str]) -> dict[str, list[tuple[str, str]]]:
-    """Return the pair values among a species' registers, by name. Each has, for each slot, the registers of the id and the
-    value."""
+    """Return the pair values among a species' registers, by name. For each slot, the two names are the registers of the id and
+    the value."""
     counts: dict[str, int] = {}
     for register in registers:
         name, slot, number = register.partition("|")

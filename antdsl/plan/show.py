@@ -1,4 +1,4 @@
-"""Formats a plan as text for people: the statements of each species at birth and in the phases of a step."""
+"""Formats a plan as readable text: the statements of each species at birth and in the phases of a step."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _MAX_EXPRESSION_CHARACTERS = 100  # longer expressions are split: their parts ge
 
 
 def format_plan(plan: Plan) -> str:
-    """Return the text of a plan for people. Equal plans have equal texts.
+    """Return a readable text of a plan. Equal plans have equal texts.
 
     A value that is used several times gets a name, `a1 = …`, at its first use."""
     parts = [_format_head(plan)]
@@ -43,7 +43,7 @@ def format_plan(plan: Plan) -> str:
 
 
 def _format_head(plan: Plan) -> str:
-    """Return text about the declarations of a plan: params, items, fields and things."""
+    """Return the text of a plan's declarations: params, items, fields and things."""
     lines = []
     for param in plan.params.values():
         lines.append(f"param {param.name} = {_ExpressionFormatter().format_node(param.default)}")
@@ -68,7 +68,7 @@ def _format_head(plan: Plan) -> str:
 
 
 def _format_species(species: SpeciesPlan) -> list[str]:
-    """Return the lines of one species."""
+    """Return the lines of text of one species."""
     lines = [f"species {species.name}"]
     for role in ("attribute", "pair", "memory", "temp"):
         mine = [r for r in species.registers.values() if r.role == role]
@@ -89,7 +89,7 @@ def _format_species(species: SpeciesPlan) -> list[str]:
 
 
 def _join_axes(names: list[str]) -> list[str]:
-    """Return the names with the axes of each vector joined: position.x position.y position.z becomes position.xyz."""
+    """Return the names, with the three components of a vector joined: position.x position.y position.z becomes position.xyz."""
     joined: list[str] = []
     for name in names:
         if name.endswith(".x") and f"{name[:-1]}y" in names:
@@ -100,7 +100,7 @@ def _join_axes(names: list[str]) -> list[str]:
 
 
 def _format_cost(nodes: list[PlanNode]) -> str:
-    """Return a text with the number of operations per step, per agent and per pair, and the number of senses."""
+    """Return text with the number of operations per step, per agent and per pair, and the number of senses."""
     work = [n for n in nodes if n.op not in _LEAF_OPERATIONS]
     plain = [n.rate for n in work if n.op not in SENSE_OPERATIONS and n.op != "get"]
     count = Counter("pair" if rate is UpdateRate.PAIR else "agent" if rate is UpdateRate.AGENT else "step" for rate in plain)
@@ -117,19 +117,19 @@ def _format_number(x: float) -> str:
 
 
 class _ExpressionFormatter:
-    """Formats expressions as text, with names for nodes that have one."""
+    """Formatter of expressions, which writes the names of named nodes."""
 
     def __init__(self) -> None:
         self.names: dict[PlanNode, str] = {}
 
     def format_node(self, node: PlanNode) -> str:
-        """Return the name of a node, or its expression if it has no name."""
+        """Return the name of a node or, if it has no name, its expression as text."""
         if node in self.names:
             return self.names[node]
         return self.format_expression(node)
 
     def format_expression(self, node: PlanNode) -> str:
-        """Return the expression of a node, even if the node has a name."""
+        """Return the expression of a node as text, even if the node has a name."""
         inner = [self.format_node(a) for a in node.args]
         op, attrs = node.op, node.attrs
         if op in _INFIX_SYMBOLS:
@@ -171,7 +171,7 @@ def _needs_brackets(text: str) -> bool:
 
 
 class _PhaseFormatter(_ExpressionFormatter):
-    """Formats the statements of one phase."""
+    """Formatter of the statements of one phase."""
 
     def __init__(self, block: Block, species: SpeciesPlan) -> None:
         super().__init__()
@@ -187,7 +187,7 @@ class _PhaseFormatter(_ExpressionFormatter):
         self.shared_nodes |= self._find_nodes_to_name(collect_required_nodes(roots))
 
     def _find_nodes_to_name(self, nodes: list[PlanNode]) -> set[PlanNode]:
-        """Return the nodes that need names, so that no expression is longer than a line."""
+        """Return the nodes that need names so that no expression is longer than a line."""
         named: set[PlanNode] = set()
         size: dict[PlanNode, int] = {}
         for node in nodes:
@@ -198,7 +198,7 @@ class _PhaseFormatter(_ExpressionFormatter):
         return named
 
     def format_block(self, block: Block, indent: str) -> list[str]:
-        """Return the lines of a block, with names defined before their first use."""
+        """Return the lines of text of a block. Each name is defined before its first use."""
         result: list[str] = []
         for statement in block.statements:
             result += [indent + line for line in self._format_definitions(statement)]
@@ -245,7 +245,7 @@ class _PhaseFormatter(_ExpressionFormatter):
 
 
 def _find_source_line(statement: PlanStatement) -> str:
-    """Return the source line that a statement comes from."""
+    """Return the source text line from which a statement was lowered."""
     if statement.span is None:
         return ""
     return f"line {statement.span.source.find_line_column(statement.span.start)[0]}"

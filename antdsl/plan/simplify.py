@@ -1,8 +1,8 @@
-"""Simplifies single operations: computes known results, and removes operations without effect.
+"""Simplifies single operations: computes constant results, and removes operations without effect.
 
 A rewrite must give the same value for every operand, including NaN and infinity; only the sign of a zero may change. Constants
-are float32 with the same bits that backends compute: a float64 result rounded once more. Double rounding is harmless for + - * /
-and the square root, since 53 >= 2 * 24 + 2. The source is Figueroa, "When is double rounding innocuous?", 1995."""
+are float32 with the bits that backends compute: a float64 result, rounded again to float32. This double rounding is harmless for
++ - * / and the square root, since 53 >= 2 * 24 + 2. The source is Figueroa, "When is double rounding innocuous?", 1995."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CONSTANT_OPERATIONS = frozenset(("const", "const.bool", "const.i32", "const.i64
 
 
 def get_constant_value(node: PlanNode) -> Any:
-    """Return the value of a constant node (float, int or bool); None for any other node."""
+    """Return the value of a constant node (float, int or bool), or None for any other node."""
     return node.attrs[0] if node.op in _CONSTANT_OPERATIONS else None
 
 
@@ -145,7 +145,7 @@ _SIMPLIFIER_BY_OPERATION = {
 
 
 def round_to_f32(x: float) -> float:
-    """Return the nearest float32, ties to even; infinite beyond the range."""
+    """Return the nearest float32, with ties to even. Values beyond the range become infinite."""
     try:
         return float(_FLOAT32_STRUCT.unpack(_FLOAT32_STRUCT.pack(x))[0])
     except OverflowError:
@@ -191,7 +191,7 @@ COMPARISON_FUNCTIONS: dict[str, Callable[..., bool]] = {
 
 
 def find_minimum(a: float, b: float) -> float | None:
-    """Return the minimum as the backends compute it; None if the sign of a zero would depend on the order of the operands."""
+    """Return the minimum as the backends compute it. Return None if the sign of a zero would depend on the operand order."""
     if a == b == 0:
         return None
     if math.isnan(a) or math.isnan(b):
@@ -200,7 +200,7 @@ def find_minimum(a: float, b: float) -> float | None:
 
 
 def find_maximum(a: float, b: float) -> float | None:
-    """Return the maximum as the backends compute it; None if the sign of a zero would depend on the order of the operands."""
+    """Return the maximum as the backends compute it. Return None if the sign of a zero would depend on the operand order."""
     if a == b == 0:
         return None
     if math.isnan(a) or math.isnan(b):

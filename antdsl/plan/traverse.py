@@ -1,4 +1,4 @@
-"""Iterates over a plan: its statements in order, the nodes that a statement uses directly, and all nodes that these require."""
+"""Iterates over a plan: the statements in order, the nodes that a statement uses directly, and all nodes that these depend on."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def list_operands(statement: PlanStatement) -> tuple[PlanNode, ...]:
 
 
 def iterate_statements(block: Block) -> Iterator[tuple[Block, PlanStatement]]:
-    """Yield the block that contains each statement, in order, and the statement. An If comes before its contents."""
+    """Yield each statement in order, together with the block that contains it. An If comes before the statements inside it."""
     for statement in block.statements:
         yield block, statement
         if isinstance(statement, If):
@@ -46,7 +46,7 @@ def iterate_statements(block: Block) -> Iterator[tuple[Block, PlanStatement]]:
 
 
 def iterate_with_positions(block: Block, path: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], PlanStatement]]:
-    """Yield the position of each statement, and the statement, in order. A position has the index in each block around the
+    """Yield each statement in order, together with its position. A position is a tuple of the index in each block around the
     statement, outermost first."""
     for k, statement in enumerate(block.statements):
         yield (*path, k), statement
@@ -55,13 +55,13 @@ def iterate_with_positions(block: Block, path: tuple[int, ...] = ()) -> Iterator
 
 
 def list_blocks(species: SpeciesPlan) -> tuple[tuple[str, Block], ...]:
-    """Return the name of each phase in PHASES with the block of the species that runs in it, in this order."""
+    """Return the name of each phase in PHASES, with the block of the species that runs in this phase."""
     return tuple((phase, getattr(species, phase)) for phase in PHASES)
 
 
 def collect_required_nodes(roots: Iterable[PlanNode]) -> list[PlanNode]:
-    """Return the nodes `roots` and all nodes that they require, without duplicates. Operands come before the operations that use
-    them."""
+    """Return the nodes `roots` and all nodes on which they depend, without duplicates. Operands come before the operations that
+    use them."""
     nodes_by_number: dict[int, PlanNode] = {}
     stack = list(roots)
     while stack:
@@ -78,7 +78,7 @@ def list_field_nodes(field: FieldPlan) -> tuple[PlanNode, ...]:
 
 
 def list_root_nodes(plan: Plan) -> list[PlanNode]:
-    """Return every node that the plan uses other than as an operand of another node."""
+    """Return every node that the plan uses directly, that is, not only as an operand of another node."""
     nodes: list[PlanNode] = []
     for species in plan.species.values():
         for _, block in list_blocks(species):
@@ -96,9 +96,9 @@ def find_registers_read(nodes: Iterable[PlanNode]) -> set[str]:
 
 
 def find_shared_senses(*phases: Block) -> tuple[PlanNode, ...]:
-    """Return the senses that are used at least twice, in order of the numbers of their nodes.
+    """Return the senses that are used at least twice, in order of their node numbers.
 
-    Each block counts as one use, and so does each shared sense that needs the sense as an operand."""
+    Each block counts as one use of a sense. Each shared sense with this sense as an operand also counts as one use."""
     users: dict[PlanNode, set[object]] = {}
     for phase in phases:
         for block, statement in iterate_statements(phase):
@@ -119,7 +119,7 @@ def find_shared_senses(*phases: Block) -> tuple[PlanNode, ...]:
 
 
 def find_nearest_senses(roots: Iterable[PlanNode]) -> set[PlanNode]:
-    """Return the senses that the nodes use directly or through operations, but not through another sense."""
+    """Return the senses that the nodes `roots` use directly or through operations, but not through another sense."""
     senses: set[PlanNode] = set()
     visited: set[PlanNode] = set()
     stack = list(roots)

@@ -1,4 +1,5 @@
-"""The rules of a valid plan, checked between passes and in tests. A broken plan is an internal error, so `verify` raises."""
+"""The rules of a valid plan, checked between passes and in tests. A broken plan is an internal error, so it raises an
+exception."""
 
 from __future__ import annotations
 
@@ -56,7 +57,8 @@ def verify_plan(plan: Plan) -> None:
 
 
 def _check_nodes(plan: Plan) -> Iterator[str]:
-    """Check that each node matches the table of operations, comes after its operands, and is in the plan's list of nodes."""
+    """Yield an error for each node that does not match the table of operations, precedes an operand, or is missing from the
+    plan's list."""
     known = set(plan.nodes)
     for node in list_root_nodes(plan):
         if node not in known:
@@ -79,7 +81,8 @@ def _check_nodes(plan: Plan) -> Iterator[str]:
 
 
 def _check_names(plan: Plan) -> Iterator[str]:
-    """Check that the names in nodes exist. Names of species may be missing, because a species may be in another file."""
+    """Yield an error for each name in a node that does not exist. Names of species may be missing, as a species may be in
+    another file."""
     things = collect_names_by_kind(plan)
     known: dict[str, Container[str]] = {
         **{
@@ -100,7 +103,7 @@ def _check_names(plan: Plan) -> Iterator[str]:
 
 
 def collect_names_by_kind(plan: Plan) -> dict[str, Container[str]]:
-    """Return the names of the plan's things by kind."""
+    """Return the names of the plan's things, by the kind of thing."""
     return {
         **{kind: plan.list_things_of_kind(kind) for kind in KIND_BY_WORD}, "items": plan.items, "species": plan.species,
         "field": plan.fields, "target": plan.list_things_of_kind(*list_replacements("obstacle")),
@@ -108,7 +111,7 @@ def collect_names_by_kind(plan: Plan) -> dict[str, Container[str]]:
 
 
 def _check_elements(plan: Plan, reduction: PlanNode) -> Iterator[str]:
-    """Check that a reduction reads only values that its elements have."""
+    """Yield an error for each value that a reduction reads but its elements do not have."""
     source = reduction.args[0]
     of_items = source.op == "set.items"
     labels = _READS_ITEMS_BY_OPERATION.get(reduction.op)
@@ -128,7 +131,7 @@ def _check_elements(plan: Plan, reduction: PlanNode) -> Iterator[str]:
 
 
 def _iterate_pair_nodes(nodes: tuple[PlanNode, ...]) -> Iterator[PlanNode]:
-    """Yield the nodes at pair rate that belong to this reduction itself, not to a reduction inside it."""
+    """Yield the nodes at pair rate that belong to this reduction itself, not to a nested reduction."""
     stack, visited = list(nodes), set()
     while stack:
         node = stack.pop()
@@ -206,7 +209,7 @@ def _check_statement(plan: Plan, species: SpeciesPlan, statement: PlanStatement)
 
 
 def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iterator[str]:
-    """Check that a request matches its row in the table of effects, and that the names in it exist."""
+    """Yield an error if a request does not match its row in the table of effects, or names a thing that does not exist."""
     row = EFFECT_BY_OPERATION.get(statement.op)
     if row is None:
         yield f"no effect {statement.op}"
@@ -228,10 +231,10 @@ def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iter
 
 
 class _RegisterLoadState:
-    """The loads and stores that the check has found up to a position in a block.
+    """The loads and stores seen so far while a block is checked.
 
-    `version`: by register, the number of stores before its last load. `stale_registers`: the registers with a store after their
-    last load."""
+    `version`: by register, the number of stores before its last load. `stale_registers`: the registers that were stored to after
+    their last load."""
 
     def __init__(self) -> None:
         self.version: dict[str, int] = {}
@@ -239,7 +242,7 @@ class _RegisterLoadState:
 
 
 def _check_load_order(block: Block) -> Iterator[str]:
-    """Check that no load is used both before and after a store to its register, and that versions only increase."""
+    """Yield an error for each load that is used both before and after a store to its register, and for versions that decrease."""
     state = _RegisterLoadState()
     yield from _check_block_order(block, state)
 
@@ -264,7 +267,7 @@ def _check_block_order(block: Block, state: _RegisterLoadState) -> Iterator[str]
 
 
 def find_written_registers(statement: PlanStatement) -> tuple[str, ...]:
-    """Return the registers that the statement itself may change."""
+    """Return the registers that the statement itself may change, without statements inside it."""
     match statement:
         case Store():
             return (statement.register,)

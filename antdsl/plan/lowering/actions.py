@@ -23,8 +23,8 @@ STEER_TEMP, GAZE_TEMP = "~steer", "~gaze"  # `~` cannot occur in names of the pr
 
 
 def write_statements(w: PlanWriter, statements: Sequence[model.Statement], site: str, machine: str = "") -> None:
-    """Write statements in text order. Unsupported statements are reported and left out. `machine`: the machine of the state if
-    the statements are a state's body."""
+    """Write statements in the order of the source. Unsupported statements are reported and omitted. `machine`: the machine to
+    which the statements belong, if they are the body of a state."""
     for number, statement in enumerate(statements, 1):
         w.b.span = statement.span
         try:
@@ -37,12 +37,12 @@ def write_statements(w: PlanWriter, statements: Sequence[model.Statement], site:
 
 
 def report_unsupported(w: PlanWriter, construct: UnsupportedConstruct) -> None:
-    """Report a construct that cannot run yet."""
+    """Report an error for a construct that cannot run yet."""
     w.report.error("not-yet", f"{construct.construct} is not supported yet", construct.span, construct.help)
 
 
 def _scale_by_step(w: PlanWriter, amount: PlanNode, is_rate: bool) -> PlanNode:
-    """Return the amount to add in one step. This is the amount itself or, if it is per second, the amount times `dt`."""
+    """Return the amount to add in one step: `amount` itself or, if it is a rate per second, `amount` times `dt`."""
     return w.b("mul", amount, w.read_run_value("dt")) if is_rate else amount
 
 
@@ -61,8 +61,8 @@ def _lower_face(w: PlanWriter, s: model.FaceLine, site: str) -> None:
 
 
 def store_face_direction(w: PlanWriter, register: str, direction: VectorNodes, span: Span | None) -> None:
-    """Store the direction that a `face` line requests in the temporary register `register`, unless an earlier line has stored
-    one."""
+    """Store the direction that a `face` line requests in the temporary register `register`. A direction stored by an earlier
+    line remains."""
     for axis in AXES:
         w.declare_register(f"{register}.{axis}", ValueKind.F32, "temp")
     previous = w.read_vector(register)
@@ -113,7 +113,8 @@ def _lower_give(w: PlanWriter, s: model.Give, site: str) -> None:
 
 
 def _lower_request(w: PlanWriter, s: model.EffectRequest, site: str) -> None:
-    """Write a request as its row in the table of effects defines. The operands are the arguments, or are computed from them."""
+    """Write a request with the operands that its row in the table of effects lists. They are arguments, or are computed from
+    them."""
     field = w.program.fields.get(s.target) if EFFECT_BY_OPERATION[s.op].target == "field" else None
     if field is not None and field.has_vectors:
         _lower_vector_deposit(w, s)
@@ -132,7 +133,7 @@ def _lower_request(w: PlanWriter, s: model.EffectRequest, site: str) -> None:
 
 
 def _lower_vector_deposit(w: PlanWriter, s: model.EffectRequest) -> None:
-    """Write a deposit of a vector as three deposits, one per component, into scalar fields."""
+    """Write a vector deposit as three deposits into the scalar fields of the x, y and z components."""
     (vector_expr,) = s.args
     assert vector_expr is not None
     vector = lower_vector(w, vector_expr)
@@ -149,10 +150,10 @@ def _lower_operand(w: PlanWriter, arg: model.Expr, per_second: bool) -> PlanNode
 
 
 def _compute_carve_ball(w: PlanWriter, radius_expr: model.Expr | None, direction_expr: model.Expr | None) -> OperandTuple:
-    """Return the operands of a request to carve a ball from the ground.
+    """Return the operands of a request to carve a ball out of the ground.
 
-    Its centre is half a body length plus half its radius ahead of the agent. Its lowest point is level with the feet, so an agent
-    that moves ahead stays level."""
+    The ball's centre is half a body length plus half its radius ahead of the agent. Its lowest point is level with the feet, so
+    an agent that digs ahead stays level."""
     assert radius_expr is not None
     b = w.b
     radius = lower_scalar(w, radius_expr)

@@ -1,11 +1,11 @@
-"""Lowers the appearance of agents in states, except clips: worn layers, channels of the body, and look directions of transform
+"""Lowers what states change in an agent's appearance, except clips: worn layers, body channels, and look directions of transform
 groups.
 
-All machines may make requests in each step. An appearance without a request ends. The registers are:
-- `wear#LAYER`: a bool.
-- `channel#NAME`: the value. `channel#NAME.said`: whether a state sets it.
-- `look#GROUP.x`, `.y`, `.z`: a unit vector along the heading, the body's up and its right. (1, 0, 0) is straight ahead.
-The requests of a step are collected in temps with these names after `~`."""
+All machines may request an appearance in each step. An appearance ends in the first step without a request. The registers are:
+- `wear#LAYER`: whether the agent wears the layer.
+- `channel#NAME`: the channel's value. `channel#NAME.said`: whether a state sets it.
+- `look#GROUP.x`, `.y`, `.z`: a unit vector in the agent's frame (heading, up, right). (1, 0, 0) is straight ahead.
+Within a step, requests are collected in temps with the same names after a `~`."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ _LOOK_AHEAD = (1.0, 0.0, 0.0)
 
 
 def list_worn_layers(species: model.Species) -> tuple[str, ...]:
-    """Return the layers that states wear, each once, in text order."""
+    """Return the layers that states wear, without duplicates, in text order."""
     return tuple(dict.fromkeys(line.layer for line in _iterate_statements(species) if isinstance(line, model.Wear)))
 
 
 def list_channels(species: model.Species) -> tuple[str, ...]:
-    """Return the channels that states set, each once, in text order."""
+    """Return the channels that states set, without duplicates, in text order."""
     return tuple(dict.fromkeys(line.channel for line in _iterate_statements(species) if isinstance(line, model.Channel)))
 
 
 def list_look_groups(species: model.Species) -> tuple[str, ...]:
-    """Return the transform groups that states turn towards a point, each once, in text order."""
+    """Return the transform groups that states turn towards a point, without duplicates, in text order."""
     return tuple(dict.fromkeys(line.group for line in _iterate_statements(species) if isinstance(line, model.Look)))
 
 
 def declare_registers(w: PlanWriter) -> None:
-    """Declare the registers of a species."""
+    """Declare the appearance registers of a species."""
     for role, sign in (("memory", ""), ("temp", "~")):
         for layer in list_worn_layers(w.species):
             w.declare_register(f"{sign}wear#{layer}", ValueKind.BOOL, role)
@@ -56,7 +56,7 @@ def declare_registers(w: PlanWriter) -> None:
 
 
 def write_state_appearance(w: PlanWriter, state: model.State) -> None:
-    """Request the appearance of a state at birth. Looks begin straight ahead."""
+    """Write the statements that request the start state's appearance at birth. Look directions start straight ahead."""
     for line in state.body:
         if isinstance(line, (model.Wear, model.Channel)):
             w.b.span = line.span
@@ -64,9 +64,9 @@ def write_state_appearance(w: PlanWriter, state: model.State) -> None:
 
 
 def apply_appearance(w: PlanWriter) -> None:
-    """Store the layers and channels that the states of all machines request. Turn the look directions by one step.
+    """Store the layers and channels that the states of all machines request, and turn the look directions by one step.
 
-    Call this after all machines have acted."""
+    Call this after the `act` part of all machines."""
     store_layers_and_channels(w)
     b = w.b
     for group in list_look_groups(w.species):
@@ -82,7 +82,7 @@ def apply_appearance(w: PlanWriter) -> None:
 
 
 def store_layers_and_channels(w: PlanWriter) -> None:
-    """Store the layers and channels that states have requested in this step, from the temps to their registers."""
+    """Copy the layers and channels that states requested in this step from the temps to their registers."""
     for layer in list_worn_layers(w.species):
         w.add_store(f"wear#{layer}", w.read_at_step_start(f"~wear#{layer}"), None)
     for name in list_channels(w.species):
@@ -102,8 +102,8 @@ def _lower_channel(w: PlanWriter, line: model.Channel, site: str) -> None:
 
 
 def _lower_look(w: PlanWriter, line: model.Look, site: str) -> None:
-    """Write the requested look direction towards a point, in the agent's frame and limited to the allowed angle. Without a point,
-    it is straight ahead."""
+    """Write the requested look direction towards a point, in the agent's frame and limited to the allowed angle. If there is no
+    point, the direction is straight ahead."""
     b, register = w.b, f"~look#{line.group}"
     is_present, offset = compute_offset(w, lower_expression(w, line.at), line.at)
     direction = values.normalise_vector(b, values.select_or_zero(b, is_present, offset))

@@ -1,4 +1,5 @@
-"""Lowers the birth of an agent: its attributes in dependency order, `on spawn`, and entry into its start states."""
+"""Lowers the birth of an agent: its attributes in the order of their dependencies, `on spawn`, and the entry into its start
+states."""
 
 from __future__ import annotations
 
@@ -39,7 +40,7 @@ BIRTH_ATTRIBUTES = (
 
 
 def declare_registers(w: PlanWriter) -> None:
-    """Declare the registers that every agent has, then those of the author's attributes."""
+    """Declare the registers that every agent has, then the registers of the attributes that the author declares."""
     for name in VECTOR_ATTRIBUTES:
         for axis in "xyz":
             w.declare_register(f"{name}.{axis}", ValueKind.F32, "attribute")
@@ -67,7 +68,7 @@ def declare_registers(w: PlanWriter) -> None:
 
 
 def compute_builtin_default(w: PlanWriter, name: str) -> PlanNode:
-    """Return the default of a built-in attribute that the author does not set. `docs/card.md` lists these attributes as
+    """Return the default of a built-in attribute that the author does not set. `docs/card.md` lists such attributes as
     "given"."""
     b: PlanBuilder = w.b
     if name == CRAWLING_SIZE_SETTING and is_standing(w.species):
@@ -95,19 +96,19 @@ _PLAIN_DEFAULTS = {"size": 4.0, "mass": 1.0, "clearance": 0.0, "max_speed": 30.0
 
 
 def _order_birth_attributes(species: model.Species) -> list[str]:
-    """Return the built-in attributes, ordered so that each comes after the attributes that its default reads."""
+    """Return the names of the built-in attributes. Each comes after the attributes that its default reads."""
     known = get_builtin_attributes(species.edition)
     names = [name for name in BIRTH_ATTRIBUTES if name in known and needs_register(species, name)]
     return [name for name in names if name != STANDING_SIZE_SETTING or is_standing(species)]
 
 
 def list_newer_attributes(species: model.Species) -> tuple[str, ...]:
-    """Return the built-in attributes of a species that edition 1 does not have."""
+    """Return the built-in attributes of a species that do not exist in edition 1."""
     return tuple(name for name in _order_birth_attributes(species) if name not in get_builtin_attributes(1))
 
 
 def is_standing(species: model.Species) -> bool:
-    """Return whether the bodies of a species stand upright, which is so if it sets their height."""
+    """Return whether the bodies of a species stand upright. They do if the species sets their height."""
     return any(attribute.is_builtin and attribute.name == STANDING_SIZE_SETTING for attribute in species.attributes)
 
 
@@ -130,7 +131,8 @@ def write_birth(w: PlanWriter, machines: list[MachineWriter]) -> None:
 
 
 def _choose_scene_value_or_default(w: PlanWriter, name: str, default: LoweredValue) -> LoweredValue:
-    """Return the scene's value of an attribute if there is one, else the default. Attributes computed later use this value."""
+    """Return the scene's value of an attribute if there is one, else `default`. Attributes that are computed later use this
+    value."""
     if name not in w.scene_attributes or not isinstance(default, PlanNode) or default.kind not in (ValueKind.F32, ValueKind.BOOL):
         return default
     w.declare_register(format_birth_register_name(name), ValueKind.F32, "temp", inf)
@@ -140,10 +142,10 @@ def _choose_scene_value_or_default(w: PlanWriter, name: str, default: LoweredVal
 
 
 def _find_author_attributes(w: PlanWriter) -> dict[str, model.AttributeDecl]:
-    """Return the attributes with a default in the program, by name: those in the author's text, and defaults of newer editions.
+    """Return the attributes that have a default in the program, by name: those in the author's text and those of newer editions.
 
-    Other built-in attributes have the span of the species' name. This module computes their defaults, because here the step
-    length is known."""
+    The span of other built-in attributes is the species' name. This module computes their defaults, because they depend on the
+    step length."""
     mine = [a for a in w.species.attributes if not a.pair_species and a.name != "push"]
     newer = (DEFAULT_BY_SETTING.keys() | STANDING_DEFAULTS.keys()) if w.species.edition > 1 else ()
     return {a.name: a for a in mine if a.name in newer or not (a.is_builtin and a.span == w.species.span)}
@@ -169,8 +171,8 @@ def _write_attribute(w: PlanWriter, name: str) -> None:
 
 
 def _order_attributes(w: PlanWriter) -> list[str]:
-    """Return the names of all attributes, ordered so that each comes after the attributes its default reads. The checker has
-    already rejected cycles."""
+    """Return the names of all attributes. Each comes after the attributes that its default reads. The checker has already
+    rejected cycles."""
     declared = _find_author_attributes(w)
     needs: dict[str, list[str]] = {name: [] for name in (*_order_birth_attributes(w.species), *declared)}
     for name in needs:
@@ -182,6 +184,6 @@ def _order_attributes(w: PlanWriter) -> list[str]:
 
 
 def find_attributes_read(expr: model.Expr) -> list[str]:
-    """Return the names of the agent's own attributes that an expression reads, directly or through lets."""
+    """Return the names of the agent's own attributes that an expression reads, directly or through a `let`."""
     own = [e.name for e in iterate_expressions(expr) if isinstance(e, model.AttributeRef) and e.owner is None]
     return ["velocity" if name == "speed" else name for name in own]

@@ -1,6 +1,7 @@
-"""Combines the layers into one push with a length of at most 1 (decision 14).
+"""Lowers the combination of the layers into one push with a length of at most 1 (decision 14).
 
-There are three modes: a priority budget that the layers use from top to bottom, a sum, or the first layer with a push."""
+There are three modes. In the budget mode, layers spend a priority budget from top to bottom. The other modes are the sum of all
+layers, and the first layer with a push."""
 
 from __future__ import annotations
 
@@ -61,8 +62,8 @@ def _write_layer(w: PlanWriter, layer: model.Layer, mode: str, is_last: bool) ->
 
 
 def _write_face_direction(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
-    """Store the facing direction of the body. The topmost `face` line with a direction wins. At the line `state`, the `face`
-    lines of the states apply.
+    """Store the direction that the body faces. The topmost `face` line with a direction wins. The line `state` stands for the
+    `face` lines of the current states.
 
     A `face` line uses no strength, so it does not depend on the budget that earlier layers leave."""
     states = f"{GAZE_TEMP}.x" in w.registers
@@ -84,14 +85,14 @@ def _write_face_direction(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
 
 
 def _read_state_push(w: PlanWriter) -> VectorNodes:
-    """Return the sum of the pushes from the current states of all machines."""
+    """Return the sum of the pushes that the current states of all machines request."""
     if f"{STEER_TEMP}.x" not in w.registers:
         return values.make_zero_vector(w.b)
     return w.read_vector(STEER_TEMP)
 
 
 def _subtract_from_budget(w: PlanWriter, push: VectorNodes, span: object, is_last: bool) -> None:
-    """Add a push, limited to the remaining strength, and subtract its length from the remaining strength."""
+    """Add a push to the result, shortened to the strength that remains, and subtract its length from that strength."""
     b = w.b
     left, size = w.read_at_step_start(BUDGET_LEFT_REGISTER_NAME), values.compute_length(b, push)
     too_much = b("gt", size, left)
@@ -103,7 +104,7 @@ def _subtract_from_budget(w: PlanWriter, push: VectorNodes, span: object, is_las
 
 
 def _store_first_push(w: PlanWriter, push: VectorNodes, layer: model.Layer, is_last: bool) -> None:
-    """Use the first push that is not zero as the result, limited to length 1."""
+    """Use the layer's push as the result, limited to length 1, if it is not zero and no earlier layer had a push."""
     b = w.b
     is_nonzero = b("gt", values.compute_length(b, push), b.add_number(0))
     with w.open_region(is_nonzero, layer.span):
@@ -116,8 +117,8 @@ def _store_first_push(w: PlanWriter, push: VectorNodes, layer: model.Layer, is_l
 
 
 def order_layers(w: PlanWriter, order: Sequence[str] | None) -> tuple[model.Layer, ...]:
-    """Return the layers in the order of the source, or in the order of a scene. A scene names each layer by its text, or by the
-    word before its bracket."""
+    """Return the layers in the order of the scene (`order`) or, if `order` is None, of the source. A scene names each layer by
+    its text, or by the word before its bracket."""
     layers = list(w.species.layers.layers)
     if order is None:
         return tuple(layers)

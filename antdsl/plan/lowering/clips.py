@@ -1,20 +1,20 @@
 """Lowers `play`: the clip that each machine plays, its progress, and the cross-fade from the previous clip.
 
-Progress is counted in turns: 0 at the start of a clip, 1 after it has played once, and so on if it loops. So bodies with faster
-or slower clips of the same names continue at the same progress. A clip that covers ground advances with the distance that the
-agent covers, so that feet do not slide. Other clips advance with time.
+Progress is counted in turns: 0 at the start of a clip, 1 after it has played once, and so on if it loops. Bodies with clips of
+different speed therefore have the same progress. A clip that covers ground advances with the distance that the agent covers, so
+that feet do not slide. Other clips advance with time.
 
 Registers of each machine that plays clips:
 
-- `clip`: the number of the clip in `SpeciesPlan.clips` (-1: none). `clip_weight`: its weight.
-- `clip_turns`: its turns. `clip_last`: its turns before the last step.
-- `clip_before`, `clip_before_turns` and `clip_before_weight`: the previous clip.
+- `clip`: the index of the clip in `SpeciesPlan.clips` (-1: none). `clip_weight`: its weight.
+- `clip_turns`: its progress in turns. `clip_last`: its progress before the last step.
+- `clip_before`, `clip_before_turns` and `clip_before_weight`: the same values of the previous clip.
 - `clip_fade`: the weight of the previous clip in the pose. `clip_fading`: the time in which this weight falls from 1 to 0.
 - `clip_over`: the fade time of the next change.
-- `clip_earlier` and its registers: the clip before the previous one, if a change happens during a fade.
-- `clip_earlier_fade`: the fraction of the fading weight that belongs to it.
+- `clip_earlier` and its registers: the clip before the previous one, if the clip changes during a fade.
+- `clip_earlier_fade`: the fraction of the fading weight that belongs to this earlier clip.
 
-If `clip_earlier_fade` is above 0, a further change waits (`clip_waits`), so that no pose jumps."""
+While `clip_earlier_fade` is above 0, a further change waits (`clip_waits`), so that no pose jumps."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def declare_registers(w: PlanWriter, machine: model.Machine) -> None:
 
 
 def write_start_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
-    """Write the clip of the state at birth. It begins at its start or, if it loops, at a random time."""
+    """Write the start of the clip that the state plays at birth: at progress 0 or, if it loops, at a random progress."""
     line = next((line for line in state.body if isinstance(line, model.Play)), None)
     if line is None:
         return
@@ -93,8 +93,7 @@ def write_start_clip(w: PlanWriter, machine: model.Machine, state: model.State) 
 
 
 def store_fade_time(w: PlanWriter, machine: model.Machine, fade_time: model.Expr | None, span: Span) -> None:
-    """Store the fade time of the current clip, because a transition leaves its state. `fade_time`: the time; None: the
-    default."""
+    """Store the fade time for the change of clip when a transition leaves the current state. `fade_time`: None: the default."""
     w.add_store(
         f"{machine.name}.clip_over",
         w.b.add_number(DEFAULT_FADE_SECONDS) if fade_time is None else lower_scalar(w, fade_time),
@@ -104,16 +103,16 @@ def store_fade_time(w: PlanWriter, machine: model.Machine, fade_time: model.Expr
 
 
 def restart_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
-    """Request a restart of the clip of a state, for agents that enter the state.
+    """Request a restart of the state's clip for agents that enter the state.
 
-    If the line's `restart_condition` holds, the clip also restarts if it is playing already."""
+    A clip that is already playing restarts only if the line's `restart_condition` holds."""
     line = next((line for line in state.body if isinstance(line, model.Play)), None)
     if line is not None and line.restart_condition is not None:
         w.add_store(f"{machine.name}.clip_waits", lower_condition(w, line.restart_condition), line.span)
 
 
 def fade_out_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
-    """Fade out the previous clip in a state without a clip, if the machine has clips in other states."""
+    """Fade out the previous clip in a state without a clip. Does nothing if no other state of the machine has a clip."""
     if plays_clips(machine) and not any(isinstance(line, model.Play) for line in state.body):
         _write_clip_step(w, machine.name, w.b.add_row(NO_CLIP), None, w.b.add_number(0), state.span)
 
@@ -131,7 +130,7 @@ def lower_play(w: PlanWriter, machine: str, line: model.Play) -> None:
 
 
 def _write_clip_step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNode | None, weight: PlanNode, span: Span) -> None:
-    """Write one step of a machine that requests `clip`: the clip begins, waits until it can begin, or continues."""
+    """Write one step of a machine that requests `clip`: the clip starts, waits until it may start, or continues."""
     b, now, turns = w.b, w.read_at_step_start(f"{machine}.clip"), w.read_at_step_start(f"{machine}.clip_turns")
     none = clip is b.add_row(NO_CLIP)
     wished = b("ne", now, clip) if none else b("or", b("ne", now, clip), w.read_at_step_start(f"{machine}.clip_waits"))
@@ -160,7 +159,7 @@ def _write_clip_step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNod
 
 
 def lower_clip_test(w: PlanWriter, e: model.ClipTest) -> PlanNode:
-    """Return whether a clip passed a mark in the last step (`clip at MARK`), or has ended since it began (`clip done`)."""
+    """Return a node that is true if a clip passed a mark in the last step (`clip at MARK`), or has ended (`clip done`)."""
     b, machine = w.b, e.machine
     names = next(m for m in w.species.machines if m.name == machine)
     if not plays_clips(names):
@@ -179,9 +178,10 @@ def lower_clip_test(w: PlanWriter, e: model.ClipTest) -> PlanNode:
 
 
 def _compute_first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: PlanNode) -> tuple[PlanNode, PlanNode]:
-    """Return the progress (in turns) that a new clip has after this step, and its progress before this step.
+    """Return the progress (in turns) of a new clip after this step, and its progress before this step.
 
-    A new clip begins at 0. If both clips cover ground, it continues at the progress of the previous clip, plus `step` turns."""
+    A new clip starts at 0. If the new and the previous clip both cover ground, it continues at the previous clip's progress,
+    plus `step` turns."""
     b, previous_clip, turns = w.b, w.read_at_step_start(f"{machine}.clip"), w.read_at_step_start(f"{machine}.clip_turns")
     both = b("and", b("ne", previous_clip, clip), b("and", _is_covering_ground(w, previous_clip), _is_covering_ground(w, clip)))
     part = b("sub", turns, b("floor", turns))
@@ -189,7 +189,8 @@ def _compute_first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: Plan
 
 
 def _start_clip(w: PlanWriter, machine: str, clip: PlanNode, span: Span | None) -> None:
-    """Start another clip. The current clip becomes the previous clip, and the previous clip becomes the earlier one."""
+    """Start the clip with the index `clip`. The current clip becomes the previous clip, and the previous clip becomes the
+    earlier one."""
     b = w.b
     with w.open_region(w.read_at_step_start(_BEGINS_REGISTER), span or w.species.span):
         for to, source in _FADE_REGISTER_COPIES:
@@ -221,10 +222,9 @@ def _advance_fades(w: PlanWriter, machine: str, span: Span | None) -> None:
 
 
 def _compute_play_rate(w: PlanWriter, clip: PlanNode) -> PlanNode:
-    """Return how many times per second a clip is played.
+    """Return how many times per second a clip plays.
 
-    If a clip covers ground, the rate follows from the agent's speed in body lengths. Otherwise, it follows from the clip's
-    duration."""
+    For a clip that covers ground, this follows from the agent's speed in body lengths, otherwise from the clip's duration."""
     b = w.b
     stride, seconds = b("clip.value", clip, attrs=("stride",)), b("clip.value", clip, attrs=("seconds",))
     x, y, z = w.read_vector("velocity")
@@ -237,7 +237,7 @@ def _compute_play_rate(w: PlanWriter, clip: PlanNode) -> PlanNode:
 
 
 def _find_clip_number(w: PlanWriter, line: model.Play) -> PlanNode:
-    """Return the number of the clip of a line."""
+    """Return the index of the clip that a `play` line names."""
     return w.b.add_row(list_clips(w.species).index(_make_clip_plan(line)))
 
 
@@ -266,13 +266,13 @@ def declare_lean_registers(w: PlanWriter) -> None:
 
 
 def store_start_heading(w: PlanWriter) -> None:
-    """Store the heading at birth as the previous one, so that no agent has turned."""
+    """Store the heading at birth as the previous heading, so that the first step measures no turn."""
     if has_lean_clips(w):
         w.store_vector("lean#was", w.read_vector("heading"), None)
 
 
 def update_leaning(w: PlanWriter) -> None:
-    """Store the turn of the body since the previous step, and the slope of its heading. Call this once per step."""
+    """Store how far the body turned since the previous step, and the slope of its heading. Call this once per step."""
     if not has_lean_clips(w):
         return
     b, dt, heading = w.b, w.read_run_value("dt"), w.read_vector("heading")

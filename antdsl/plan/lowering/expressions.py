@@ -1,4 +1,4 @@
-"""Lowers typed expressions to nodes: names, attributes, memories and expanded behaviours. The rules of operations are in
+"""Lowers typed expressions to nodes: names, attributes, memories and expanded behaviours. The rules of single operations are in
 `rules`."""
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from antdsl.program.traverse import iterate_expressions, iterate_parts
 
 
 def lower_expression(w: PlanWriter, expr: model.Expr) -> LoweredValue:
-    """Return the nodes of an expression, evaluated at the writer's current position in the statements."""
+    """Return the nodes of an expression, evaluated at the writer's current position among the statements."""
     outer, w.b.span = w.b.span, expr.span
     try:
         return _LOWERER_BY_EXPRESSION[type(expr)](w, expr)
@@ -60,7 +60,7 @@ def lower_vector(w: PlanWriter, expr: model.Expr) -> VectorNodes:
 
 
 def lower_condition(w: PlanWriter, expr: model.Expr) -> PlanNode:
-    """Lower an expression as a condition. A value that may be none counts as true if it is present."""
+    """Lower an expression as a condition. A value that may be none counts as true when it is not none."""
     return convert_to_condition(w, lower_expression(w, expr), expr)
 
 
@@ -73,7 +73,7 @@ def convert_to_condition(w: PlanWriter, value: LoweredValue, expr: model.Expr) -
 
 
 def lower_presence(w: PlanWriter, value: LoweredValue, expr: model.Expr) -> PlanNode:
-    """Return whether a reference, a hit or a set is present (not none)."""
+    """Return a node that is true if a reference, a hit or a set is present (not none)."""
     if isinstance(value, EntityRef):
         if value.kind is model.TypeKind.ITEM:
             return w.b("item.alive", value.node, attrs=(value.owner,))
@@ -158,9 +158,10 @@ def _lower_binding(w: PlanWriter, e: model.BindingRef) -> LoweredValue:
 
 
 def _lower_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
-    """Lower a `let` once and return its value. Each use advances the memories in it.
+    """Lower a `let` once and return its value. Each use of the name also advances the memories inside the `let`.
 
-    A snapshot is valid for the whole step. Other lets, and all lets at birth, are valid until the next store."""
+    The value of a snapshot is reused during the whole step. Other lets, and all lets at birth, are reused until the next store.
+    """
     lasting = binding.is_snapshot and not w.is_birth
     known = w.snapshot_lets if lasting else w.current_lets
     for each in _order_needed_lets(w, binding, known):
@@ -179,7 +180,7 @@ def _lower_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
 
 
 def _order_needed_lets(w: PlanWriter, binding: model.Binding, known_lets: Container[model.Binding]) -> list[model.Binding]:
-    """Return a let and the lets that it uses, innermost first. Lowering them in this order avoids deep recursion."""
+    """Return a `let` and the lets that it uses, innermost first. Lowering them in this order avoids deep recursion."""
     order: list[model.Binding] = []
     stack: list[tuple[model.Binding, bool]] = [(binding, False)]
     visited: set[model.Binding] = set()
@@ -214,9 +215,9 @@ def _lower_plain_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
 
 
 def _lower_keep(w: PlanWriter, binding: model.Binding) -> LoweredValue:
-    """Lower `keep x = first then next`: `first` in the first step, later `next` computed from the previous value.
+    """Lower `keep x = first then next`: `first` in the first step, and afterwards `next`, computed from the previous value.
 
-    Memory is written once per step."""
+    The memory is written once per step."""
     assert binding.value is not None and binding.next_value is not None
     on = f"{binding.key}.on"
     w.declare_typed(binding.key, binding.type, "memory")
@@ -243,7 +244,7 @@ def _read_previous(w: PlanWriter, binding: model.Binding) -> LoweredValue:
 
 
 def select_value(w: PlanWriter, condition: PlanNode, first: LoweredValue, second: LoweredValue) -> LoweredValue:
-    """Return `first` where the condition holds, else `second`. Works for hits and for all values that can be stored."""
+    """Return `first` where the condition holds, else `second`. Accepts hits and all values that a register can store."""
     b = w.b
     if isinstance(first, VectorNodes) and isinstance(second, VectorNodes):
         return values.choose_vector(b, condition, first, second)
@@ -308,7 +309,8 @@ def _lower_attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
 
 
 def convert_to_typed_value(w: PlanWriter, node: PlanNode, type: model.ValueType) -> LoweredValue:
-    """Convert a register's node to a value of the language. A number that represents a bool becomes a bool."""
+    """Convert a register's node to a value of the language. If the type is a bool and the register a number, it becomes a
+    bool."""
     if type.kind in NONE_BY_KIND:
         return EntityRef(type.kind, type.referent or "", node)
     return w.b("ne", node, w.b.add_number(0)) if type.kind is model.TypeKind.BOOL and node.kind is ValueKind.F32 else node
@@ -330,8 +332,8 @@ def read_own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> Lower
 
 
 def needs_register(species: model.Species, name: str) -> bool:
-    """Return whether agents of a species have a register for an attribute.
-    Attributes in OPTIONAL_ATTRIBUTES have one only if the species declares or sets them."""
+    """Return whether agents of a species have a register for the attribute `name`. For attributes in OPTIONAL_ATTRIBUTES, this
+    is so only if the species declares or sets them."""
     if name not in OPTIONAL_ATTRIBUTES or any(a.name == name for a in species.attributes):
         return True
     return any(isinstance(part, model.Assign) and part.attribute == name for part in iterate_parts(species))

@@ -1,8 +1,8 @@
 """Lowers the checked program to a plan: species by species, then fields, items and params.
 
-`on collision(other)` runs when an agent's body begins to touch another one. It handles one other agent in each step. Registers
-store the ids of the agents that it touches already, so that a lasting contact is handled only once. If several contacts begin in
-one step, the deepest is handled first, and the others in the next steps if they last."""
+`on collision(other)` runs when an agent's body starts to touch another body. It handles one other agent per step. Registers
+store the ids of the agents that are already touched, so that a lasting contact is handled only once. If several contacts begin
+in one step, the deepest is handled first. The others are handled in the next steps if they last."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ def lower(
 ) -> tuple[ir.Plan, Report]:
     """Return the plan of a program, and errors for constructs that pass the checks but cannot run yet.
 
-    - `orders`: by species, the order of the layers, each named by its text or by the word before its bracket.
-    - `notes`: receives, for each species, the nodes of each part of its text.
+    - `orders`: by species, the order of the layers. Each layer is named by its text or by the word before its bracket.
+    - `notes`: receives, for each species, the nodes of each part of its source text.
     - `scene_attributes`: by species, the attributes that the scene may set at an agent's birth.
-    - `proportions`: of the bodies of species that set their height.
-    - `period`: the widths (mm) of a periodic world, 0 along axes that do not wrap."""
+    - `proportions`: by species, the proportions of bodies if the program sets their height.
+    - `period`: the widths (mm) of a periodic world along x, y and z, 0 along axes that do not wrap."""
     report = Report()
     builder = PlanBuilder()
     pushes = _needs_moved_register(program)
@@ -82,7 +82,7 @@ def lower(
 
 
 def _needs_moved_register(program: model.Program) -> bool:
-    """Return whether the program reads how far contacts pushed an agent. If so, species have the register `moved`."""
+    """Return whether the program reads how far contacts pushed an agent. Only then do species have the register `moved`."""
     parts = iterate_parts([*program.species.values(), *program.specs, *program.measures])
     return any(isinstance(part, model.AttributeRef) and part.name == "moved" for part in parts)
 
@@ -141,8 +141,8 @@ def _lower_species(w: PlanWriter, order: Sequence[str] | None) -> ir.SpeciesPlan
 
 
 def _lower_birth(w: PlanWriter, machines: list[MachineWriter]) -> Block:
-    """Return the block that runs at birth. Birth is a separate step: the first normal step reads the stored values as its
-    previous values."""
+    """Return the block that runs at birth. Birth is a separate step, so the first normal step reads the values stored here as
+    its previous values."""
     w.is_birth = True
     with w.collect_block() as finish_block:
         birth.write_birth(w, machines)
@@ -169,8 +169,8 @@ def _write_decide(w: PlanWriter, machines: list[MachineWriter]) -> None:
 
 
 def _write_relaxation(w: PlanWriter, attribute: model.AttributeDecl) -> None:
-    """Move an attribute towards its rest value by the fraction 1 - exp(-dt / over). The result per second does not depend on the
-    step length."""
+    """Write the relaxation of an attribute towards its rest value, by the fraction 1 - exp(-dt / over) per step. The result per
+    second does not depend on the step length."""
     b = w.b
     assert attribute.relax_to is not None and attribute.relax_time is not None
     b.span = attribute.span
@@ -188,7 +188,8 @@ def _write_relaxation(w: PlanWriter, attribute: model.AttributeDecl) -> None:
 
 
 def _write_latch(w: PlanWriter, latch: model.Binding) -> None:
-    """Write a latch. It is on from the step in which its first condition holds until the step in which its second one holds."""
+    """Write a latch: it turns on in the step in which its first condition holds, and off in the step in which the second one
+    holds."""
     assert latch.value is not None and latch.next_value is not None
     b, name = w.b, latch.key or latch.name
     b.span = latch.span
@@ -200,7 +201,7 @@ def _write_latch(w: PlanWriter, latch: model.Binding) -> None:
 
 
 def _write_handler(w: PlanWriter, handler: model.Handler, number: int, partners: Mapping[str, PlanNode]) -> None:
-    """Write a handler. `partners`: by species, the other agent that each agent has begun to touch."""
+    """Write a handler. `partners`: by the other species, the node with the id of the agent that has just been touched."""
     if handler.event == "spawn":
         return
     if handler.event == "collision":
@@ -216,7 +217,7 @@ def _write_handler(w: PlanWriter, handler: model.Handler, number: int, partners:
 
 
 def _lower_run_constant(builder: PlanBuilder, program: model.Program, e: model.Expr, report: Report) -> PlanNode:
-    """Lower an expression that does not depend on an agent."""
+    """Return the node of an expression that does not depend on an agent."""
     empty_species = model.Species("", "", (), (), (), (), (), (), model.LayerStack("budget", (), e.span), e.span)
     return lower_scalar(PlanWriter(builder, program, empty_species, report, LOWERING_RULES), e)
 
@@ -224,7 +225,7 @@ def _lower_run_constant(builder: PlanBuilder, program: model.Program, e: model.E
 def _lower_field(
     builder: PlanBuilder, program: model.Program, declared_field: model.Field, report: Report
 ) -> tuple[ir.FieldPlan, ...]:
-    """Return the plan of a field; three plans, one for each component, if its cells hold vectors."""
+    """Return the plan of a field. A field with vectors in its cells has three plans, one for each component."""
 
     def lower_optional(e: model.Expr | None) -> PlanNode | None:
         return None if e is None else _lower_run_constant(builder, program, e, report)
@@ -260,7 +261,7 @@ def _lower_field(
 
 def _compute_decay_factor(b: PlanBuilder, declared_field: model.Field, lower_node: object) -> PlanNode | None:
     """Return the factor by which a field is multiplied in each step: 2^(-dt / half_life), exp(-rate dt), or the factor `keeps`.
-    Return None if nothing evaporates."""
+    Return None if the field does not evaporate."""
     assert callable(lower_node)
     dt = b("run", attrs=("dt",))
     if declared_field.half_life is not None:
@@ -274,7 +275,7 @@ def _compute_decay_factor(b: PlanBuilder, declared_field: model.Field, lower_nod
 
 
 def write_resting_push(w: PlanWriter, machines: Sequence[MachineWriter]) -> None:
-    """Write the push of agents that no state has steered. Call this after all machines have acted."""
+    """Write the push of agents that no state has steered. Call this after the `act` part of all machines."""
     rest = w.species.rest
     if rest is None:
         return
@@ -292,14 +293,15 @@ def write_resting_push(w: PlanWriter, machines: Sequence[MachineWriter]) -> None
 
 
 def declare_touch_registers(w: PlanWriter) -> None:
-    """Declare registers for the ids of the agents that an agent touches, for each species with a collision handler."""
+    """Declare registers for the ids of touched agents, for each species with a collision handler."""
     for of in _find_collision_handlers(w.species):
         for name in _name_touch_registers(w.species, of):
             w.declare_register(name, ValueKind.I64, "memory", -1, of)
 
 
 def detect_new_contacts(w: PlanWriter) -> dict[str, PlanNode]:
-    """Return, by species, the id of the other agent that an agent has begun to touch, or -1. Afterwards it counts as touched."""
+    """Return, by species, the id of an agent that this agent has just started to touch, or -1. The contact is recorded as
+    handled."""
     partners = {}
     for of, handler in _find_collision_handlers(w.species).items():
         names = _name_touch_registers(w.species, of)
@@ -312,13 +314,13 @@ def detect_new_contacts(w: PlanWriter) -> dict[str, PlanNode]:
 
 
 def bind_partner(w: PlanWriter, handler: model.Handler, partner: PlanNode) -> None:
-    """Bind the name in the brackets of a handler to the agent `partner`."""
+    """Bind the name in the brackets of a collision handler to the agent with the id `partner`."""
     if handler.other is not None:
         w.environment[handler.other] = EntityRef(model.TypeKind.AGENT, handler.other_species, partner)
 
 
 def _find_collision_handlers(species: model.Species) -> dict[str, model.Handler]:
-    """Return the first collision handler for each other species."""
+    """Return the first collision handler for each other species, by that species."""
     handlers: dict[str, model.Handler] = {}
     for handler in species.handlers:
         if handler.event == "collision":
@@ -327,5 +329,5 @@ def _find_collision_handlers(species: model.Species) -> dict[str, model.Handler]
 
 
 def _name_touch_registers(species: model.Species, other_species: str) -> Sequence[str]:
-    """Return the names of the registers with the ids of touched agents of the species `other_species`."""
+    """Return the names of the registers that store the ids of touched agents of `other_species`."""
     return [f"{species.name}.touched.{other_species}#{number}" for number in range(1, limits.MAX_TOUCHED_AGENTS + 1)]

@@ -1,4 +1,4 @@
-"""Lowers state machines: `decide` determines the winning transition, `act` executes it (decisions 8 to 11).
+"""Lowers state machines: `decide` chooses the winning transition, and `act` executes it (decisions 8 to 11).
 
 `decide` only stores the number of the winning transition in the temp `~MACHINE.pending`. Transitions of a machine are numbered
 from 1."""
@@ -33,7 +33,7 @@ class _StateChange:
 
 
 class MachineWriter:
-    """Writes the registers and statements of one machine."""
+    """Writer of the registers and statements of one machine."""
 
     def __init__(self, w: PlanWriter, machine: model.Machine) -> None:
         self.w, self.machine, self.name = w, machine, machine.name
@@ -54,12 +54,12 @@ class MachineWriter:
 
     @property
     def pending_register(self) -> str:
-        """Return the register with the number of the winning transition; 0: none."""
+        """Return the name of the register that stores the number of the winning transition; it is 0 if no transition wins."""
         return f"~{self.name}.pending"
 
     @property
     def won_register(self) -> str:
-        """Return the register that is set if the claim of a take succeeded."""
+        """Return the name of the register that is set if the claim of a `take` was granted."""
         return f"~{self.name}.won"
 
     def make_plan(self) -> ir.MachinePlan:
@@ -78,7 +78,7 @@ class MachineWriter:
         return self.w.b("eq", self.w.read_at_step_start(f"{self.name}.state"), self.w.b.add_row(state.index))
 
     def is_in_any_state(self, states: Iterable[int]) -> PlanNode:
-        """Return whether the current state is one of `states`."""
+        """Return a node that is true if the index of the current state is in `states`."""
         state = self.w.read_at_step_start(f"{self.name}.state")
         is_among = self.w.b.false
         for index in states:
@@ -88,14 +88,14 @@ class MachineWriter:
     # --- birth -------------------------------------------------------------------------------------------------------
 
     def write_start_state(self) -> None:
-        """Write the statements that set the state at birth. Call this before all other parts of birth."""
+        """Write the statements that set the state at birth. Call this before any other part of birth is written."""
         first = self._choose_start()
         for part in ("state", "previous", "next"):
             self.w.add_store(f"{self.name}.{part}", first, self.machine.span)
         self.write_per_start_state(partial(clips.write_start_clip, self.w, self.machine))
 
     def _choose_start(self) -> PlanNode:
-        """Return the index of the state at birth. It is the scene's state if the scene sets one, else the start state."""
+        """Return the index of the state at birth: the state that the scene sets, else the start state."""
         b = self.w.b
         first = b.add_row(self.machine.start)
         if self._scene_key in self.w.scene_attributes:
@@ -110,7 +110,8 @@ class MachineWriter:
         return f"{self.name}.state"
 
     def write_per_start_state(self, write: Callable[[model.State], None]) -> None:
-        """Call `write` for each state that an agent can have at birth: the start state, or all if the scene may set it."""
+        """Call `write` for each state that an agent can have at birth: only the start state, or all states if the scene may set
+        the state."""
         if self._scene_key in self.w.scene_attributes:
             self._write_per_state(self.machine.states, write)
         else:
@@ -123,7 +124,8 @@ class MachineWriter:
     # --- decide ------------------------------------------------------------------------------------------------------
 
     def write_decision(self) -> None:
-        """Check the transitions of each state in order; the first one that holds wins. Winners with a take emit claims."""
+        """Write the check of each state's transitions, in order; the first one that holds wins. If the winner has a `take`, emit
+        its claim."""
         by_state = [(s, [c for c in self.changes if c.state is s]) for s in self.machine.states]
         self.w.write_alternatives([(self._is_in_state(s), s.span, partial(self._write_winner, cs)) for s, cs in by_state if cs])
         self._write_per_transition([c for c in self.changes if c.transition.take_action], self._write_claim)
@@ -135,11 +137,12 @@ class MachineWriter:
         self.w.write_alternatives([(self._is_winning(c), c.transition.span, partial(write, c)) for c in changes])
 
     def _is_winning(self, change: _StateChange) -> PlanNode:
-        """Return whether a transition is the winning one of this step."""
+        """Return a node that is true if `change` is the winning transition of this step."""
         return self.w.b("eq", self.w.read_at_step_start(self.pending_register), self.w.b.add_row(change.number))
 
     def _write_winner(self, changes: list[_StateChange]) -> None:
-        """Store the number of the first transition of a state that holds."""
+        """Write a store of the number of the first transition that holds. `changes`: the transitions that leave one state, in
+        order."""
         winner = self.w.b.add_row(0)
         weighed = [(c, self._lower_firing_condition(c)) for c in changes]
         for change, fires in weighed:
@@ -149,7 +152,7 @@ class MachineWriter:
         self.w.add_store(self.pending_register, winner, changes[0].state.span)
 
     def _lower_firing_condition(self, change: _StateChange) -> PlanNode:
-        """Return whether all conditions of a transition hold."""
+        """Return a node that is true if all conditions of a transition hold."""
         w, t = self.w, change.transition
         w.b.span = t.span
         try:
@@ -172,13 +175,13 @@ class MachineWriter:
     def _is_from_any(self, transition: model.Transition) -> bool:
         """Return whether a transition was declared `from any`.
 
-        Such a transition never leads into the current state, which may be known only at run time."""
+        Such a transition never leads into the current state. Only at run time is it known which state that is."""
         return transition.key.startswith(f"{self.site}.{model.FROM_ANY_KEY}->")
 
     def _has_condition_held_for(self, transition: model.Transition, condition: PlanNode, duration: model.Expr) -> PlanNode:
-        """Return whether a condition is true in this step, and was true in all steps of the time `duration` before.
+        """Return a node that is true if a condition holds in this step and has held for the time `duration` before it.
 
-        Write the statement that counts these steps."""
+        Also write the statement that counts the steps in which it holds."""
         b, counter = self.w.b, _format_counter_name(transition)
         previous_count = self.w.read_previous(counter)
         count = b("where", condition, b("add", previous_count, b.add_number(1)), b.add_number(0))
@@ -204,8 +207,8 @@ class MachineWriter:
     # --- act ---------------------------------------------------------------------------------------------------------
 
     def write_actions(self) -> None:
-        """Write the exit actions, the transition's actions, the change of state and the enter actions, then the body of the new
-        state."""
+        """Write the exit actions, the transition's actions, the change of state and the enter actions. Then write the body of
+        the new state."""
         w = self.w
         if self.changes:
             with w.open_region(self._is_changing(), self.machine.span):
@@ -249,7 +252,7 @@ class MachineWriter:
         self._write_per_state(self.machine.states, self._write_entry)
 
     def _lower_target(self, change: _StateChange) -> PlanNode:
-        """Return the index of the state that a transition leads to. A `choose` draws it."""
+        """Return the index of the state that a transition leads to. For a `choose`, the state is drawn at random."""
         w, t, b = self.w, change.transition, self.w.b
         if t.targets_previous:
             return w.read_at_step_start(f"{self.name}.previous")
@@ -269,8 +272,9 @@ class MachineWriter:
         return target
 
     def _write_entry(self, state: model.State) -> None:
-        """Reset the counters of `held`, then write the enter actions. The counter of a single state is reset on entry into it.
-        A counter that several states share is reset on entry into a state without the transition."""
+        """Write the actions on entry into a state: reset the counters of `held`, then run the enter actions. A counter of one
+        state is reset on entry into it. A counter that several states share is reset on entry into a state without that
+        transition."""
         own_keys = {t.key for t in state.transitions}
         for key in dict.fromkeys(c.transition.key for c in self.changes if c.transition.hold_time is not None):
             counter = f"{key}.held"
@@ -280,7 +284,7 @@ class MachineWriter:
         clips.restart_clip(self.w, self.machine, state)
 
     def advance_time(self) -> None:
-        """Add one step to the time in the state."""
+        """Write a statement that adds one step to the time in the state."""
         advance_state_time(self.w, self.name)
 
 
@@ -303,7 +307,8 @@ def has_state_lasted(w: PlanWriter, machine: str, duration: model.Expr) -> PlanN
 
 
 def advance_state_time(w: PlanWriter, machine: str) -> None:
-    """Add one step to the time in the state. The time is a whole number of steps, so no rounding errors accumulate."""
+    """Write a statement that adds one step to the time in the state. The time is a whole number of steps, so no rounding errors
+    accumulate."""
     b, dt = w.b, w.read_run_value("dt")
     name = f"{machine}.time_in_state"
     step_count = b("floor", b("add", b("div", w.read_at_step_start(name), dt), b.add_number(1.5)))

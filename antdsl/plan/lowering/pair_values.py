@@ -1,7 +1,8 @@
-"""Lowers pair values: values that an agent stores about a few other agents. Each slot has two registers, an id and a value.
+"""Lowers pair values: values that an agent stores about a few other agents. Each slot has two registers: the other agent's id,
+and the value.
 
-Agents without a slot have the initial value, which is also the rest value. If all slots are used, a new agent replaces the
-weakest: the agent with the value nearest to rest, or with the greater id among equals."""
+About an agent without a slot, the value is the initial value, which is also the rest value. If all slots are used, a new agent
+replaces the weakest. The weakest is the agent with the value nearest to rest; among equals, the one with the greater id."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ REST_TOLERANCE = 1e-9  # base units; values nearer to rest have no slot
 
 
 def declare_registers(w: PlanWriter, attribute: model.AttributeDecl) -> None:
-    """Declare the registers of a pair value, and a temp with its name, through which all stored values pass."""
+    """Declare the registers of a pair value, and a temp with the attribute's name. All values pass through this temp before they
+    are stored."""
     holds = (attribute.type.kind.value, *attribute.type.dimension, attribute.pair_species)
     for who, value in list_slot_register_names(attribute.name, attribute.slot_count):
         w.declare_register(who, ValueKind.I64, "pair", -1, attribute.pair_species, holds)
@@ -29,12 +31,12 @@ def declare_registers(w: PlanWriter, attribute: model.AttributeDecl) -> None:
 
 
 def find_pair_attribute(w: PlanWriter, name: str) -> model.AttributeDecl | None:
-    """Return the declaration of the pair value `name`; None if there is none."""
+    """Return the declaration of the pair value `name`, or None if there is none."""
     return next((a for a in w.species.attributes if a.name == name and a.pair_species), None)
 
 
 def read_pair_attribute(w: PlanWriter, attribute: model.AttributeDecl, other: model.Expr) -> PlanNode:
-    """Return the value of `likes[other]`."""
+    """Return the value of `attribute[other]`, such as `likes[other]`."""
     other_id = _lower_agent_id(w, lower_expression(w, other))
     result = lower_rest_value(w, attribute)
     for who, value in reversed(_read_slots(w, attribute)):
@@ -45,7 +47,8 @@ def read_pair_attribute(w: PlanWriter, attribute: model.AttributeDecl, other: mo
 
 
 def write_relaxation_of_slots(w: PlanWriter, attribute: model.AttributeDecl) -> None:
-    """At the start of a step, relax each value towards its rest, and free the slots of values that have reached it."""
+    """Write, for the start of a step, the relaxation of each value towards its rest. A slot becomes free when its value reaches
+    rest."""
     b = w.b
     b.span = attribute.span
     rest = lower_rest_value(w, attribute)
@@ -76,10 +79,10 @@ def write_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeD
 
 
 def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> None:
-    """Set the values about all agents of a set. Agents with a slot change in place. The strongest of the others get slots, if
-    there are free ones.
+    """Set the values about all agents of a set. Agents that already have a slot stay in it. Free slots go to the strongest of
+    the other agents.
 
-    All values are computed before any is stored, because a value may use other pair values."""
+    All values are computed before any is stored, because a value may depend on other pair values."""
     b = w.b
     assert s.other_agents is not None and s.element is not None
     over = lower_set(w, s.other_agents)
@@ -111,7 +114,7 @@ def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.Attri
         w.add_store(names[0], b.add_agent_id(-1), s.span)
 
     def find_strongest(new: PlanNode, left: int) -> None:
-        """Find the strongest of the agents that have no slot yet, then recursively the next one."""
+        """Find the strongest agent without a slot, then the next one recursively. `left`: how many more to find."""
         other_id = b("reduce.agent", over.nodes, new, b("neg", strength))
         with w.open_region(b("ne", other_id, b.add_agent_id(-1)), s.span):
             matched_amount = b("reduce.max", over.nodes, b("eq", other, other_id), amount)
@@ -144,11 +147,11 @@ def _store_in_temporary(w: PlanWriter, name: str, value: PlanNode, s: model.Assi
 def _store_in_slot(
     w: PlanWriter, attribute: model.AttributeDecl, other_id: PlanNode, value: PlanNode, s: model.Assign, has_slot: bool
 ) -> None:
-    """Store a value about another agent in the slots of a pair value.
+    """Write a store of a value about another agent into the slots of a pair value.
 
-    From the first slot on, each retains the stronger of two values and passes the weaker one to the next slot. The last value
-    that is passed on is dropped.
-    `has_slot`: whether the other agent may have a slot already, which is then freed first."""
+    Each slot, from the first, compares its value with the new one, retains the stronger of the two, and passes the weaker one to
+    the next slot. The last value that is passed on is dropped. `has_slot`: whether the other agent may already have a slot,
+    which is then freed first."""
     b, rest = w.b, lower_rest_value(w, attribute)
     carried, amount = other_id, _store_in_temporary(w, attribute.name, value, s)
     strength = b("abs", b("sub", amount, rest))
@@ -192,7 +195,7 @@ def lower_rest_value(w: PlanWriter, attribute: model.AttributeDecl) -> PlanNode:
 
 
 def _lower_agent_id(w: PlanWriter, value: LoweredValue) -> PlanNode:
-    """Return the id of the agent that a pair value is about."""
+    """Return the id of the agent to which a pair value refers."""
     if isinstance(value, OwnPosition):
         return w.b("id")
     return w.b("other.id") if isinstance(value, SetElement) else value.node  # type: ignore[union-attr]

@@ -1,4 +1,5 @@
-"""Lowers sets and reductions over them. Neighbours and items become a reduction over pairs. Feelers are unrolled ray by ray."""
+"""Lowers sets and reductions over them. A reduction over neighbours or items runs at pair rate. Feelers are unrolled ray by
+ray."""
 
 from __future__ import annotations
 
@@ -24,20 +25,19 @@ _MAX_COUNT_ARGUMENT = {"neighbours": 2, "all": 1}  # index of the argument with 
 
 
 def choose_quantum_exponent(dim: Dimension) -> int:
-    """Return the exponent of the rounding unit for sums of this dimension.
+    """Return the exponent of the rounding unit for sums of values with this dimension.
 
     Terms are rounded to a multiple of 2**exponent base units, so that their sum is exact in any order.
 
-    A float64 has 53 bits: with exponent -24, the sum may reach 2**28. Lengths, speeds and forces have four bits less resolution
-    for more range (1e-6 mm, sums up to 4 million metres). Areas have 14 bits less, volumes 24 bits less, and densities 6 bits
-    more."""
+    A float64 has 53 bits: with exponent -24, the sum may reach 2**28. Lengths, speeds and forces use a unit that is 4 bits
+    coarser, for more range (1e-6 mm, sums up to 4 million metres). Areas use 14 bits, volumes 24 bits, and densities 6 bits."""
     if dim.length <= 0:
         return -30 if dim.length < 0 else -24
     return -20 if dim.length <= 1 else -10 if dim.length <= 2 else 0
 
 
 def lower_set(w: PlanWriter, e: model.SetExpr) -> ElementGroup | RayHits:
-    """Return the elements of a set with their condition, or the rays of feelers."""
+    """Return the elements of a set with the condition on them or, for feelers, the rays."""
     if e.source == "feelers":
         hits = lower_feelers(w, e)
         narrowed_hits = tuple(_filter_hit(w, hit, e.element, e.condition) for hit in hits)
@@ -69,9 +69,9 @@ def lower_set(w: PlanWriter, e: model.SetExpr) -> ElementGroup | RayHits:
 
 
 def _is_among_nearest(w: PlanWriter, nodes: PlanNode, condition: PlanNode, kind: model.TypeKind, max_count: PlanNode) -> PlanNode:
-    """Return whether an element is among the `max_count` nearest elements for which a condition holds.
+    """Return a node that is true if an element is among the `max_count` nearest elements that fulfil `condition`.
 
-    If at most `max_count` elements fulfil it, all count. At equal distance, the lower id or row counts as nearer."""
+    If at most `max_count` elements fulfil it, all are included. At equal distance, the lower id or row counts as nearer."""
     b, away = w.b, w.b("pair.distance")
     of_items = kind is model.TypeKind.ITEM
     last = b("reduce.nth_item" if of_items else "reduce.nth_agent", nodes, condition, away, max_count)
@@ -88,7 +88,7 @@ def _is_item_group(w: PlanWriter, name: str) -> bool:
 
 
 def lower_agent_scalar(w: PlanWriter, e: model.Expr | None, set_expr: model.SetExpr) -> PlanNode:
-    """Return a parameter of a set. It may depend on the agent, but not on an element of another set."""
+    """Return the node of a parameter of a set. It may depend on the agent, but not on an element of another set."""
     if e is None:
         raise PlanError(f"a set without its size: {set_expr.span.text!r}")
     node = lower_scalar(w, e)
@@ -104,7 +104,8 @@ def _is_full_circle(fov: PlanNode) -> bool:
 
 
 def compute_min_cosine(w: PlanWriter, fov: PlanNode) -> tuple[PlanNode]:
-    """Return the smallest cosine between the heading and any direction inside a field of view (an angle in rad)."""
+    """Return the cosine of half the field of view `fov` (rad): the smallest cosine between the heading and a visible
+    direction."""
     b = w.b
     if _is_full_circle(fov):
         return (b.add_number(ANY_DIRECTION_COSINE),)
@@ -113,7 +114,7 @@ def compute_min_cosine(w: PlanWriter, fov: PlanNode) -> tuple[PlanNode]:
 
 
 def lower_with_binding(w: PlanWriter, binding: model.Binding, element: LoweredValue, body: Callable[[], T]) -> T:
-    """Run `body` with a name bound to an element."""
+    """Return the result of `body`, called while a name is bound to an element."""
     w.environment[binding] = element
     if isinstance(element, SetElement):
         w.set_elements.append(binding)
@@ -129,7 +130,7 @@ def lower_with_binding(w: PlanWriter, binding: model.Binding, element: LoweredVa
 
 
 def lower_reduction(w: PlanWriter, e: model.ReduceExpr) -> LoweredValue:
-    """Lower sum, mean, min, max, count, any, every, best or nearest over a set."""
+    """Lower a reduction over a set: sum, mean, min, max, count, any, every, best or nearest."""
     over = lower_set(w, e.elements)
     if isinstance(over, RayHits):
         return _reduce_hits(w, e, over)
@@ -178,8 +179,8 @@ def _select_least_element(w: PlanWriter, elements: ElementGroup, body: PlanNode)
 
 
 def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
-    """Return the rays of feelers: directions about the heading, at equal angles from `-spread` to `spread` about up (Reynolds
-    1999, p. 12)."""
+    """Return the rays of feelers. Their directions are at equal angles about up, from `-spread` to `spread` of the heading
+    (Reynolds 1999, p. 12)."""
     b = w.b
     count_expr, spread_expr, reach_expr = e.args
     count = get_constant_value(lower_agent_scalar(w, count_expr, e))
@@ -203,7 +204,7 @@ def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
 
 
 def cast_ray(w: PlanWriter, direction: VectorNodes, reach: PlanNode, target: str) -> RayHit:
-    """Return one ray. `direction` has length 1, `reach` is in mm: at most half a width in a periodic world."""
+    """Return one ray. `direction`: a unit vector. `reach`: mm; at most half the width of a periodic world is used."""
     if w.period is not None:
         reach = w.b("min", reach, w.b.add_number(min(width for width in w.period if width) / 2))
     ray = w.b("ray", *direction, reach, attrs=(target,))
@@ -219,12 +220,13 @@ def _filter_hit(w: PlanWriter, hit: RayHit, element: model.Binding, condition: m
 
 
 def _assume_hit(w: PlanWriter, hit: RayHit) -> RayHit:
-    """Return the ray with its hit assumed to exist, for the body of a reduction. Results of missed rays are discarded later."""
+    """Return the ray with its hit assumed to exist, for use in the body of a reduction. The caller discards the results of rays
+    without a hit."""
     return RayHit(w.b.true, hit.distance, hit.normal, hit.direction)
 
 
 def _reduce_hits(w: PlanWriter, e: model.ReduceExpr, elements: RayHits) -> LoweredValue:
-    """Lower a reduction over hits, unrolled in the order of the rays."""
+    """Lower a reduction over the hits of feelers, unrolled in the order of the rays."""
     b = w.b
     if e.reducer == "nearest":
         return _select_least_hit(w, elements, [hit.distance for hit in elements.hits])
@@ -274,7 +276,7 @@ def _reduce_hit_numbers(w: PlanWriter, reducer: str, elements: RayHits, bodies: 
 
 
 def _select_least_hit(w: PlanWriter, elements: RayHits, keys: list[PlanNode]) -> RayHit:
-    """Return the hit with the smallest key, or the earlier ray among equals."""
+    """Return the hit with the smallest key. Among equal keys, the earlier ray wins."""
     best, least = elements.hits[0], keys[0]
     for hit, key in zip(elements.hits[1:], keys[1:], strict=True):
         better = w.b("and", hit.hit, w.b("or", w.b("not", best.hit), w.b("lt", key, least)))

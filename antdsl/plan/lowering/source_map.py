@@ -1,6 +1,7 @@
-"""Lowers a program and records the nodes of parts of its text: conditions and their parts, layers, choices, steering.
+"""Lowers a program and records which nodes belong to each part of its text: conditions and their parts, layers, choices,
+steering.
 
-The plan does not change, because notes refer to existing nodes and write no statements."""
+The plan is the same as without notes, because notes refer to existing nodes and add no statements."""
 
 from __future__ import annotations
 
@@ -32,9 +33,9 @@ class ExpressionNote:
     """A part of an expression in the source, with the nodes that compute it.
 
     - `nodes`: one node, or three for a vector.
-    - `unit`: a unit that the author wrote in the same expression, or a default one.
-    - `role`: `draw` for the random number of a `chance`, `bar` for the limit that it is compared with. `joined` for an operation
-      such as `and` or `<` that only joins its parts. "" for other parts."""
+    - `unit`: the unit for display: one that the author wrote in the same expression, or a default one.
+    - `role`: `draw` for the random number of a `chance`; `bar` for the limit with which it is compared; `joined` for an
+      operation such as `and` or `<` that only joins its parts; "" for other parts."""
 
     text: str
     type: model.ValueType
@@ -62,7 +63,7 @@ class ChangeNote:
     """A transition of a state. `number`: its number in the machine, from 1. `is_taken`: the node that is true if the transition
     happens.
 
-    `condition`, `condition_value`: the parts of the condition, and the node of its value; None for no condition."""
+    `condition`: the condition with its parts; `condition_value`: the node of its value. Both are None without a condition."""
 
     machine: str
     number: int
@@ -77,7 +78,7 @@ class ChangeNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChoiceNote:
-    """The choice of a transition to one of several states: the random draw, and the weight of each state by its index."""
+    """The choice of a transition among several states: the random draw, and for each state its index and weight."""
 
     key: str
     draw: PlanNode
@@ -86,7 +87,7 @@ class ChoiceNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LayerNote:
-    """A layer. `budget_left`: the budget that earlier layers have left. `has_budget`: whether `budget_left` is above 0."""
+    """A layer. `budget_left`: the strength that earlier layers have left. `has_budget`: whether `budget_left` is above 0."""
 
     layer: model.Layer
     budget_left: PlanNode
@@ -100,13 +101,13 @@ RESTING_TEXT = "no line steers, so the agent does not move: halt()"
 
 
 def make_resting_site(species: str) -> str:
-    """Return the key of the push of agents in states that do not steer."""
+    """Return the site key of the push of agents in states that do not steer."""
     return f"{species}.rest#1"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SteerNote:
-    """A `steer` or `face` line. `site`: its key, `SPECIES.MACHINE.STATE#1`, `SPECIES.layers.face#1`, or the result of
+    """A `steer` or `face` line. `site`: its key, such as `SPECIES.MACHINE.STATE#1` or `SPECIES.layers.face#1`, or the result of
     `make_resting_site`."""
 
     site: str
@@ -117,7 +118,7 @@ class SteerNote:
 
 @dataclass(slots=True, eq=False)
 class SourceNotes:
-    """The nodes of the parts of one species' source text: transitions, choices by key, layers, and `steer` and `face` lines."""
+    """The nodes for the source text of one species: transitions, choices by key, layers, and `steer` and `face` lines."""
 
     changes: list[ChangeNote] = field(default_factory=list)
     choices: dict[str, ChoiceNote] = field(default_factory=dict)
@@ -126,7 +127,7 @@ class SourceNotes:
 
 
 class NotingWriter(PlanWriter):
-    """Writes the same plan as PlanWriter, and records notes."""
+    """Writer that writes the same plan as PlanWriter and also records notes."""
 
     def __init__(
         self,
@@ -204,7 +205,8 @@ class NotingWriter(PlanWriter):
     # --- parts -------------------------------------------------------------------------------------------------------
 
     def _make_part_note(self, e: model.Expr, units: list[str], depth: int = 0) -> ExpressionNote | None:
-        """Return an expression with the parts that determine it; None for expressions without a value (a species, a field)."""
+        """Return a note about an expression and the parts that determine it. Return None for an expression without a value (a
+        species, a field)."""
         value = lower_expression(self, e)
         text, type = _join_lines(e.span.text), e.type
         parts: tuple[ExpressionNote, ...] = ()
@@ -248,7 +250,7 @@ class NotingWriter(PlanWriter):
 def _iterate_inner_parts(e: model.Expr, units: list[str]) -> Iterator[tuple[model.Expr, list[str]]]:
     """Yield the parts of an expression that are worth displaying, each with its units.
 
-    These are sides of a comparison, names in a sum, and the values of `let`s."""
+    These parts are the sides of a comparison, names in a sum, and the values of `let`s."""
     if isinstance(e, model.BindingRef) and e.binding.role == "let" and e.binding.value is not None:
         if isinstance(e.binding.value, model.OperationExpr):
             yield from _iterate_inner_parts(e.binding.value, _find_written_units(e.binding.value.span))
@@ -275,12 +277,13 @@ def _join_lines(text: str) -> str:
 
 
 def _find_written_units(span: Span) -> list[str]:
-    """Return the units after numbers in the text of a span."""
+    """Return the units that follow numbers in the text of a span."""
     return _NUMBER_WITH_UNIT.findall(span.text)
 
 
 def _choose_display_unit(e: model.Expr, units: list[str], program: model.Program) -> str:
-    """Return a unit for a number: the unit of the param itself, the first unit of its dimension in the text, or a default one."""
+    """Return the unit in which to display a number: the unit of the param itself, else the first fitting unit in the text, else
+    a default."""
     if e.type.kind not in (model.TypeKind.NUMBER, model.TypeKind.VECTOR):
         return ""
     if isinstance(e, model.ParamRef) and e.name in program.params:

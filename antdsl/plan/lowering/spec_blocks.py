@@ -1,8 +1,8 @@
-"""Lowers a spec, or the measures of a program, to a plan. It has blocks that evaluate each agent and item, numbers about
-complete populations, and conditions on them.
+"""Lowers a spec, or the measures of a program, to a plan. The plan has blocks for each agent and item, aggregates over complete
+populations, and conditions on these aggregates.
 
-The blocks of a judged species store into separate registers and change nothing else. `decide` computes the values from which
-population numbers are aggregated. `act` judges each agent. `blend` computes the values for the message of a failure."""
+The blocks of a judged species store only into separate registers and change nothing else. `decide` computes the values that are
+aggregated over a population. `act` judges each agent. `blend` computes the values for the message of a failure."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _ITEM_VALUES_HELP = "items have a position, a radius and their own values"
 
 
 class _SpecWriter(PlanWriter):
-    """A writer that also lowers expressions that only specs can use."""
+    """A PlanWriter that also lowers expressions that only specs can use."""
 
     def __init__(self, lowering: _SpecLowering, species: model.Species, registers: dict[str, Register]) -> None:
         super().__init__(lowering.b, lowering.program, species, lowering.report, LOWERING_RULES)
@@ -75,27 +75,27 @@ class _SpecWriter(PlanWriter):
         return self.lowering.lower_start_value(self, e)
 
     def read_body_register(self, e: expectations.BodyMeasure) -> PlanNode:
-        """Return the node of a body measure's register, which the judge fills before the evaluation."""
+        """Return the node that reads a body measure from its register. The judge fills this register before the evaluation."""
         name = f"geometry.{e.name}"
         self.registers[name] = Register(name, ValueKind.F32, "attribute")
         self.lowering.body_measures.setdefault(self.species.name, set()).add(e.name)
         return self.b("snap", attrs=(name,), kind=ValueKind.F32)
 
     def store_result(self, block: str, name: str, node: PlanNode, span: Span) -> str:
-        """Add a register of the spec that a block fills, and return its name."""
+        """Add a register that the spec's block `block` fills with the value of `node`. Return the register's name."""
         self.registers[name] = Register(name, node.kind, "memory")
         self.blocks[block].append(Store(name, node, span, allows_infinity=True))
         return name
 
     def make_species_plan(self) -> SpeciesPlan:
-        """Return the plan of the species with the registers and stores of the spec."""
+        """Return the plan of the species with the registers and stores that the spec adds."""
         decide, act, blend = (Block(tuple(self.blocks[name])) for name in ("decide", "act", "blend"))
         lazy_senses = find_shared_senses(decide, act, blend)
         return SpeciesPlan(self.species.name, self.registers, (), Block(()), decide, act, blend, (), (), lazy_senses)
 
 
 class _SpecLowering:
-    """The state of lowering one spec."""
+    """The state of the lowering of one spec."""
 
     def __init__(self, program: model.Program, plan: ir.Plan, report: Report) -> None:
         self.program, self.program_plan, self.report = program, plan, report
@@ -114,7 +114,7 @@ class _SpecLowering:
         return model.Species(name, "", (), (), (), (), (), (), self._empty_layers, self._empty_layers.span)
 
     def get_agent_writer(self, species: str, span: Span | None = None) -> _SpecWriter:
-        """Return the writer of a species. Raise UnsupportedConstruct if the scene does not contain it."""
+        """Return the writer for a species. Raise UnsupportedConstruct if the scene does not contain this species."""
         if species not in self.program_plan.species:
             assert span is not None
             words = f"a spec on `{species}`, which the scene does not contain,"
@@ -124,7 +124,7 @@ class _SpecLowering:
         return self.writers[species]
 
     def get_item_writer(self, items: str) -> _SpecWriter:
-        """Return the writer of a group of items, which has their values as registers."""
+        """Return the writer for a group of items, which has the items' values as registers."""
         if items not in self.writers:
             names = ("position.x", "position.y", "position.z", "radius", *self.program_plan.items[items].attributes)
             self.writers[items] = _SpecWriter(
@@ -133,7 +133,7 @@ class _SpecLowering:
         return self.writers[items]
 
     def get_cell_writer(self, field: str) -> _SpecWriter:
-        """Return the writer of a field, which has the register `value`."""
+        """Return the writer for the cells of a field. Its register `value` has the value of a cell."""
         if field not in self.writers:
             self.writers[field] = _SpecWriter(
                 self, self._make_empty_species(field), {"value": Register("value", ValueKind.F32, "attribute")}
@@ -143,7 +143,7 @@ class _SpecLowering:
     # --- wholes and starts -------------------------------------------------------------------------------------------
 
     def _lower_once(self, e: model.Expr, lower: Callable[[], LoweredValue]) -> Any:
-        """Return the value of an expression, which is evaluated once, even if several expressions contain it."""
+        """Return the value of an expression, lowered only once, even if several expressions contain it."""
         if e not in self.known:
             self.known[e] = lower()
         return self.known[e]
@@ -200,7 +200,7 @@ class _SpecLowering:
         return self.b("ne", result, self.b.add_number(0)) if e.type.kind is model.TypeKind.BOOL else result
 
     def lower_start_value(self, w: _SpecWriter, e: expectations.StartValue) -> PlanNode:
-        """Return the node of a number's value at the start: of the run, or of each agent's life."""
+        """Return the node of a number's value at the start of the run or, for a number of agents, of each agent's life."""
         node: PlanNode = self._lower_once(e, lambda: self._lower_new_start_value(w, e))
         return node
 
@@ -216,7 +216,7 @@ class _SpecLowering:
         return self.b("snap", attrs=(name,), kind=ValueKind.F32)
 
     def lower_reference_run_value(self, e: expectations.ReferenceRunValue) -> PlanNode:
-        """Return the node of a number's value in the reference run."""
+        """Return the node of the value that a number has in the reference run."""
 
         def lower() -> PlanNode:
             value = lower_scalar(self.run_writer, e.value)
@@ -227,7 +227,8 @@ class _SpecLowering:
         return node
 
     def _check_pure(self, w: _SpecWriter, node: PlanNode, e: model.Expr) -> PlanNode:
-        """Return the node. Raise UnsupportedConstruct if it has side effects, or reads a value that items or cells lack."""
+        """Return the node unchanged. Raise UnsupportedConstruct if it has side effects, or reads a value that items or cells do
+        not have."""
         if w.statements:
             w.statements.clear()
             words = "a value with memory in a spec"
@@ -242,7 +243,7 @@ class _SpecLowering:
         return node
 
     def collect_queries(self) -> dict[str, Any]:
-        """Return the fields of a QueryPlan by name."""
+        """Return the arguments for a QueryPlan, by field name."""
         species = {name: self.get_agent_writer(name).make_species_plan() for name in self.program_plan.species}
         species |= {name: w.make_species_plan() for name, w in self.writers.items() if name not in species}
         return {
@@ -293,13 +294,13 @@ class _SpecLowering:
 
 
 def _is_agent_only(node: PlanNode) -> bool:
-    """Return whether a node has a value only for agents, for example a sense or the age. Items have only registers."""
+    """Return whether a node has a value only for agents, for example a sense or the age. Items only have registers."""
     return node.op != "snap" and (OPERATION_BY_NAME[node.op].rate is UpdateRate.AGENT or node.kind is ValueKind.SET)
 
 
 def lower_spec(spec: expectations.Spec, program: model.Program, plan: ir.Plan) -> tuple[SpecPlan | None, Report]:
-    """Return the plan that evaluates a spec. `plan`: the lowered program that the spec judges. Return None and a report if an
-    expression cannot be evaluated yet."""
+    """Return the plan that evaluates a spec, and a report. The plan is None if an expression cannot be evaluated yet. `plan`:
+    the lowered program that the spec judges."""
     work = _SpecLowering(program, plan, Report())
     with _allow_deep_recursion():
         duration = None if spec.duration is None else lower_scalar(work.run_writer, spec.duration)
@@ -313,7 +314,7 @@ def lower_spec(spec: expectations.Spec, program: model.Program, plan: ir.Plan) -
 def lower_measures(program: model.Program, plan: ir.Plan) -> tuple[MeasuresPlan | None, Report]:
     """Return the plan that evaluates the measures of a program, or None, and a report. `plan`: the lowered program.
 
-    Measures of species that the scene does not contain are left out, because they have no value there."""
+    Measures of species that are not in the scene are omitted, because they have no value there."""
     work, nodes = _SpecLowering(program, plan, Report()), {}
     with _allow_deep_recursion():
         for measure in program.measures:
@@ -328,13 +329,13 @@ def lower_measures(program: model.Program, plan: ir.Plan) -> tuple[MeasuresPlan 
 
 
 def _refers_to_other_species(part: object, species: Sequence[str]) -> bool:
-    """Return whether an expression is an aggregate of one of these species."""
+    """Return whether an expression is an aggregate over one of the species `species`."""
     return isinstance(part, expectations.AggregateExpr) and part.population.referent in species
 
 
 @contextmanager
 def _allow_deep_recursion() -> Iterator[None]:
-    """Within the context, Python may recurse as deep as the expressions of a program need."""
+    """Raise Python's recursion limit within the context, so that deeply nested expressions can be lowered."""
     previous_limit = sys.getrecursionlimit()
     sys.setrecursionlimit(max(previous_limit, MAX_RECURSION_FRAMES))
     try:

@@ -1,4 +1,4 @@
-"""The plans of specs and measures: what an evaluator computes in each frame, and what a judge decides from it."""
+"""The plans of specs and measures: what an evaluator computes in each frame, and what a judge derives from these values."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from antdsl.source import Span
 class AggregatePlan:
     """A number about all agents of a species, items of a name, cells of a field, or a solid. Nodes read it by `name`.
 
-    - `kind`, `subject`: the kind and the name of what the number is about.
-    - `where_register`, `body_register`: the registers in which `decide` stores the condition and the value of each member.
+    - `kind`, `subject`: what the number is about: its kind, and its name.
+    - `where_register`, `body_register`: the registers in which `decide` stores each member's condition and value.
     - `amount`: the attribute of items that is aggregated without conversion to float32."""
 
     name: str
@@ -33,7 +33,8 @@ class StartValuePlan:
     """A number that a spec compares with its value at the start.
 
     For a number about the complete run, `value` is the node of the number. Other nodes read its start value by `name`. For a
-    number of each agent of `species`, the register `name` receives the value of `source_register` in the agent's first frame."""
+    number of each agent of `species`, the value of `source_register` in the agent's first frame is stored in the register
+    `name`."""
 
     name: str
     value: PlanNode | None = None
@@ -43,7 +44,7 @@ class StartValuePlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FirstTimePlan:
-    """The time at which a condition about the complete run holds for the first time. Other nodes read it by `name`."""
+    """The time at which a condition about the complete run first holds. Other nodes read it by `name`."""
 
     name: str
     condition: PlanNode
@@ -51,8 +52,8 @@ class FirstTimePlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceValuePlan:
-    """A number of the reference run. `value`: the node that computes it in that run. `name`: the name by which nodes of this run
-    read it."""
+    """A number of the reference run. `value`: the node that computes it in that run. `name`: the name by which nodes of the
+    judged run read it."""
 
     name: str
     value: PlanNode
@@ -60,7 +61,7 @@ class ReferenceValuePlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadingPlan:
-    """A value for the message of a failure: a node, or a register that `blend` fills for one agent."""
+    """A value for the message of a failure: a node, or a register that `blend` fills for each agent."""
 
     span: Span
     type: model.ValueType
@@ -80,10 +81,10 @@ class GoalPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgementPlan:
-    """One expectation.
+    """One expectation of a spec.
 
-    - `condition`, `start_condition` (of a `when`): for a `species`, registers that `act` fills for each agent; otherwise nodes
-      about the complete run.
+    - `condition`, `start_condition` (of a `when`): for a `species`, the registers that `act` fills for each agent; otherwise
+      nodes about the complete run.
     - `time`, `hold_time`: nodes with one value for the run."""
 
     kind: str
@@ -103,10 +104,10 @@ class JudgementPlan:
 class QueryPlan:
     """Lowered expressions about complete runs.
 
-    - `plan`: the plan with the judged species, and with each group of items as another species of this name.
-    - `stored_values`: values of earlier frames, each after those that it uses.
-    - `body_measures`: by species, the names in GEOMETRY_MEASURES that have registers. The evaluator fills these registers
-      before the evaluation."""
+    - `plan`: the plan with the judged species, and with each group of items as an additional species of the same name.
+    - `stored_values`: values of earlier frames, each after the values that it uses.
+    - `body_measures`: by species, the names in GEOMETRY_MEASURES that have registers. The evaluator fills these registers before
+      the evaluation."""
 
     plan: ir.Plan
     aggregates: tuple[AggregatePlan, ...]
@@ -126,6 +127,6 @@ class SpecPlan(QueryPlan):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MeasuresPlan(QueryPlan):
-    """The lowered measures of a program. `nodes`: the node of each measure by name, in text order."""
+    """The lowered measures of a program. `nodes`: the node of each measure by the measure's name, in text order."""
 
     nodes: Mapping[str, PlanNode]

@@ -27,8 +27,8 @@ class VectorNodes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EntityRef:
-    """A reference to an item (`kind` ITEM, `node` a row) or an agent (AGENT, an id); it may be none. `owner`: the name of the
-    items or species."""
+    """A reference to an item or an agent; it may be none. `node`: the item's row (`kind` ITEM) or the agent's id (AGENT).
+    `owner`: the name of the items or species."""
 
     kind: TypeKind
     owner: str
@@ -37,7 +37,7 @@ class EntityRef:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetElement:
-    """The current element of the set that is being reduced."""
+    """The current element of the set over which a reduction runs."""
 
     kind: TypeKind
     owner: str
@@ -45,7 +45,7 @@ class SetElement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayHit:
-    """The result of a ray: whether it hit, the distance, the normal at the hit, and the ray's unit direction."""
+    """The result of a ray: whether it hit, the distance, the surface normal at the hit, and the ray's unit direction."""
 
     hit: PlanNode
     distance: PlanNode
@@ -62,7 +62,7 @@ class NamedThing:
 
     @property
     def row(self) -> ThingKindRow:
-        """Return the table row that describes the thing's kind."""
+        """Return the row of the table of things that describes this thing's kind."""
         return KIND_BY_WORD[self.kind.value]
 
 
@@ -73,7 +73,7 @@ class OwnPosition:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ElementGroup:
-    """A set of agents or items, with the condition on its elements."""
+    """A set of agents or items, with the condition that its elements fulfil."""
 
     nodes: PlanNode
     condition: PlanNode
@@ -82,7 +82,7 @@ class ElementGroup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayHits:
-    """The rays of a set of feelers, in their order from one side to the other."""
+    """The rays of a set of feelers, in order from one side to the other."""
 
     hits: tuple[RayHit, ...]
 
@@ -91,7 +91,7 @@ LoweredValue = PlanNode | VectorNodes | EntityRef | SetElement | RayHit | NamedT
 
 
 def apply_by_component(function: Callable[..., PlanNode], *vectors: VectorNodes) -> VectorNodes:
-    """Apply a function of scalars to each component of vectors, and return the resulting vector."""
+    """Return the vector that results from applying a function of scalars to each component of `vectors`."""
     return VectorNodes(function(*(v.x for v in vectors)), function(*(v.y for v in vectors)), function(*(v.z for v in vectors)))
 
 
@@ -109,8 +109,8 @@ def subtract_vectors(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> VectorNo
 
 
 def wrap_vector(b: PlanBuilder, v: VectorNodes, widths: tuple[float, float, float]) -> VectorNodes:
-    """Return a vector, shifted by whole `widths` (mm) of a periodic world so that no component exceeds half a width. A width of
-    0 has no effect."""
+    """Return a vector, shifted by whole `widths` (mm) of a periodic world so that no component exceeds half a width. Along an
+    axis with width 0, the component does not change."""
     parts = []
     for part, width in zip(v, widths, strict=True):
         if width:
@@ -148,13 +148,13 @@ def compute_length(b: PlanBuilder, v: VectorNodes) -> PlanNode:
 
 
 def divide_vector(b: PlanBuilder, v: VectorNodes, size: PlanNode) -> VectorNodes:
-    """Return v / size; a zero vector if `size` is too small as a divisor."""
+    """Return v / size, or a zero vector if `size` is too small as a divisor."""
     inverse = b("where", b("gt", size, b.add_number(MIN_VECTOR_LENGTH)), b("div", b.add_number(1), size), b.add_number(0))
     return scale_vector(b, v, inverse)
 
 
 def normalise_vector(b: PlanBuilder, v: VectorNodes) -> VectorNodes:
-    """Return the vector scaled to length 1; a zero vector stays zero (decision 24)."""
+    """Return the vector scaled to length 1. A zero vector stays zero (decision 24)."""
     return divide_vector(b, v, compute_length(b, v))
 
 
@@ -185,6 +185,6 @@ def rotate_vector(b: PlanBuilder, v: VectorNodes, axis: VectorNodes, angle: Plan
 
 
 def compute_angle_between(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> PlanNode:
-    """Return the angle between two vectors, from 0 to pi. It is well conditioned at both ends, unlike the arc cosine (Kahan 2006,
-    "How futile …")."""
+    """Return the angle between two vectors, from 0 to pi. It is accurate at both ends, unlike the arc cosine (Kahan 2006, "How
+    futile …")."""
     return b("atan2", compute_length(b, compute_cross_product(b, u, v)), compute_dot_product(b, u, v))

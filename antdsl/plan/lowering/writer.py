@@ -1,9 +1,9 @@
 """The state of lowering one species: the current block, the stores on the path to the current position, and how registers are
 read.
 
-While no statement on the path can have written an own attribute, it is read by `snap`, its value at the start of the step. Nodes
-that depend on a `snap` can be shared with all other places. After a possible write, the attribute is read by `load`. A `load`
-has the number of the stores before it in the text."""
+An attribute of the agent is read by `snap`, its value at the start of the step, until a statement on the path may have written
+it. Nodes that depend on a `snap` can be shared between all positions. After that, it is read by `load`. A `load` has the number
+of the stores before it in the text."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NONE_BY_KIND = {model.TypeKind.ITEM: -1, model.TypeKind.AGENT: -1}
 
 
 class UnsupportedConstruct(Exception):
-    """A construct that passes the checks but cannot run yet. It is reported as an error with its source location."""
+    """Error for a construct that passes the checks but cannot run yet. It is reported with its source location."""
 
     def __init__(self, construct: str, span: Span, help: str) -> None:
         super().__init__(construct)
@@ -39,16 +39,16 @@ class UnsupportedConstruct(Exception):
 
 
 class BodyProportions(NamedTuple):
-    """Proportions of the body of a species with standing bodies. Without a scene, they are those of a person.
+    """Proportions of bodies that stand upright. Without a scene, these are the proportions of a person.
 
-    `size_per_height`: its length over its height. `radius_per_size`: half of its width over its length."""
+    `size_per_height`: length divided by height. `radius_per_size`: half of the width, divided by the length."""
 
     size_per_height: float = 0.5 / 1.75
     radius_per_size: float = 0.42
 
 
 class LoweringRules(NamedTuple):
-    """The functions that lower compound expressions. `operation_rules` has those of operations, by the name of the operation.
+    """The functions that lower compound expressions. `operation_rules`: the functions for operations, by the operation's name.
 
     These functions call the PlanWriter, so it receives them as an argument instead of importing them."""
 
@@ -61,9 +61,9 @@ class LoweringRules(NamedTuple):
 
 
 class PlanWriter:
-    """Collects the statements and registers of the plan of one species.
+    """Writer that collects the statements and registers of the plan of one species.
 
-    `is_birth`: whether the block of birth is written, in which every read is a `load`."""
+    `is_birth`: whether the block of birth is being written, where every read is a `load`."""
 
     def __init__(
         self, builder: PlanBuilder, program: model.Program, species: model.Species, report: Report, rules: LoweringRules
@@ -102,7 +102,7 @@ class PlanWriter:
         id_species: str | None = None,
         language_type: tuple[Any, ...] = (),
     ) -> None:
-        """Declare a register of this species. A second declaration with another kind or role is an internal error."""
+        """Declare a register of this species. Raises an internal error if it is already declared with another kind or role."""
         known = self.registers.get(name)
         if known is None:
             self.registers[name] = Register(name, kind, role, initial_value, id_species, language_type)
@@ -122,13 +122,13 @@ class PlanWriter:
             raise PlanError(f"{name} cannot be stored: it is a {type.kind.value}")
 
     def read_at_step_start(self, name: str) -> PlanNode:
-        """Return the value of a register at the current place."""
+        """Return the node that reads a register at the current position: a `snap`, or a `load` after a possible write."""
         return self._read_register(name, self.is_snapshot)
 
     def read_current(self, name: str) -> PlanNode:
-        """Return the value of a register after all stores so far, even inside a snapshot.
+        """Return the node of a register's value after all stores so far, even inside a snapshot.
 
-        Latches are read like this, because they are set before any other code reads them."""
+        Latches are read with this method, because they are set before any other code reads them."""
         return self._read_register(name, False)
 
     def _read_register(self, name: str, snapshot: bool) -> PlanNode:
@@ -143,23 +143,23 @@ class PlanWriter:
         return self.b("load", attrs=(name, version), kind=register.kind)
 
     def read_previous(self, name: str) -> PlanNode:
-        """Return a register's value before this step. The result does not depend on the current position."""
+        """Return the node of a register's value before this step. The result does not depend on the current position."""
         if self.is_birth:
             return self.b.add_constant(self.registers[name].kind, self.registers[name].initial_value)
         return self.b("snap", attrs=(name,), kind=self.registers[name].kind)
 
     def read_vector(self, name: str) -> VectorNodes:
-        """Return the value of three registers at the current place."""
+        """Return the nodes of the three registers of a vector, read at the current position."""
         return VectorNodes(*(self.read_at_step_start(f"{name}.{axis}") for axis in AXES))
 
     def mark_written(self, name: str) -> None:
-        """Record that a register has changed by a statement other than a Store, such as a claim or a gift."""
+        """Record that a statement other than a Store changes a register, for example a claim or a gift."""
         self._written.add(name)
         self._store_counts[name] = self._store_counts.get(name, 0) + 1
         self.current_lets.clear()
 
     def begin_step(self) -> None:
-        """Clear the records of written registers, because a step begins."""
+        """Forget which registers have been written, because a new step begins."""
         self._written.clear()
         self._advanced_memories.clear()
         self._store_counts.clear()
@@ -167,7 +167,7 @@ class PlanWriter:
         self.memory_updates.clear()
 
     def lower_spec_expression(self, e: model.Expr) -> values.LoweredValue:
-        """Lower an expression that only specs can use. In programs it is an error."""
+        """Lower an expression that only specs can use. In a program, such an expression is an error."""
         raise PlanError(f"only specs can use this: {e.span.text!r}")
 
     # --- notes -------------------------------------------------------------------------------------------------------
@@ -177,7 +177,7 @@ class PlanWriter:
     def note_transition(
         self, machine: str, number: int, state: model.State, transition: model.Transition, is_taken: PlanNode
     ) -> None:
-        """Record a transition of a state, and whether it fires."""
+        """Record a transition of a state. `is_taken`: the node that is true if the transition fires."""
 
     def note_state_choice(self, key: str, draw: PlanNode, weights: list[tuple[int, PlanNode]]) -> None:
         """Record a transition's choice of a state: the random draw and the weight of each state."""
@@ -185,12 +185,14 @@ class PlanWriter:
     def note_layer(
         self, layer: model.Layer, budget_left: PlanNode, has_budget: PlanNode, condition_value: PlanNode, push: VectorNodes
     ) -> None:
-        """Record a layer: the strength left for it, whether this is above 0, whether its condition holds, and its push."""
+        """Record a layer: the strength left for it, whether it is above 0, the value of the layer's condition, and the layer's
+        push."""
 
     def note_steering(
         self, s: model.Steer | model.FaceLine | model.Layer, site: str, push: VectorNodes, condition_value: PlanNode | None = None
     ) -> None:
-        """Record a `steer` line, or a `face` line of a state or of the layers, and whether the line's condition holds."""
+        """Record a `steer` line, or a `face` line of a state or of the layers. `condition_value`: whether the line's condition
+        holds."""
 
     def note_resting_push(self, rest: model.RestingPush, push: VectorNodes) -> None:
         """Record the push of agents without a `steer` line."""
@@ -202,7 +204,7 @@ class PlanWriter:
         self.statements.append(statement)
 
     def add_store(self, name: str, value: PlanNode, span: Span | None, allows_infinity: bool = False) -> None:
-        """Set a register for all later reads. A store of the value that it already has is omitted."""
+        """Add a store that sets a register for all later reads. Nothing is added if the register already has this value."""
         kind = self.registers[name].kind
         if value.kind is not kind:
             raise PlanError(f"register {name} is a {kind.value} and cannot take a {value.kind.value}")
@@ -212,8 +214,8 @@ class PlanWriter:
         self.mark_written(name)
 
     def store_vector(self, name: str, value: VectorNodes, span: Span | None) -> None:
-        """Set three registers together. If a component needs the previous value of another component, it does not read the new
-        one."""
+        """Add stores that set three registers together. A component that depends on another component's previous value does not
+        read its new value."""
         names = [f"{name}.{axis}" for axis in AXES]
         parts = list(value)
         if any(self._has_load(part, set(names[:place])) for place, part in enumerate(parts)):
@@ -229,7 +231,7 @@ class PlanWriter:
         return any(n.op == "load" and n.attrs[0] in names for n in collect_required_nodes([node]))
 
     def store_value(self, name: str, value: values.LoweredValue, span: Span | None, allows_infinity: bool = False) -> None:
-        """Set the registers of a value of the language."""
+        """Add the stores for a value of the language, in one or three registers."""
         if isinstance(value, VectorNodes):
             self.store_vector(name, value, span)
         elif isinstance(value, values.EntityRef):
@@ -240,7 +242,8 @@ class PlanWriter:
             raise PlanError(f"{name} cannot hold a {type(value).__name__}")
 
     def advance_memory(self, memory: model.Binding) -> None:
-        """Write the next value of a memory, once on each path through the step. Record that the current `let` uses it."""
+        """Write the next value of a memory, once on each path through the step. Also record that the current `let` uses the
+        memory."""
         self.used_memories.append(memory)
         if memory in self._advanced_memories:
             return
@@ -252,7 +255,7 @@ class PlanWriter:
 
     @contextmanager
     def collect_block(self) -> Iterator[Callable[[], Block]]:
-        """Collect statements separately. The context yields a function that returns them as a Block."""
+        """Collect statements separately from the current block. The context yields a function that returns them as a Block."""
         outer, self.statements = self.statements, []
         mine = self.statements
         try:
@@ -262,7 +265,7 @@ class PlanWriter:
 
     @contextmanager
     def open_region(self, condition: PlanNode, span: Span | None) -> Iterator[None]:
-        """Open a region: statements inside run only where the condition holds."""
+        """Open a region. Statements added within the context run only where the condition holds."""
         outer = self.statements
         written, remembered = set(self._written), set(self._advanced_memories)
         if condition is self.b.true:
@@ -281,9 +284,9 @@ class PlanWriter:
                 self.add_statement(If(condition, Block(tuple(inner)), span))
 
     def write_alternatives(self, cases: Sequence[tuple[PlanNode, Span | None, Callable[[], None]]]) -> None:
-        """Write regions of which at most one applies to an agent. Stores in one region are not visible in the others.
+        """Write regions of which at most one applies to each agent. Stores in one region are not visible in the others.
 
-        Each case has a condition, a span and a function that writes its statements."""
+        `cases`: for each region, its condition, its span, and a function that writes its statements."""
         entered = set(self._written)
         all_written = set(entered)
         for condition, span, write in cases:
@@ -294,5 +297,5 @@ class PlanWriter:
         self._written = all_written
 
     def read_run_value(self, name: str) -> PlanNode:
-        """Return a value of the run, such as `dt`."""
+        """Return the node of a value of the run, such as `dt`."""
         return self.b("run", attrs=(name,))

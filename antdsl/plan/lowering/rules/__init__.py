@@ -1,4 +1,4 @@
-"""The lowering rules, one for each operation of the vocabulary: from the typed tree's `OperationExpr` to nodes."""
+"""The lowering rules, one for each operation of the vocabulary. A rule turns an `OperationExpr` of the typed tree into nodes."""
 
 from __future__ import annotations
 

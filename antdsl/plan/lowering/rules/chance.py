@@ -1,4 +1,5 @@
-"""Rules for random draws. The site of a draw, the seed, the frame and the agent's id determine the number (decision 22)."""
+"""Rules for random draws. A drawn number depends only on the draw's site in the source, the seed, the frame and the agent's id
+(decision 22)."""
 
 from __future__ import annotations
 
@@ -25,7 +26,8 @@ def _lower_uniform(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_normal(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Lower a normal draw by the method of Box and Muller (1958). 1 - u is in (0, 1], so the logarithm is finite."""
+    """Lower a normal draw with the Box-Muller method (1958). It uses log(1 - u); 1 - u is in (0, 1], so the logarithm is
+    finite."""
     mean, deviation = (lower_scalar(w, a) for a in e.args if a is not None)
     b = w.b
     radius = b("sqrt", b("mul", b.add_number(-2), b("log", b("sub", b.add_number(1), lower_draw(w, e)))))
@@ -51,8 +53,8 @@ def _lower_random_agent(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_chance(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Lower `chance`. A rate becomes the probability 1 - exp(-rate dt) per step, for any step length. A probability is used
-    directly."""
+    """Lower `chance`. A rate becomes the probability 1 - exp(-rate dt) per step, which suits any step length. A probability is
+    used directly."""
     argument = e.args[0]
     assert argument is not None
     share = lower_scalar(w, argument)

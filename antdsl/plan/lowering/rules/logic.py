@@ -1,4 +1,4 @@
-"""Rules for bools, degrees of truth, if-then-else and values that may be none."""
+"""Rules for bools, degrees of truth, if-then-else, and values that may be none."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ OperationRule = Callable[[PlanWriter, model.OperationExpr], LoweredValue]
 
 
 def _make_connective(bool_operation: str, degree_operation: str) -> OperationRule:
-    """Return the rule of `and` or `or`. Bools use the operation `bool_operation`. Degrees from 0 to 1 use `degree_operation`, the
-    minimum or maximum (Zadeh 1965, section 2)."""
+    """Return the rule of `and` or `or`. Bools use the operation `bool_operation`. Degrees of truth, 0 to 1, use
+    `degree_operation`, which is the minimum or maximum (Zadeh 1965, section 2)."""
 
     def lower_connective(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         if e.type.kind is model.TypeKind.NUMBER:
@@ -41,8 +41,8 @@ def _lower_degree(w: PlanWriter, e: model.Expr) -> PlanNode:
 
 
 def _lower_fuzzy(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return the mean of the rules' outputs, each weighted by the degree of its rule; 0 if all degrees are 0. Degrees are clamped
-    to 0..1, and NaN counts as 0."""
+    """Return the mean of the fuzzy rules' outputs, weighted by the degree of each rule; 0 if all degrees are 0. Degrees are
+    clamped to 0..1, and NaN counts as 0."""
     b = w.b
     above = below = b.add_number(0)
     for degree, said in zip(e.args[::2], e.args[1::2], strict=True):

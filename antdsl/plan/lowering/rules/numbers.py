@@ -1,4 +1,4 @@
-"""Rules for numbers and vectors, and for the operators that both have. A vector is three nodes."""
+"""Rules for numbers, vectors, and operators that accept both. A vector is three nodes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ OperationRule = Callable[[PlanWriter, model.OperationExpr], LoweredValue]
 
 
 def lower_arguments(w: PlanWriter, e: model.OperationExpr) -> list[PlanNode]:
-    """Return all operands as scalars. None of them may be absent."""
+    """Return all operands as scalars. No operand may be absent."""
     return [lower_scalar(w, a) for a in e.args if a is not None]
 
 
@@ -90,8 +90,8 @@ def _lower_clamp(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def compute_share(w: PlanWriter, x: PlanNode, low: PlanNode, high: PlanNode) -> PlanNode:
-    """Return the position of x between low and high, as a fraction from 0 to 1. If low equals high, the result steps from 0 to 1
-    at this value."""
+    """Return the position of x between `low` and `high`, as a fraction from 0 to 1. If `low` equals `high`, the result steps
+    from 0 to 1 at that value."""
     b = w.b
     wide = b("sub", high, low)
     between = b("min", b("max", b("div", b("sub", x, low), wide), b.add_number(0)), b.add_number(1))

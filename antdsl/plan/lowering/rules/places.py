@@ -14,7 +14,8 @@ from antdsl.program import model
 
 
 def locate_point(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNode, VectorNodes]:
-    """Return whether the point exists, and its position (mm). In a periodic world, this is the image nearest to the agent."""
+    """Return a node that is true if the point exists, and the point's position (mm). In a periodic world, this is the image
+    nearest to the agent."""
     b = w.b
     if isinstance(value, VectorNodes):
         return b.true, value
@@ -31,7 +32,7 @@ def locate_point(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[Pla
 
 
 def compute_offset(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[PlanNode, VectorNodes]:
-    """Return whether the point exists, and the vector from the agent to it (mm)."""
+    """Return a node that is true if the point exists, and the vector from the agent to it (mm)."""
     b = w.b
     value = _find_nearest_member(w, value)
     if isinstance(value, SetElement):
@@ -58,12 +59,12 @@ def compute_offset(w: PlanWriter, value: LoweredValue, e: model.Expr) -> tuple[P
 
 
 def _find_nearest_image(w: PlanWriter, offset: VectorNodes) -> VectorNodes:
-    """Return the shortest image of a vector in a periodic world; in other worlds the vector itself."""
+    """Return the shortest periodic image of a vector. In a world that does not wrap, this is the vector itself."""
     return offset if w.period is None else values.wrap_vector(w.b, offset, w.period)
 
 
 def compute_distance(w: PlanWriter, value: LoweredValue, e: model.Expr) -> PlanNode:
-    """Return the distance to a point in mm; infinite if there is none."""
+    """Return the distance to a point in mm. It is infinite if the point does not exist."""
     b = w.b
     value = _find_nearest_member(w, value)
     if isinstance(value, SetElement):
@@ -80,7 +81,7 @@ def compute_distance(w: PlanWriter, value: LoweredValue, e: model.Expr) -> PlanN
 
 
 def _find_nearest_member(w: PlanWriter, value: LoweredValue) -> LoweredValue:
-    """Return the nearest item or agent if the value is a group of items or a species. Return any other value unchanged."""
+    """Return the nearest member if the value is a group of items or a species. Return any other value unchanged."""
     if isinstance(value, NamedThing) and value.row.nearest_op == "set.items":
         every = w.b(value.row.nearest_op, w.b.add_number(inf), attrs=(value.name,))
         return EntityRef(model.TypeKind.ITEM, value.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))

@@ -1,4 +1,4 @@
-"""Rules for senses, values of the run, and the push towards a velocity."""
+"""Rules for senses, for values of the run such as the time, and for the push towards a velocity."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _get_thing_name(w: PlanWriter, e: model.OperationExpr, index: int = 0) -> st
 
 
 def _make_sense_rule(sense: SenseRow, word: BuiltinRow) -> Callable[[PlanWriter, model.OperationExpr], LoweredValue]:
-    """Return the rule of a word that has the arguments of its sense: the named thing, then the operands."""
+    """Return the rule of a word that has the same arguments as its sense: the named thing first, then the operands."""
     first, size = sense.find_result_index(word.part)
 
     def lower_sense(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
@@ -81,7 +81,8 @@ def _lower_slope(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_uphill(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return the world's up direction without its component along the agent's up. Its length is the sine of the slope."""
+    """Return the world's up direction without its component along the agent's up. Its length is the sine of the ground's
+    slope."""
     up, sky = w.read_vector("up"), _read_world_up(w)
     return values.subtract_vectors(w.b, sky, values.scale_vector(w.b, up, values.compute_dot_product(w.b, up, sky)))
 
@@ -91,7 +92,7 @@ def _read_world_up(w: PlanWriter) -> VectorNodes:
 
 
 def _lower_flow_value(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return the vector of a flow at the agent. The vector of a field is projected onto the ground on which the agent stands."""
+    """Return the vector of a flow at the agent. For a field of vectors, it is projected onto the ground under the agent."""
     name = _get_thing_name(w, e)
     if not _is_vector_field(w, name):
         return _READ_FLOW(w, e)
@@ -101,7 +102,8 @@ def _lower_flow_value(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_reachable(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return whether a flow reaches its target from here. A field of vectors is reachable where its vector here is not 0."""
+    """Return a node that is true if a flow reaches its target from the agent's position. For a field of vectors: if the vector
+    there is not 0."""
     if not _is_vector_field(w, _get_thing_name(w, e)):
         return _TEST_REACHABLE(w, e)
     vector = _lower_flow_value(w, e)
@@ -123,8 +125,8 @@ def _lower_event(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_match(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return the push that reaches a velocity within this step: (requested - own) mass / (max_force dt), at most 1 (Reynolds
-    1999, 6)."""
+    """Return the push that reaches a requested velocity within this step: (requested - own) mass / (max_force dt), with a length
+    of at most 1 (Reynolds 1999, 6)."""
     assert e.args[0] is not None
     b = w.b
     change = values.subtract_vectors(b, lower_vector(w, e.args[0]), w.read_vector("velocity"))
