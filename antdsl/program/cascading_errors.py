@@ -1,7 +1,7 @@
 """Reduces a report to one finding per cause.
 
-It drops findings that follow from an earlier error, and merges findings about one missing name. `checks.ERROR_FREE_CHECKS` are
-not run at all for programs with errors. This module handles the other findings."""
+It drops findings that follow from an earlier error, and merges findings about one missing name. The checks in
+`checks.ERROR_FREE_CHECKS` do not run for programs with errors, so their findings need no treatment here."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _MAX_LISTED_LOCATIONS = 12  # locations listed in one finding
 
 @dataclass(slots=True)
 class _UnreadLines:
-    """Lines of one source that could not be parsed: the line numbers, and the first words of all these lines.
+    """The lines of one source that could not be parsed: their line numbers and their first words.
 
-    `suppressed_codes`: the codes of findings that are dropped, because one of the lines probably declares the missing name."""
+    `suppressed_codes`: the codes of findings to drop, because one of these lines probably declares the missing name."""
 
     lines: set[int] = field(default_factory=set)
     first_words: set[str] = field(default_factory=set)
@@ -39,8 +39,8 @@ class _UnreadLines:
 
 
 def drop_cascading_errors(report: Report, skipped_spans: Iterable[Span]) -> Report:
-    """Return the report without findings that follow from unparsed text or from misspelt names. `skipped_spans`: the spans that
-    the parser skipped and reported."""
+    """Return the report without findings that unparsed text or misspelt names have caused. `skipped_spans`: the spans that the
+    parser skipped and reported."""
     doubts: dict[Source, _UnreadLines] = {}
     for span in skipped_spans:
         _add_unread_lines(doubts.setdefault(span.source, _UnreadLines()), span)
@@ -52,7 +52,8 @@ def drop_cascading_errors(report: Report, skipped_spans: Iterable[Span]) -> Repo
 
 
 def add_all_locations(report: Report, repeated_spans: Mapping[Span, Sequence[Span]]) -> Report:
-    """Return the report in which each finding about several spans has labels for all of them, not only for the first."""
+    """Return the report with labels for all spans of a finding, not only for the first. `repeated_spans`: by the first span of a
+    finding, all of its spans."""
     return Report(
         [
             replace(d, labels=_make_labels_of_all_spans(d, repeated_spans)) if d.span in repeated_spans else d
@@ -62,7 +63,8 @@ def add_all_locations(report: Report, repeated_spans: Mapping[Span, Sequence[Spa
 
 
 def merge_repeated_findings(report: Report) -> Report:
-    """Return the report in which several findings with equal messages in one file are merged into one. It lists all spans."""
+    """Return the report with one finding in place of several findings that have the same message and file. It has labels for all
+    spans."""
     groups: dict[tuple[str, str, str], list[Diagnostic]] = {}
     for each in report.diagnostics:
         groups.setdefault((each.code, each.message, each.span.source.path if each.span else ""), []).append(each)
@@ -77,14 +79,15 @@ def merge_repeated_findings(report: Report) -> Report:
 
 
 def _make_labels_of_all_spans(diagnostic: Diagnostic, repeated_spans: Mapping[Span, Sequence[Span]]) -> tuple[Label, ...]:
-    """Return the labels of a diagnostic and, for a missing name, one label for each other span that has the name."""
+    """Return the labels of a diagnostic. For a missing name, there is also one label for each other span of the name."""
     spans = repeated_spans[diagnostic.span] if diagnostic.code in _MISSING_NAME_CODES and diagnostic.span else []
     others = [each for each in spans if each != diagnostic.span]
     return (*diagnostic.labels, *_make_labels_of_repetitions(others))
 
 
 def _make_labels_of_repetitions(others: Sequence[Span]) -> list[Label]:
-    """Return labels for the other spans of a finding. The last label says how many spans exceed `_MAX_LISTED_LOCATIONS`."""
+    """Return labels for the other spans of a finding. If there are more than `_MAX_LISTED_LOCATIONS`, the last label gives the
+    number of the rest."""
     left = len(others) - _MAX_LISTED_LOCATIONS
     labels = [Label(span, "and here") for span in others[:_MAX_LISTED_LOCATIONS]]
     if left > 0:
@@ -93,7 +96,7 @@ def _make_labels_of_repetitions(others: Sequence[Span]) -> list[Label]:
 
 
 def _is_misspelt_declaration(diagnostic: Diagnostic, duplicate_names: set[tuple[Source, str]]) -> bool:
-    """Return whether a duplicate declaration probably explains a missing name.
+    """Return whether a missing name is probably explained by a duplicate declaration.
 
     If two declarations of one kind have the same name, one of them was probably meant to have the missing name."""
     if diagnostic.span is None or diagnostic.code not in _MISSING_NAME_CODES:

@@ -1,4 +1,4 @@
-"""Checks the files of one program and returns a Program: first names, then types, then the checks of the complete program."""
+"""Checks the files of one program and returns a Program. It checks names first, then types, then the complete program."""
 
 from __future__ import annotations
 
@@ -35,13 +35,14 @@ def check(
     strict: bool = False,
     memo: CheckResultCache | None = None,
 ) -> tuple[model.Program, Report]:
-    """Check everything about the files of a program that can be decided without a run, such as names, types, units and rates.
+    """Check everything in the files of a program that can be decided without a run, such as names, types, units and rates.
 
     - `library`: returns the file behind `use NAME`, or None.
-    - `modules`: the files behind `use "PATH" as NAME`, by `Source.path` or by the path as in the text.
+    - `modules`: the files behind `use "PATH" as NAME`, by `Source.path` or by the path in the text.
     - `strict`: whether to warn about legal code that depends on the number of frames per second.
-    - `memo`: supplies results of an earlier check for unchanged parts. If the report has errors, the program can be inspected
-      but not lowered."""
+    - `memo`: supplies the results of an earlier check for unchanged parts.
+
+    If the report has errors, the program can be inspected but not lowered."""
     files = [files] if isinstance(files, nodes.File) else list(files)
     report = Report()
     declared = Declarations(TYPING_RULES, report, strict, memo=memo)
@@ -78,7 +79,7 @@ def check(
 def _run_check(context: CheckContext, check_function: Check, report: Report) -> None:
     """Run one check of the complete program.
 
-    With a memo, checks in PER_SPECIES_CHECKS and PER_STATE_CHECKS run again only for changed species or states."""
+    If there is a memo, checks in PER_SPECIES_CHECKS and PER_STATE_CHECKS run only for changed species or states."""
     program = context.program
     if context.declarations.memo is None or check_function not in PER_SPECIES_CHECKS:
         check_function(context, report)
@@ -105,13 +106,13 @@ def _run_check(context: CheckContext, check_function: Check, report: Report) -> 
 
 
 def _restrict_to_state(species: model.Species, machine: model.Machine, state: model.State) -> model.Species:
-    """Return the species with only this machine and state, and without layers. It is used to check one state."""
+    """Return the species reduced to one machine with one state, and without layers. It is used to check this state alone."""
     return replace(species, machines=(replace(machine, states=(state,)),), layers=replace(species.layers, layers=()))
 
 
 def _convert_to_file_spans(loader: FileLoader, report: Report, skipped_spans: Sequence[Span]) -> tuple[Report, list[Span]]:
-    """Return the report and the skipped spans, in which locations in separately parsed parts are converted to locations in
-    complete files."""
+    """Return the report and the skipped spans with all locations relative to complete files. Locations in separately parsed
+    parts are converted."""
     files = {part: file.node for file in loader.known.values() for part in file.node.parts}
     if not files:
         return report, list(skipped_spans)
@@ -123,9 +124,9 @@ def _convert_to_file_spans(loader: FileLoader, report: Report, skipped_spans: Se
 
 
 def _make_key_of_outside_declarations(declarations: Declarations, loader: FileLoader) -> Hashable:
-    """Return a key for the declarations that the check of one part of the program reads from other parts.
+    """Return a key for the declarations in other parts of the program that the check of one part reads.
 
-    Two checks with equal keys see the same declarations there. The types of attributes are not in the key."""
+    Two checks with equal keys see the same declarations of other parts. The types of attributes are not in the key."""
     things = [(t.name, t.kind, tuple((a.name, a.type) for a in t.attributes)) for t in declarations.things.values()]
     machines = [
         (s.name, s.edition, s.node is None, tuple((m.name, *m.states) for m in s.machines.values()))
@@ -140,7 +141,7 @@ def _make_key_of_outside_declarations(declarations: Declarations, loader: FileLo
 
 
 def _make_type_key(species: SpeciesNames) -> Hashable:
-    """Return a key that contains the name of a species and the types of its attributes and params, as far as they are known."""
+    """Return a key with the name of a species and the known types of its attributes and params."""
     return (species.name, *species.attributes.items(), *species.pair_value_species.items(), *species.params.items())
 
 
@@ -180,7 +181,7 @@ def _assemble_program(
 
 
 def _check_spec_names(declarations: Declarations, file: FileNames) -> None:
-    """Report specs of one file that have the same name. Reports and stored results identify specs by name."""
+    """Report specs in one file that have the same name, because reports and stored results identify specs by name."""
     first: dict[str, Span] = {}
     for spec in (item for item in file.node.items if isinstance(item, nodes.Spec)):
         if spec.name.text in first:
@@ -192,7 +193,7 @@ def _check_spec_names(declarations: Declarations, file: FileNames) -> None:
 
 
 def _find_used_modules(names: Sequence[FileNames]) -> list[FileNames]:
-    """Return the names of each file that another file uses by its path, without duplicates."""
+    """Return the names of each file that is used by its path, without duplicates."""
     modules: dict[int, FileNames] = {}
     stack = list(names)
     while stack:
@@ -204,8 +205,8 @@ def _find_used_modules(names: Sequence[FileNames]) -> list[FileNames]:
 
 
 def _check_behaviours(declarations: Declarations, names: Sequence[FileNames]) -> None:
-    """Check the behaviours of the program's own files, even if no code calls them. Library behaviours are checked when they are
-    called."""
+    """Check the behaviours in the program's own files, even those that no code calls. Library behaviours are checked when they
+    are called."""
     for file in names:
         for info in file.own_behaviours.values():
             check_behaviour(declarations, info)

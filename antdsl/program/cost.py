@@ -1,6 +1,7 @@
-"""Estimates the cost of each state of a program from its senses, fields, draws and sums. Each of them has an approximate weight.
+"""Estimates the cost of each state of a program from its senses, fields, draws and sums. Each of these has an approximate
+weight.
 
-The estimate serves to compare states before a run. Nothing is measured."""
+The estimate allows states to be compared before a run. Nothing is measured."""
 
 from __future__ import annotations
 
@@ -23,8 +24,8 @@ _TAKE_COST = UseCost(40, "takes {thing}")
 class CostEntry:
     """One use of a sense, field or draw.
 
-    `kind`: "senses", "fields" or "draws". `description`: a text that describes the use and its count per step, from its row in
-    the tables.
+    `kind`: "senses", "fields" or "draws". `description`: a text about the use and its count per step, from its row in the
+    tables.
     `weight`: the total weight; one addition has the weight 1."""
 
     kind: str  # senses, fields or draws
@@ -34,9 +35,9 @@ class CostEntry:
 
 @dataclass(frozen=True, slots=True)
 class StateCost:
-    """The uses of one state, or the uses common to all states.
+    """The uses of senses, fields and draws in one state, or those common to all states.
 
-    A state is named `MACHINE.STATE`, or `STATE` if there is only one machine. Common uses are named `every state`."""
+    `name`: `MACHINE.STATE`, or `STATE` if there is only one machine. It is `every state` for the common uses."""
 
     name: str
     cost_entries: tuple[CostEntry, ...]
@@ -44,12 +45,12 @@ class StateCost:
 
     @property
     def weight(self) -> float:
-        """Return the total weight of the state: its uses and its operations on numbers."""
+        """Return the total weight of the uses and of the operations on numbers."""
         return self.operation_count + sum(use.weight for use in self.cost_entries)
 
 
 def estimate_costs(program: model.Program, species: model.Species) -> list[StateCost]:
-    """Return the costs of every state of a species in text order, followed by the costs common to all states."""
+    """Return the costs of every state of a species in text order, followed by the costs that all states have in common."""
     state_parts = [
         StateCost(
             state.name if len(species.machines) == 1 else f"{machine.name}.{state.name}",
@@ -69,8 +70,8 @@ def estimate_costs(program: model.Program, species: model.Species) -> list[State
 
 
 def _collect_step_parts(species: model.Species, machine: model.Machine, state: model.State) -> object:
-    """Return the parts that are computed in each step of an agent in the state. Entry and exit actions happen once and are left
-    out."""
+    """Return the parts of the program that an agent in the state computes in each step. Enter and exit actions are omitted,
+    because they run only once."""
     still = (
         species.rest.push
         if species.rest is not None and state.index in species.rest.resting_states.get(machine.name, ())
@@ -122,7 +123,7 @@ def _count_operations(part: object) -> int:
 
 
 def _make_cost_entries(part: object) -> Iterable[CostEntry]:
-    """Return the uses of one node of the program."""
+    """Return the uses of senses, fields and draws in one node of the program."""
     match part:
         case model.SetExpr():
             cost = SET_SENSE_BY_OPERATION[part.source].cost
@@ -140,7 +141,7 @@ def _make_cost_entries(part: object) -> Iterable[CostEntry]:
 
 
 def _make_entry(cost: UseCost, thing: str, args: tuple[model.Expr | None, ...] = (), op: str = "") -> CostEntry:
-    """Return the entry of a use. It has the count, thing and distance that its row describes."""
+    """Return the entry for a use, with the count, thing and distance that `cost` requests."""
     count = 1
     if cost.multiplier_index is not None:
         times = args[cost.multiplier_index] if len(args) > cost.multiplier_index else None
@@ -153,7 +154,7 @@ def _make_entry(cost: UseCost, thing: str, args: tuple[model.Expr | None, ...] =
 
 
 def _format_argument(expr: model.Expr | None) -> str:
-    """Return the source text of an argument. For a parameter of a behaviour, it is the text in the call of the behaviour."""
+    """Return the source text of an argument. For a parameter of a behaviour, this is the text in the call of the behaviour."""
     while isinstance(expr, model.BindingRef) and expr.binding.role == "argument" and expr.binding.value is not None:
         expr = expr.binding.value
     return " ".join(expr.span.text.split()) if expr is not None else "any distance"

@@ -1,5 +1,5 @@
-"""The classes of checked specs and measures: expectations and their times, and expressions that only specs and measures can
-have."""
+"""The classes of checked specs and measures: expectations, their times, and the expressions that only specs and measures can
+contain."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from antdsl.syntax import nodes
 
 @expression_class
 class AggregateExpr(Expr):
-    """A number or bool about a complete population.
+    """A number, vector or bool about a complete population.
 
     - `reducer`: total, mean, min, max, share, count, any or every. The total or mean of vectors is a vector.
     - `population`: a type of kind SPECIES, ITEMS, FIELD or SOLID. The total of a solid is its volume.
-    - `elements`: the names bound to the current agent or item.
-    - `where`, `body`: expressions about one agent or item."""
+    - `elements`: the names that stand for the current agent or item.
+    - `where`, `body`: the condition on an agent or item, and the value to aggregate."""
 
     reducer: str
     population: ValueType
@@ -26,22 +26,22 @@ class AggregateExpr(Expr):
 
 @expression_class
 class StartValue(Expr):
-    """The value of a number in the first frame of the spec or, for a number of an agent, in the agent's first frame."""
+    """The value that a number had at the start: in the first frame of the spec or, for a number of an agent, in the agent's
+    first frame."""
 
     value: Expr
 
 
 @expression_class
 class ReferenceRunValue(Expr):
-    """The value of a number in the spec's reference run, at the same frame. The number is about the complete run, not about one
-    agent."""
+    """The value that a number has in the spec's reference run at the same frame. The number must be about the complete run."""
 
     value: Expr
 
 
 @expression_class
 class TimeOf(Expr):
-    """The time from the first frame to the first frame in which a condition holds; infinite until then."""
+    """The time from the first frame of the spec to the first frame in which a condition holds. It is infinite until then."""
 
     condition: Expr
 
@@ -66,28 +66,29 @@ class Measure:
 
 @expression_class
 class BodyMeasure(Expr):
-    """A value that is measured from an agent's pose, by its name in GEOMETRY_MEASURES. Agents themselves do not sense it."""
+    """A value that is measured from an agent's pose. `name`: its name in GEOMETRY_MEASURES. Agents themselves cannot sense it."""
 
     name: str
 
 
 @expression_class
 class CellValue(Expr):
-    """The amount of a field in the current cell, in expressions that are evaluated cell by cell."""
+    """The amount of a field in the current cell, for expressions that are evaluated for each cell."""
 
     field: str
 
 
 @expression_class
 class MotionMeasure(Expr):
-    """A measure of motion over the complete run, by its name in MOTION_MEASURES."""
+    """A measure of motion over the complete run. `name`: its name in MOTION_MEASURES."""
 
     name: str
 
 
 @expression_class
 class ExpectationReading:
-    """A value in a condition that is reported if the condition fails. `unit`: a unit of the source, or a default one."""
+    """A value in a condition that the message reports if the condition fails. `unit`: a unit from the source, or a default
+    one."""
 
     expr: Expr
     unit: str
@@ -104,15 +105,15 @@ class Goal:
 
 @expression_class
 class Expectation:
-    """One expectation.
+    """One expectation of a spec.
 
     - `kind`: always, never, eventually, finally, sooner, within, for or until.
-    - `block_number`: the number of its `each` block from 1; 0 outside of such blocks.
-    - `species`: the species of which each agent is judged separately; None for the complete run.
+    - `block_number`: the number of the `each` block that contains it, from 1; 0 outside of such blocks.
+    - `species`: the species with agents that are judged one by one; None for the complete run.
     - `is_at_end`: whether it uses a measure that is known only at the end of the run.
     - `hold_time`: how long the condition must have held before it counts.
-    - `start_condition`: the time starts whenever this condition becomes true.
-    - `goal`: of a `goal`, which is judged like a `finally`."""
+    - `start_condition`: the time starts again whenever this condition becomes true.
+    - `goal`: of a `goal` line, which is judged like a `finally` line."""
 
     kind: str
     block_number: int  # 0: the spec itself; from 1: the `each` blocks in order
@@ -129,7 +130,8 @@ class Expectation:
 
 @expression_class
 class SpecChange:
-    """A line `set NAME = V`. `name`: a param by its qualified name, or a setting of a field such as `trail.half_life`."""
+    """A line `set NAME = V` of a spec. `name`: a param by its qualified name, or a setting of a field such as
+    `trail.half_life`."""
 
     name: str
     value: Expr
@@ -138,9 +140,10 @@ class SpecChange:
 
 @expression_class
 class ComparisonRun:
-    """The reference run with which a spec compares its own run.
+    """The reference run with which a spec compares the judged run.
 
-    `scene`: its scene, if it is not the scene of the spec. `changes`: its `set` lines, in addition to those of the spec."""
+    `scene`: the scene of the reference run, if it differs from the spec's. `changes`: its `set` lines, which are added to those
+    of the spec."""
 
     scene: nodes.Text | None
     changes: tuple[SpecChange, ...]
@@ -149,8 +152,8 @@ class ComparisonRun:
 
 @expression_class
 class Spec:
-    """A checked spec. `pass_share`: the fraction of seeds that must pass, from 0 to 1. `reference_run`: the reference run, if
-    there is one."""
+    """A checked spec. `pass_share`: the fraction of seeds that must pass, from 0 to 1. `reference_run`: None if the spec has no
+    `against` block."""
 
     name: str
     scene: nodes.Text | None

@@ -1,4 +1,4 @@
-"""Dimensions, kinds, types and rates of values. The checker infers them for every expression."""
+"""Dimensions, kinds, types and rates of values, which the checker infers for every expression."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ PER_SECOND_TYPE = ValueType(TypeKind.NUMBER, Dimension(time=-1))
 
 
 class ChangeRate(IntEnum):
-    """How often a value changes. The rate of an expression is the greatest rate of its parts."""
+    """How often a value changes. The rate of an expression is the highest rate of its parts."""
 
     CONST = 0
     RUN = 1  # params, dt, the scene's unit

@@ -1,5 +1,5 @@
-"""A cache of results about parts of a program. The next check of an edited program uses it, because an editor checks at every
-key press."""
+"""A cache of check results for parts of a program. It makes repeated checks fast, because an editor runs a check at every key
+press."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PartKey = tuple[tuple[Any, ...], int]  # the inputs of a part, and the number o
 
 
 def get_or_compute_part(declarations: Declarations, key: tuple[Any, ...], compute: Callable[[], T]) -> T:
-    """Return the cached result of an earlier check if there is one. Otherwise, compute it by calling `compute`.
+    """Return the cached result of an earlier check or, if there is none, the result of `compute`.
 
     `key`: all inputs of `compute`, except `declarations.outside`."""
     return (
@@ -30,9 +30,10 @@ def get_or_compute_part(declarations: Declarations, key: tuple[Any, ...], comput
 
 
 def update_outside_number(declarations: Declarations, outside: Hashable) -> int:
-    """Set `declarations.outside` to a number that identifies the value `outside`, and return it. Equal values have equal numbers.
+    """Set `declarations.outside` to a number that identifies the value `outside`, and return it. Equal values have equal
+    numbers.
 
-    `outside`: all declarations of other parts that a part can see. It may be large, so the keys of parts contain only its
+    `outside`: all declarations in other parts that a part can use. It may be large, so the keys of parts contain only its
     number."""
     declarations.outside_number = 0 if declarations.memo is None else declarations.memo.assign_number(outside)
     return declarations.outside_number
@@ -58,8 +59,8 @@ class _CachedPart:
 class _UnknownNames(dict[tuple[str, ...], list[Span]]):
     """The spans of all unknown names that were reported, by kind and name.
 
-    `has_omitted_finding`: whether a finding about a part was omitted because of an earlier one. The result of such a part must
-    not be cached."""
+    `has_omitted_finding`: whether a finding about a part was omitted because an earlier one has the same cause. The result of
+    such a part must not be cached."""
 
     has_omitted_finding = False
 
@@ -70,7 +71,7 @@ class _UnknownNames(dict[tuple[str, ...], list[Span]]):
 
 
 class CheckResultCache:
-    """Cached check results for parts of a program. The keys are the inputs of each check.
+    """Cache of check results for parts of a program. The key contains all inputs of the check of a part.
 
     After a complete check, entries that it did not use are removed."""
 
@@ -82,8 +83,7 @@ class CheckResultCache:
         self.given = 0
 
     def assign_number(self, value: Hashable) -> int:
-        """Return a number for a value. Equal values get the same number as long as the value, or a part that used it, is
-        cached."""
+        """Return a number for a value. Equal values get the same number while the value, or a part that used it, is cached."""
         if value not in self.number_by_value:
             self.given += 1
             self.number_by_value[value] = self.given
@@ -91,8 +91,8 @@ class CheckResultCache:
         return self.number_by_value[value]
 
     def get_or_compute_part(self, declarations: Declarations, key: _PartKey, compute: Callable[[], T]) -> T:
-        """Return the result of `compute`, or the cached result for the same key. A cached result also restores its findings,
-        resolved names, uses and writes."""
+        """Return the result of `compute`, or the cached result for the same key. A cached result also restores the findings,
+        resolved names, uses and writes of its check."""
         self.used_keys.add(key)
         known = self.known.get(key)
         if known is None:
@@ -134,7 +134,7 @@ class CheckResultCache:
         return result
 
     def mark_results_used(self, kinds: Collection[Hashable]) -> None:
-        """Mark all results of some kinds of parts as used, because this check skipped them. The kind is the first element of the
+        """Mark all results of some kinds as used, because this check skipped the parts. The kind is the first element of a
         key."""
         self.used_keys |= {key for key in self.known if key[0][0] in kinds}
 

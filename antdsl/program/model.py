@@ -1,4 +1,4 @@
-"""The checked program: every name resolved, every expression with its type and rate, every behaviour call expanded.
+"""The checked program: all names are resolved, all expressions have a type and a rate, and all behaviour calls are expanded.
 
 Only `check` makes these values. They are immutable, compare by identity, and have a Span."""
 
@@ -58,8 +58,8 @@ class FaceLine:
 class Assign:
     """An assignment. `op` is `=`, `+=` or `-=`.
     - `per_second`: whether the added value is a rate, to be multiplied by dt. This is so in the body of a state.
-    - `pair_agent`, `other_agents`, `element`: for a pair value, the other agent, or the set of others and the name bound to
-      each."""
+    - `pair_agent`: for a pair value, the other agent. `other_agents`, `element`: for a pair value, the set of other agents, and
+      the name for one of them."""
 
     attribute: str
     op: str
@@ -73,8 +73,8 @@ class Assign:
 
 @expression_class
 class EffectRequest:
-    """A request to `target`, as the row `op` of `antdsl.program.tables.effects` defines.
-    - `args`: the row's `numbers` in order; None if absent.
+    """A request to `target`. `op`: the row of `antdsl.program.tables.effects` that defines the request.
+    - `args`: the values of the row's `numbers`, in order; None if absent.
     - `result_attribute`: the agent's attribute to which the result is added.
     - `per_second`: whether the first of `args` is a rate, to be multiplied by dt.
     - `draw_key`: the site of its random numbers."""
@@ -90,7 +90,8 @@ class EffectRequest:
 
 @expression_class
 class Give:
-    """Gives an amount to an item. `amount` None gives all. `receiver` has type ITEM, or ITEMS for the nearest item."""
+    """A line that gives an amount to an item. `amount`: None gives all. `receiver` has type ITEM, or ITEMS for the nearest
+    item."""
 
     attribute: str
     amount: Expr | None
@@ -101,10 +102,10 @@ class Give:
 
 @expression_class
 class Play:
-    """Plays a clip as long as the state lasts.
+    """A line that plays a clip as long as the agent is in the state.
     - `group`: the transform group that the clip moves; "" for all joints.
     - `speed`: the factor on the clip's own speed (None: 1). `weight`: the weight of the clip in the pose, 0 to 1 (None: 1).
-    - `restart_condition`: if this holds as an agent enters the state, the clip restarts.
+    - `restart_condition`: the clip restarts if this holds when an agent enters the state.
     - `is_additive`: whether the clip is added to the other clips that play.
     - `blend_clips`: the clips for turning left, turning right, going up and going down; "" if absent."""
 
@@ -120,9 +121,9 @@ class Play:
 
 @expression_class
 class Wear:
-    """A line that shows the geometry layer `layer` of the body, in addition to other geometry, on agents in the state.
+    """A line that shows the geometry layer `layer` of the body, in addition to other geometry, while the agent is in the state.
 
-    `condition`: only on agents for which it holds (None: all)."""
+    `condition`: only agents that fulfil it show the layer (None: all)."""
 
     layer: str
     condition: Expr | None
@@ -131,7 +132,7 @@ class Wear:
 
 @expression_class
 class Channel:
-    """Sets a channel of the body for agents in the state. It overrides the clips."""
+    """A line that sets a channel of the body while the agent is in the state. It overrides the clips."""
 
     channel: str
     value: Expr
@@ -140,7 +141,7 @@ class Channel:
 
 @expression_class
 class Look:
-    """Turns a transform group towards the point `at`.
+    """A line that turns a transform group towards the point `at`.
     - `max_angle`: the largest angle from straight ahead (None: 60 deg).
     - `time_constant`: the time constant of the turn (None: 0.2 s)."""
 
@@ -156,9 +157,9 @@ Statement = Steer | FaceLine | Assign | EffectRequest | Give | Play | Wear | Cha
 
 @expression_class
 class Take:
-    """Takes an amount from an item or a field. `source` has type ITEM, or FIELD for the cell below the agent's feet.
+    """A part of a transition that takes an amount from `source`, of type ITEM, or FIELD for the cell below the agent's feet.
     - `amount`: None takes all.
-    - `attribute`: the attribute that receives the amount. If None, an amount from a field disappears."""
+    - `attribute`: the agent's attribute that receives the amount. If None, an amount from a field disappears."""
 
     attribute: str | None
     amount: Expr | None
@@ -171,10 +172,10 @@ FROM_ANY_KEY = "from any"  # in the keys of these transitions; not a valid state
 
 @expression_class
 class Transition:
-    """A transition. It happens if all conditions that are present hold.
-    - `condition`: None is always true.
-    - `delay`: the least time in the state.
-    - `hold_time`: the time for which `condition` must have held."""
+    """A transition, which happens if all of its conditions hold.
+    - `condition`: None: always true.
+    - `delay`: the shortest time in the state before it can happen; None: no limit.
+    - `hold_time`: how long `condition` must have held; None: no time."""
 
     key: str  # forager.main.search->approach#1
     is_interrupt: bool
@@ -195,8 +196,8 @@ class State:
     """A state of a machine.
 
     - `label`: the display name. `colour`: the display colour, RGB from 0 to 1.
-    - `min_duration`: the shortest time for which an agent stays; None for no limit.
-    - `enter`, `exit`: the actions as an agent enters or leaves the state. `body`: the statements of each step."""
+    - `min_duration`: the shortest time that an agent stays in the state; None for no limit.
+    - `enter`, `exit`: the actions when an agent enters or leaves the state. `body`: the statements that run in each step."""
 
     name: str
     index: int
@@ -223,7 +224,7 @@ class Machine:
 @expression_class
 class AttributeDecl:
     """A declared attribute. `default` is evaluated once, at birth; it may use params and draws.
-    - `is_builtin`: a built-in attribute, such as size or max_speed.
+    - `is_builtin`: whether it is a built-in attribute, such as size or max_speed.
     - `pair_species`: for a pair value, the species of the other agents. `slot_count`: its number of slots."""
 
     name: str
@@ -240,7 +241,7 @@ class AttributeDecl:
 
 @expression_class
 class Param:
-    """A param. `name` is qualified with its species. Numbers are in base units; `unit` is as in the source."""
+    """A param. `name`: qualified with the species. Numbers are in base units; `unit` is the unit in the source."""
 
     name: str
     type: ValueType
@@ -254,7 +255,7 @@ class Param:
 
 @expression_class
 class Handler:
-    """The actions for an event.
+    """A handler: the actions that run when an event arrives.
 
     - `event`: spawn, collision, or the name of an emitted event.
     - `other`: in a collision, the binding of the other agent. `other_species`: the species of that agent."""
@@ -268,11 +269,11 @@ class Handler:
 
 @expression_class
 class Layer:
-    """A line of the layers.
+    """One line of the layers.
 
     - `push`: the push of the line; None for the word `state`, which stands for the pushes of the current states.
     - `text`: the text of the line without its condition. `key`: the stable name of the layer, such as `separate#2`.
-    - `is_face_line`: whether it is a `face` line, in which `push` only turns the body."""
+    - `is_face_line`: whether it is a `face` line, in which case `push` only turns the body."""
 
     push: Expr | None
     condition: Expr | None
@@ -284,7 +285,7 @@ class Layer:
 
 @expression_class
 class LayerStack:
-    """The layers of a species in the order of the source, and how they are combined."""
+    """The layers of a species in the order of the source, and the method that combines them."""
 
     mode: str  # budget, sum, first
     layers: tuple[Layer, ...]
@@ -293,10 +294,10 @@ class LayerStack:
 
 @expression_class
 class RestingPush:
-    """The push of agents that stand still because no state steers them.
+    """The push of agents that stand still, because none of their current states steers.
 
-    `resting_states`: for each machine that steers in at least one state, by name, the indices of its states that do not steer. An
-    agent requests `push` if it is in such a state in all of these machines."""
+    `resting_states`: by machine name, the indices of the states that do not steer. It contains only machines with at least one
+    state that steers. An agent requests `push` if it is in such a state in all of these machines."""
 
     resting_states: dict[str, tuple[int, ...]]
     push: Expr
@@ -324,7 +325,7 @@ class Species:
 
     @property
     def own_types(self) -> Mapping[str, ValueType]:
-        """Return the types of the attributes, lets and latches of each agent, by name."""
+        """Return the types of the agent's attributes, lets and latches, by name."""
         lines: tuple[AttributeDecl | Binding, ...] = (*self.attributes, *self.lets, *self.latches)
         return {each.name: each.type for each in reversed(lines)}
 
@@ -353,13 +354,13 @@ class WorldThing:
 
 @expression_class
 class Field:
-    """A field. Absent settings are None.
+    """A field. Settings that are absent in the text are None.
 
     - `cell`: the cell size. `keeps`: the factor per step. `limit`: the largest value of a cell.
-    - `combine`: how deposits combine with the value of a cell, add or max.
-    - `stencil`: the number of neighbour cells that diffusion uses, 4 or 8.
-    - `deposits`: whether deposits are added first or last, relative to diffusion and evaporation.
-    - `has_vectors`: whether the cells hold vectors. Then `limit` is the largest length."""
+    - `combine`: how a deposit changes the value of a cell: "add" or "max".
+    - `stencil`: how many neighbours of a cell diffusion uses, 4 or 8.
+    - `deposits`: "first" if deposits are added before diffusion and evaporation, "last" if after.
+    - `has_vectors`: whether the cells hold vectors. In this case, `limit` is their largest length."""
 
     name: str
     surfaces: tuple[str, ...]
@@ -378,7 +379,7 @@ class Field:
 
 @expression_class
 class Program:
-    """The program that all files form together. Agents may interact with agents of a species that another file declares."""
+    """The program that consists of all files. Agents may interact with agents of a species that another file declares."""
 
     species: dict[str, Species]
     world: dict[str, WorldThing]

@@ -1,4 +1,4 @@
-"""Iterates over typed expressions or syntax trees. Each part is visited once, without recursion."""
+"""Iterates over typed expressions or syntax trees. Each part is visited once. The traversal is not recursive."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _CHILD_FIELDS: dict[type, tuple[str, ...]] = {}  # by type, the fields to descen
 
 
 def iterate_parts(root: object) -> Iterator[object]:
-    """Yield every value of the checked program below `root`, including the bindings that names refer to."""
+    """Yield every value of the checked program below `root`. This includes the bindings to which names refer."""
     visited: set[int] = set()
     stack: list[object] = [root]
     while stack:
@@ -39,7 +39,7 @@ _LEAF_TYPES = frozenset((Span, str, int, float, bool, type(None), ValueType, Cha
 
 
 def _list_child_fields(kind: type) -> tuple[str, ...]:
-    """Return the names of the fields to descend into; empty for types outside programs."""
+    """Return the names of the fields that contain further parts. The result is empty for types that are not part of programs."""
     if not is_dataclass(kind) or issubclass(kind, (Span, nodes.File)):
         return ()
     return tuple(field.name for field in reversed(fields(kind)))
@@ -54,7 +54,7 @@ _NODE_FIELDS: dict[type, tuple[str, ...]] = {}
 
 
 def iterate_nodes(root: object) -> Iterator[tuple[object, int]]:
-    """Yield every node of a syntax tree with its depth below `root`, in text order."""
+    """Yield every node of a syntax tree and its depth below `root`, in text order."""
     stack: list[tuple[object, int]] = [(root, 0)]
     while stack:
         part, depth = stack.pop()
@@ -80,7 +80,7 @@ def iterate_names(root: object) -> Iterator[nodes.Name]:
 
 
 def iterate_expressions(expr: model.Expr) -> Iterator[object]:
-    """Yield an expression, then all expressions and bindings inside it, each once."""
+    """Yield an expression, then all expressions and bindings inside it, without duplicates."""
     stack: list[object] = [expr]
     visited_ids: set[int] = set()
     while stack:
@@ -93,7 +93,7 @@ def iterate_expressions(expr: model.Expr) -> Iterator[object]:
 
 
 def _list_direct_parts(part: object) -> list[object]:
-    """Return the direct parts of an expression or a binding."""
+    """Return the parts that an expression or binding contains directly."""
     if isinstance(part, tuple):
         return list(part)
     if isinstance(part, model.BindingRef):

@@ -26,7 +26,7 @@ class Expr:
 
 @expression_class
 class Constant(Expr):
-    """A constant number in base units (mm, s, g, rad; a bool as 0 or 1).
+    """A constant number in base units (mm, s, g, rad). A bool is 0 or 1.
 
     The value is `number * u ** unit_power * dt ** step`. `u`: mm per scene unit. `dt`: seconds per step."""
 
@@ -52,7 +52,8 @@ class StateConstant(Expr):
 class ClipTest(Expr):
     """A test of the clip that a machine plays.
 
-    It is true if the clip passed the mark `mark` in the last step or, if `mark` is "", if the clip has played to its end."""
+    It is true if the clip passed the mark `mark` in the last step. If `mark` is "", it is true if the clip has played to its
+    end."""
 
     machine: str
     mark: str
@@ -60,17 +61,17 @@ class ClipTest(Expr):
 
 @expression_class
 class ParamRef(Expr):
-    """A param by its qualified name, `forager.smell`."""
+    """A param by its qualified name, such as `forager.smell`."""
 
     name: str
 
 
 @expression_class
 class AttributeRef(Expr):
-    """An attribute of the agent itself (`owner` None), or of the agent, item, hit or set element in `owner`.
+    """An attribute of `owner` (an agent, item, hit or set element) or, if `owner` is None, of the agent itself.
 
-    - Built-in names of agents: position velocity heading up speed id age group size mass radius clearance max_speed max_force
-      max_turn response.
+    - Built-in names of agents: position, velocity, heading, up, speed, id, age, group, size, mass, radius, clearance, max_speed,
+      max_force, max_turn and response.
     - Of items: position and radius. Of hits: distance, normal and position.
     - Of machines, always with the machine's name: `MACHINE.state`, `MACHINE.previous`, `MACHINE.next` and
       `MACHINE.time_in_state`.
@@ -85,12 +86,12 @@ class Binding:
     """A named value. `role` is one of the following.
 
     - `let`, `argument`: `value` is the value.
-    - `keep`: `value` is the first value, `next_value` the next one.
-    - `latch`: `value` switches it on, `next_value` off.
+    - `keep`: `value` is the first value, and `next_value` the value for the next step.
+    - `latch`: `value` switches it on, and `next_value` switches it off.
     - `element`: the current element of a set.
 
-    `key`: the stable identity of a memory, such as `forager.main.search.wander#1.bearing`. `is_snapshot`: a `let` of a species,
-    which reads the agent's state at the start of the step."""
+    `key`: the stable identity of a memory, such as `forager.main.search.wander#1.bearing`. `is_snapshot`: whether it is a `let`
+    of a species, which reads the agent's state at the start of the step."""
 
     name: str
     role: str
@@ -112,9 +113,9 @@ class BindingRef(Expr):
 
 @expression_class
 class ThingRef(Expr):
-    """The name of a thing of the world or of a species, as an argument. The type has the kind of the thing.
+    """The name of a thing of the world or of a species, used as an argument. The kind of the type is the kind of the thing.
 
-    The name `self` with the kind AGENT is the agent itself."""
+    The name `self` with the kind AGENT stands for the agent itself."""
 
     name: str
 
@@ -133,7 +134,7 @@ class OperationExpr(Expr):
 
 @expression_class
 class SetExpr(Expr):
-    """A set.
+    """A set over which reductions run.
 
     - `source`: `neighbours` (args radius, fov), `all` (args within or None), or `feelers` (args count, spread, reach).
     - `source_name`: the name of the species, items or obstacle.
@@ -153,7 +154,8 @@ class ReduceExpr(Expr):
     - `reducer`: sum, mean, min, max, count, any, every, best (the element with the greatest `body`) or nearest (the nearest
       element; `body` is None).
     - `elements`: the set.
-    - `element`: the name bound in `body`. It may differ from `elements.element`, which is bound in the condition of the set."""
+    - `element`: the name that `body` uses for an element. It may differ from `elements.element`, the name in the condition of
+      the set."""
 
     reducer: str
     elements: SetExpr
@@ -163,8 +165,8 @@ class ReduceExpr(Expr):
 
 @expression_class
 class InlinedBehaviour(Expr):
-    """A behaviour call, expanded for its argument types. The evaluation order is `arguments`, `body` (lets and keeps),
-    `result`."""
+    """A behaviour call, expanded for the types of its arguments. `arguments` are evaluated first, then `body` (lets and keeps),
+    then `result`."""
 
     behaviour_name: str
     key: str

@@ -1,4 +1,5 @@
-"""Rewrites a file for a newer edition of the language: the first line, and the previous defaults that its species use.
+"""Rewrites a file for a newer edition of the language: changes the first line, and adds the previous defaults that its species
+use.
 
 An upgraded program has the same results until its author deletes the added lines."""
 
@@ -19,10 +20,10 @@ Insertion = tuple[int, str]  # offset in the text, and the inserted text
 
 
 def upgrade_source(source: Source, edition: int) -> tuple[Source | None, Report]:
-    """Return the text of a file rewritten for an edition, with the same meaning, and the report of parsing.
+    """Return the source of a file rewritten for `edition`, with the same meaning, and the report of parsing.
 
-    The layout is not standard. Returns None if the text has errors, or names that the newer edition reserves. A file of this
-    edition or a newer one is returned unchanged."""
+    The result is not formatted in the standard layout. It is None if the text has errors or names that the newer edition
+    reserves. If the file already has this or a newer edition, it is returned unchanged."""
     file, report = parse(source)
     previous = file.edition_number
     if not report.ok or (file.edition is not None and previous >= edition):
@@ -44,9 +45,9 @@ def upgrade_source(source: Source, edition: int) -> tuple[Source | None, Report]
 
 
 def _iterate_default_lines(source: Source, species: nodes.Species, previous_edition: int, edition: int) -> Iterator[Insertion]:
-    """Yield an insertion with the lines that set the defaults of the previous edition.
+    """Yield insertions with the lines that set the defaults of the previous edition.
 
-    Defaults that are equal in both editions, and settings that the species has already, are left out."""
+    Defaults that are equal in both editions, and settings that the species already has, are omitted."""
     properties = [member for member in species.members if isinstance(member, nodes.AnimalProperty)]
     written = {member.name.text for member in properties}
     lines = [

@@ -1,4 +1,5 @@
-"""Checks that examine the complete program once all types are known. A new check is one function and one entry in this file."""
+"""Checks that examine the complete program once all types are known. To add a check, add one function and one entry in this
+file."""
 
 from __future__ import annotations
 

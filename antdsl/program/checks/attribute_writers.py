@@ -1,5 +1,5 @@
-"""Reports attributes that two machines set. Machines run in parallel. Several may add to an attribute, but only one may set
-it."""
+"""Reports attributes that two machines set. Machines run in parallel, so only one may set an attribute, although several may add
+to it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from antdsl.source import Span
 
 
 def check_writers(context: CheckContext, report: Report) -> None:
-    """Report attributes that one machine sets and another machine changes too."""
+    """Report attributes that one machine sets and another machine also changes."""
     for species in context.program.species.values():
         first: dict[str, tuple[Machine, Span, bool]] = {}
         for machine in species.machines:
@@ -29,7 +29,8 @@ def check_writers(context: CheckContext, report: Report) -> None:
 
 
 def _iterate_written_attributes(machine: Machine) -> Iterator[tuple[str, Span, bool]]:
-    """Yield each attribute that a machine writes, the span, and whether the line sets the attribute instead of adding to it."""
+    """Yield the name of each attribute that a machine writes, with the span, and whether the line sets the attribute (True) or
+    adds to it."""
     for state in machine.states:
         blocks = [state.body, state.enter, state.exit, *(change.actions for change in state.transitions)]
         for block in blocks:

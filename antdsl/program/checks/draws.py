@@ -1,5 +1,5 @@
-"""Reports random draws that are repeated in every step. In a condition, the frame rate then determines how often it holds. In
-steering, it determines the path: with n times as many draws per second, their sum is sqrt(n) times as large."""
+"""Reports random draws that are repeated in every step. Repeated draws in a condition make it hold more often at a higher frame
+rate. In steering, they change the path: n times as many draws per second give a sum that is sqrt(n) times as large."""
 
 from __future__ import annotations
 
@@ -49,7 +49,8 @@ def check_draws(context: CheckContext, report: Report) -> None:
 
 
 def _check_steering(species: Species, has_library: bool, report: Report) -> None:
-    """Report draws in steering and facing of states and layers, and in attributes that a state draws again in every step."""
+    """Report draws in the `steer` and `face` lines of states and layers, and draws in attributes that a state sets in every
+    step."""
     lines = [line for machine in species.machines for state in machine.states for line in state.body]
     drawn = {
         line.attribute: draws
@@ -72,10 +73,10 @@ def _check_steering(species: Species, has_library: bool, report: Report) -> None
 
 
 def _find_step_draws(root: Expr, draws_by_attribute: dict[str, list[OperationExpr]]) -> list[OperationExpr]:
-    """Return draws that are repeated in every step, if their sum over a second depends on the frame rate.
+    """Return the draws that are repeated in every step and have a sum per second that depends on the frame rate.
 
-    Draws scaled by `dt` and draws inside sets are left out. `draws_by_attribute`: for each attribute, the draws that a state
-    assigns to it."""
+    Draws that are scaled by `dt`, and draws inside sets, are omitted. `draws_by_attribute`: for each attribute, the draws that a
+    state assigns to it."""
     draws: list[OperationExpr] = []
     stack, visited = [root], set[int]()
     while stack:
@@ -100,10 +101,10 @@ def _find_step_draws(root: Expr, draws_by_attribute: dict[str, list[OperationExp
 
 
 def _format_jitter(draw: OperationExpr) -> str | None:
-    """Return the call of `jitter` that replaces a draw of an angle, such as `jitter(73.5 deg)` for `normal(0 deg, 15 deg)`.
+    """Return the call of `jitter` that replaces the draw of an angle, such as `jitter(73.5 deg)` for `normal(0 deg, 15 deg)`.
 
-    Returns None unless the draw is `normal` or `uniform` about 0. At 24 frames a second, both have the same spread after a
-    second."""
+    Returns None unless the draw is `normal` or `uniform` about 0. At 24 frames per second, the call has the same spread after
+    one second as the draws."""
     if draw.name not in ("uniform", "normal") or len(draw.args) < 2:
         return None
     first, second = draw.args[:2]
@@ -143,8 +144,8 @@ def _has_draw(part: OperationExpr) -> bool:
 
 
 def _iterate_reachable_parts(root: Expr, entered_operations: Collection[str]) -> Iterator[Expr]:
-    """Yield an expression and its parts. The walk enters only the operations in `entered_operations` and the values of names,
-    following each named value once. It does not enter sets."""
+    """Yield an expression and its parts. The walk descends into the operations in `entered_operations`, and follows each named
+    value once. It does not descend into other operations or sets."""
     stack: list[Expr] = [root]
     named: set[int] = set()
     while stack:
@@ -160,7 +161,8 @@ def _iterate_reachable_parts(root: Expr, entered_operations: Collection[str]) ->
 
 
 def _format_chance_rate(part: OperationExpr) -> str | None:
-    """Return a `chance` per second that replaces a comparison such as `uniform(0, 1) < 0.1`; None for other comparisons."""
+    """Return a `chance` per second that replaces a comparison such as `uniform(0, 1) < 0.1`. Return None for other
+    comparisons."""
     left, right = part.args
     assert left is not None and right is not None
     name = part.name

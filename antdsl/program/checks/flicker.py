@@ -1,4 +1,5 @@
-"""Reports two states that lead to each other for the same values. An agent would alternate between these states in every step."""
+"""Reports pairs of states with transitions in both directions that hold for the same values. An agent would alternate between
+the two states in every step."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ def check_state_flicker(context: CheckContext, report: Report) -> None:
 
 
 def _iterate_opposite_changes(machine: Machine) -> Iterator[tuple[tuple[State, Transition], tuple[State, Transition]]]:
-    """Yield all pairs of opposite transitions: one from a state to a later state, and one from the later state back."""
+    """Yield all pairs of opposite transitions: one from a state to a later state, and one back from the later state."""
     for state in machine.states:
         for change in state.transitions:
             other = machine.states[change.target] if change.target is not None else None
@@ -61,7 +62,7 @@ def _check_pair(
 
 
 def _has_minimum_time(state: State, change: Transition) -> bool:
-    """Return whether a transition cannot happen in every step: it needs a waiting time, or a `take` that may fail."""
+    """Return whether a transition cannot happen in every step, because it has a waiting time or a `take` that may fail."""
     return (
         change.delay is not None
         or change.hold_time is not None
@@ -71,7 +72,7 @@ def _has_minimum_time(state: State, change: Transition) -> bool:
 
 
 def _can_both_hold(reader: ConditionReader, first: Expr, second: Expr) -> bool:
-    """Return whether both conditions compare the same value with constants, and at least one value satisfies both."""
+    """Return whether both conditions compare the same value with constants, and some value satisfies both."""
     try:
         cases = [reader.read_cases(first), reader.read_cases(second)]
     except UNREADABLE_CONDITION_ERRORS:
@@ -83,7 +84,7 @@ def _can_both_hold(reader: ConditionReader, first: Expr, second: Expr) -> bool:
 
 
 def _affects_test(machine: Machine, transition: tuple[State, Transition], test: Expr) -> bool:
-    """Return whether a transition changes a value that the condition `test` of the opposite transition reads.
+    """Return whether a transition changes a value that `test`, the condition of the opposite transition, reads.
 
     The time in the state is such a value, because each transition resets it."""
     state, change = transition

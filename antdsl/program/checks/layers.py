@@ -1,6 +1,6 @@
-"""Reports species that steer in states but have no layer `state`, and layers without effect.
+"""Reports species that steer in states but have no layer `state`, and layers that have no effect.
 
-A layer has no effect if earlier layers always use all strength, or if its condition never holds."""
+A layer has no effect if earlier layers always use the complete priority budget, or if its condition never holds."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def check_idle_layers(context: CheckContext, report: Report) -> None:
 
 
 def _check_priorities(reader: ConditionReader, species: Species, report: Report) -> None:
-    """Report layers that come after a layer that always uses the complete priority budget. Summed layers are not reported."""
+    """Report layers below a layer that always uses the complete priority budget. Layers that are summed are not reported."""
     lines = tuple(layer for layer in species.layers.layers if not layer.is_face_line)  # `face` lines use no strength
     enough = {"budget": 1.0, "first": 1e-6}.get(species.layers.mode)
     if enough is None:
@@ -72,7 +72,7 @@ def _check_priorities(reader: ConditionReader, species: Species, report: Report)
 
 
 def _compute_min_layer_strength(species: Species, layer: Layer) -> float:
-    """Return the smallest possible length of a layer's push; 0 if nothing is known."""
+    """Return the smallest possible length of a layer's push, or 0 if nothing is known about it."""
     if layer.push is not None:
         return compute_min_strength(layer.push)
     if len(species.machines) != 1:
@@ -85,7 +85,7 @@ def _compute_min_layer_strength(species: Species, layer: Layer) -> float:
 
 
 def compute_min_strength(push: Expr) -> float:
-    """Return the smallest possible length of a push; 0 if nothing is known."""
+    """Return the smallest possible length of a push, or 0 if nothing is known about it."""
     if isinstance(push, BindingRef) and push.binding.role in ("let", "argument") and push.binding.value is not None:
         return compute_min_strength(push.binding.value)
     if isinstance(push, InlinedBehaviour):

@@ -1,7 +1,7 @@
-"""Reports values that change by a fixed amount per step, so that the speed of change depends on the frame rate.
+"""Reports values that change by a fixed amount per step, so that they change faster at a higher frame rate.
 
-The check uses the limit of each value as steps get shorter. It examines:
-- assignments that read the attribute they set,
+The check computes the limit of each value as steps get shorter. It examines:
+- assignments that read the attribute that they set,
 - each `keep` that is computed from its previous value,
 - added amounts that should be per second but are not."""
 
@@ -34,7 +34,7 @@ _SIMPLE_TERM_PATTERN = re.compile(r"[\w.]+(\([^()]*\))?")
 
 
 def check_per_frame(context: CheckContext, report: Report) -> None:
-    """Report assignments, memories and added amounts with a speed that depends on the frame rate."""
+    """Report assignments, memories and added amounts that change faster or slower at another frame rate."""
     for species in context.program.species.values():
         for machine in species.machines:
             for state in machine.states:
@@ -61,7 +61,8 @@ def _check_lines(state: State, report: Report) -> None:
 def _check_added_amount(
     line: Assign | EffectRequest | Give, amount: Expr, attribute: str, per_second: bool, line_start: str, report: Report
 ) -> None:
-    """Report an amount that a state adds if it is not per second. The language multiplies amounts per second by `dt`."""
+    """Report an amount that a state adds in each step if it is not per second. The language multiplies amounts per second by
+    `dt`."""
     if not per_second or is_rate(amount, attribute):
         return
     single_amount = (
@@ -79,8 +80,8 @@ def _is_dt(expr: Expr | None) -> bool:
 
 
 def _check_assignment(line: Assign, has_other_change: bool, report: Report) -> None:
-    """Report an assignment with an effect that depends on the frame rate. `has_other_change`: another line of the state adds to
-    the attribute."""
+    """Report an assignment if its effect depends on the frame rate. `has_other_change`: whether another line of the state adds
+    to the attribute."""
     name, value = line.attribute, line.value
     makers = find_rate_dependent_operations(value, name, has_other_change)
     if not makers:
@@ -124,9 +125,9 @@ def _check_memory(memory: Binding, next_value: Expr, report: Report) -> None:
 
 
 def _format_added_rate(value: Expr, own_name: str) -> str:
-    """Return the text that adds a rate instead of a fixed amount: `+= 24 /s` for the value `x + 1` of `own_name` `x`.
+    """Return text that adds a rate instead of a fixed amount: `+= 24 /s` if `value` is `x + 1` and `own_name` is `x`.
 
-    For `x + gain - 0.1` it is `+= (gain - 0.1) * 24 /s`. Empty for a value of another form."""
+    For `x + gain - 0.1`, it is `+= (gain - 0.1) * 24 /s`. The text is empty for values of other forms."""
     if not isinstance(value, OperationExpr) or value.name not in ("add", "sub"):
         return ""
     left, right = value.args
@@ -148,8 +149,8 @@ def _format_added_rate(value: Expr, own_name: str) -> str:
 
 
 def _format_rate_free(op: Expr, update_target: UpdateTarget) -> str:
-    """Return the text of an operation with the same effect per second at any step length. Empty if the source does not determine
-    it."""
+    """Return the text of an operation that has the same effect per second at any step length. It is empty if the source does not
+    determine such an operation."""
     if not isinstance(op, OperationExpr) or len(op.args) < 2 or op.args[0] is None or op.args[1] is None:
         return ""
     left, right = op.args[:2]
@@ -172,7 +173,8 @@ def _format_rate_free(op: Expr, update_target: UpdateTarget) -> str:
 
 
 def _is_scaled_by_dt(op: Expr, own_name: str) -> bool:
-    """Return whether the operation multiplies the value by `dt`, as in `x * dt`. The value then vanishes in a short step."""
+    """Return whether the operation multiplies the attribute `own_name` by `dt`, as in `x * dt`. In a short step, the result is
+    near 0."""
     return (
         isinstance(op, OperationExpr)
         and op.name == "mul"
@@ -181,13 +183,14 @@ def _is_scaled_by_dt(op: Expr, own_name: str) -> bool:
 
 
 def _format_decaying_value(target: Expr, factor: Expr, power: int) -> str:
-    """Return the text of `target` times the decay factor that replaces `factor ** power` per step. Empty if there is none."""
+    """Return the text of `target` times a decay factor. The decay factor replaces `factor ** power` per step. The text is empty
+    if there is no such factor."""
     part = _format_decay_factor(factor, power)
     return f"{target.span.text} * {part}" if part else ""
 
 
 def _format_mix(op: OperationExpr, update_target: UpdateTarget) -> str:
-    """Return the text of a call that replaces `mix(x, goal, 0.1)` and does not depend on the frame rate. Empty if there is none.
+    """Return the text of a call that replaces `mix(x, goal, 0.1)` and does not depend on the frame rate, or "" if there is none.
 
     In each step, `mix(x, goal, 0.1)` moves `x` towards `goal` by a tenth of the remaining distance."""
     a, z, share = op.args
@@ -204,8 +207,8 @@ def _format_mix(op: OperationExpr, update_target: UpdateTarget) -> str:
 
 
 def _format_decay_factor(factor: Expr, power: int) -> str:
-    """Return a text such as `exp(-dt / 0.4 s)`, which replaces the constant `factor ** power` per step. Empty if the factor is
-    not a positive number without a unit."""
+    """Return a text such as `exp(-dt / 0.4 s)`, which replaces the constant `factor ** power` per step. It is empty if the
+    factor is not a positive number without a unit."""
     known = find_constant(factor)
     if known is None or known.unit_power or known.number <= 0 or known.number == 1 or known.type.dimension != Dimension():
         return ""
@@ -213,12 +216,12 @@ def _format_decay_factor(factor: Expr, power: int) -> str:
 
 
 def _format_exponential(rate: float) -> str:
-    """Return the text of an exponential of `dt`. Its exponent is `rate` per step at 24 frames a second."""
+    """Return the text of an exponential of `dt`. `rate`: its exponent per step at 24 frames per second."""
     return f"exp({'-' if rate < 0 else ''}dt / {1 / abs(rate) / ASSUMED_FPS:.3g} s)"
 
 
 def _convert_to_per_second(text: str) -> str:
-    """Convert the text of an amount per step to an amount per second, such as `1` to `24 /s` and `2 mm` to `48 mm/s`."""
+    """Return the text of an amount per second for the text of an amount per step: `24 /s` for `1`, `48 mm/s` for `2 mm`."""
     literal = QUANTITY_PATTERN.fullmatch(text)
     if literal is not None and "/" not in text:
         return f"{float(literal[1]) * ASSUMED_FPS:.6g} {literal[2] or ''}/s"
@@ -234,8 +237,8 @@ def _is_inside(span: Span, outer_span: Span) -> bool:
 
 
 def _replace_part(outer_span: Span, span: Span, text: str) -> str:
-    """Return the text of `outer_span` on one line, with the part at `span` replaced by `text`. Empty if `span` is not inside
-    `outer_span`."""
+    """Return the text of `outer_span` on one line, with the part at `span` replaced by `text`. It is empty if `span` is not
+    inside `outer_span`."""
     if not _is_inside(span, outer_span):
         return ""
     prefix, suffix = outer_span.text[: span.start - outer_span.start], outer_span.text[span.end - outer_span.start :]

@@ -1,4 +1,5 @@
-"""Reports every use of the unit `step`, for `check --strict`. Values per step, or in steps, depend on the frame rate."""
+"""Reports every use of the unit `step`, for `check --strict`. Values per step, and durations in steps, depend on the frame
+rate."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ def check_step_units(context: CheckContext, report: Report) -> None:
 
 
 def _iterate_files(files: Sequence[FileNames]) -> Iterator[FileNames]:
-    """Yield the files of the program and the files that they use by path, each once."""
+    """Yield the files of the program and all files that they use by path, without duplicates."""
     stack, visited = list(files), set[int]()
     while stack:
         file = stack.pop()
@@ -46,7 +47,8 @@ def _iterate_files(files: Sequence[FileNames]) -> Iterator[FileNames]:
 def _suggest_step_free_quantity(
     node: nodes.Quantity, power: float, parent: nodes.Setting | nodes.AnimalProperty | None
 ) -> tuple[Fix | None, str]:
-    """Return a fix for a quantity in steps, and the help text about it. The fix is None if there is no replacement."""
+    """Return a fix that removes the unit `step` from a quantity, and its help text. The fix is None if there is no
+    replacement."""
     if isinstance(parent, nodes.Setting) and parent.name.text == "keeps":
         share = node.value * (0.01 if "%" in node.unit else 1.0)
         if not 0 < share < 1:

@@ -1,7 +1,7 @@
 """Reports states that no transition enters or leaves, and transitions that cannot happen.
 
-A transition cannot happen if it is never reached, or if its condition never or always holds. The analysis uses comparisons with
-constants only."""
+A transition cannot happen if an earlier one always happens first, or if its condition never holds. Conditions that always hold
+are also reported. The analysis uses only comparisons with constants."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ def check_reachability(context: CheckContext, report: Report) -> None:
 
 
 def _find_reachable_states(machine: Machine) -> set[int]:
-    """Return the states that can be reached from the start state. `previous` leads only to states that were active earlier."""
+    """Return the indices of the states that can be reached from the start state. `previous` leads only to states that were
+    active earlier."""
     reached: set[int] = set()
     stack = [machine.start]
     while stack:
@@ -56,7 +57,7 @@ def _is_stuck(state: State) -> bool:
 
 
 def check_shadowed_transitions(context: CheckContext, report: Report) -> None:
-    """Report transitions that never happen because an earlier one of the state always happens first."""
+    """Report transitions that never happen because an earlier transition of the same state always happens first."""
     reader = ConditionReader(context.program.params)
     for species in context.program.species.values():
         for machine in species.machines:
@@ -86,7 +87,7 @@ def _report_shadowed(reader: ConditionReader, change: Transition, first: Transit
 def _is_shadowing(reader: ConditionReader, first: Transition, change: Transition) -> bool:
     """Return whether transition `first` is chosen whenever the later transition `change` could be chosen.
 
-    That includes a transition with a `take`: if the take fails, no other transition is tried in that step."""
+    This is also so if `first` has a `take`, because no other transition is tried in a step in which the take fails."""
     if not _is_wait_shorter(first.delay, change.delay) or not _is_wait_shorter(first.hold_time, change.hold_time):
         return False
     if change.condition is not None and is_always_false(reader, change.condition):
@@ -95,7 +96,7 @@ def _is_shadowing(reader: ConditionReader, first: Transition, change: Transition
 
 
 def _is_wait_shorter(first: Expr | None, other: Expr | None) -> bool:
-    """Return whether the waiting time `first` has always passed when the waiting time `other` has passed."""
+    """Return whether the waiting time `first` has always elapsed when the waiting time `other` has elapsed."""
     if first is None:
         return True
     a, b = find_constant(first), (find_constant(other) if other is not None else None)
@@ -143,12 +144,12 @@ def _check_clip_waits(species: Species, machine: Machine, state: State, report: 
 
 
 def _split_conjunction(test: Expr) -> list[Expr]:
-    """Return the parts of a condition that `and` joins. All of them must hold."""
+    """Return the parts of a condition that are joined by `and`."""
     if isinstance(test, OperationExpr) and test.name == "and":
         return [part for arg in test.args if arg is not None for part in _split_conjunction(arg)]
     return [test]
 
 
 def _is_truth_word(test: Expr) -> bool:
-    """Return whether a condition is the word `true` or `false`. The author intends such a condition to be constant."""
+    """Return whether a condition is the word `true` or `false`. Such a condition is constant on purpose."""
     return isinstance(test, Constant)

@@ -1,4 +1,4 @@
-"""Reports declarations that are never used, only set or only read, and programs without anything that could act.
+"""Reports declarations that are never used, only set or only read, and programs in which nothing can act.
 
 The declarations are params, attributes, lets, fields, behaviours and events."""
 
@@ -69,7 +69,8 @@ def _check_species(context: CheckContext, species: Species, report: Report) -> N
 
 
 def _check_behaviours(context: CheckContext, report: Report) -> None:
-    """Report behaviours that no code calls, in files with a species. A file of behaviours alone is a library for other files."""
+    """Report behaviours that no code calls, in files that declare a species. A file with only behaviours is a library for other
+    files."""
     for file in context.files:
         if not any(isinstance(item, nodes.Species) for item in file.node.items):
             continue
@@ -81,7 +82,7 @@ def _check_behaviours(context: CheckContext, report: Report) -> None:
 
 
 def check_unused_memory(context: CheckContext, report: Report) -> None:
-    """Report attributes and fields that are only set, or only read."""
+    """Report attributes and fields that are only set or only read."""
     for species in context.program.species.values():
         for attribute in species.attributes:
             if not attribute.is_builtin:
@@ -97,8 +98,8 @@ def check_unused_memory(context: CheckContext, report: Report) -> None:
 
 
 def _iterate_field_users(program: Program) -> Iterator[object]:
-    """Yield every part of a program that can name a field. States are separate parts, because edits mostly change single
-    states."""
+    """Yield every part of a program that can name a field. Each state is a separate part, because an edit mostly changes one
+    state."""
     for species in program.species.values():
         yield from (state for machine in species.machines for state in machine.states)
         yield (*species.attributes, *species.lets, *species.latches, *species.handlers, species.layers)
@@ -106,7 +107,7 @@ def _iterate_field_users(program: Program) -> Iterator[object]:
 
 
 def _find_used_names(root: object) -> tuple[frozenset[str], frozenset[str]]:
-    """Return the names of things used as values below `root`, and the names of fields that an effect deposits into."""
+    """Return the names of things used as values below `root`, and the names of fields into which an effect deposits."""
     every, laying = list(iterate_parts(root)), list_feeding_effects("field")
     return (
         frozenset(each.name for each in every if isinstance(each, ThingRef)),
@@ -146,7 +147,7 @@ def check_events(context: CheckContext, report: Report) -> None:
 
 
 def _report_unhandled_event(context: CheckContext, event: str, span: Span, report: Report) -> None:
-    """Report each species that receives an event but neither handles it nor tests for it."""
+    """Report each species that receives the event `event` but neither handles it nor tests for it."""
     for name in context.declarations.species:
         if context.is_used("told", f"{event} {name}") and not context.is_used("heard", f"{event} {name}"):
             advice = f"write `on {event} {{ … }}` in `species {name}`, or test for it there: `when {event} -> …`"

@@ -1,4 +1,5 @@
-"""Reports neighbour radii that contain all agents. Each agent would then process the complete crowd in every step."""
+"""Reports neighbour radii that are so large that they contain all agents. Each agent would then process the complete crowd in
+every step."""
 
 from __future__ import annotations
 
@@ -55,15 +56,15 @@ def check_wide_radius(context: CheckContext, report: Report) -> None:
 
 
 def _is_radius_search(part: SetExpr, is_nearest_only: bool) -> bool:
-    """Return whether a set examines all agents within a radius. A search for only the nearest agent is faster and does not
-    count."""
+    """Return whether a set examines all agents within a radius. A search for only the nearest agent does not count, because it
+    is faster."""
     if part.source == "neighbours":
         return True
     return part.source == "all" and part.element.type.kind is TypeKind.AGENT and not (is_nearest_only and part.condition is None)
 
 
 def _follow_names(expr: Expr) -> list[Expr]:
-    """Return an expression. If it is a name, also return the chain of expressions that the name stands for."""
+    """Return an expression and, if it is a name, the chain of expressions for which the name stands."""
     exprs = [expr]
     while isinstance(expr, BindingRef) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
         expr = expr.binding.value
@@ -72,13 +73,13 @@ def _follow_names(expr: Expr) -> list[Expr]:
 
 
 def _find_constant_radius(expr: Expr, params: Mapping[str, Param]) -> Constant | None:
-    """Return the constant value of a radius, or None if it is not constant. A param counts with its default."""
+    """Return the constant value of a radius, or None if it is not constant. For a param, this is its default."""
     last = _follow_names(expr)[-1]
     return find_constant(params[last.name].default if isinstance(last, ParamRef) and last.name in params else last)
 
 
 def _compute_max_body_size(species: Species, params: Mapping[str, Param]) -> float:
-    """Return the largest possible body size in mm, as far as the program determines it."""
+    """Return the largest possible body size in mm that the program allows."""
     written = next((a.default for a in species.attributes if a.name in (CRAWLING_SIZE_SETTING, STANDING_SIZE_SETTING)), None)
     if isinstance(written, OperationExpr) and written.name == "normal":
         written = written.args[0]  # a normal number has no largest value: the mean counts

@@ -1,7 +1,7 @@
-"""Checks the declarations of a program, with one file for each kind.
+"""Checks the declarations of a program. Each kind of declaration has its own file.
 
 - `species`: params, attributes, latches, handlers, machines and layers, in this order.
 - `statements`: the lines of a state or an action.
-- `behaviours`: replaces each call of a behaviour by its expansion.
+- `behaviours`: behaviours and the expansion of their calls.
 - `world`: things. `fields`: the fields on them.
 - `specs`: the expectations about runs."""

@@ -1,5 +1,5 @@
-"""Checks the types of values that a line adds. It is a rate per second if the line runs in every step, or an amount if it runs
-once."""
+"""Checks the types of values that a line adds. The value must be a rate per second if the line runs in every step, and an amount
+if it runs once."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from antdsl.syntax import nodes
 
 @dataclass(frozen=True, slots=True)
 class StatementContext:
-    """The context of statements.
+    """The kind of block in which statements are checked.
 
-    - `is_state_body`: the statements run in each step.
+    - `is_state_body`: whether the statements run in each step.
     - `must_be_order_independent`: whether they are in a handler, where several events may arrive in one step."""
 
     is_state_body: bool
@@ -40,10 +40,10 @@ def type_amount_or_rate(
     suffix: str = "",
     is_always_amount: bool = False,
 ) -> Expr | None:
-    """Return the typed value that a line adds: a rate per second in a state's body, else an amount.
+    """Return the typed value that a line adds: a rate per second in a state's body, otherwise an amount.
 
     - `is_always_amount`: whether the value is an amount even in a state's body.
-    - `prefix`, `suffix`: the source text around the value, for messages."""
+    - `prefix`, `suffix`: the source text before and after the value, for messages."""
     per_second = ValueType(type.kind, combine_dimensions(type.dimension, Dimension(time=1), -1))
     want = per_second if block.is_state_body else type
     expr = type_value(scope, node, want)

@@ -92,7 +92,7 @@ def check_duplicates(scope: NameScope, node: nodes.State) -> None:
 
 
 def _report_misplaced_line(scope: NameScope, line: nodes.VerbLine, block: StatementContext) -> bool:
-    """Return whether a line is in an action instead of a state's body; report an error if so."""
+    """Return whether a line that belongs into a state's body is in an action. If so, report an error."""
     if not block.is_state_body:
         form = f"{line.verb} {line.name.text if line.name is not None else ''}"
         advice = f"write `{' '.join(line.span.text.split())}` as a line of the state itself"
@@ -137,7 +137,7 @@ def check_play(scope: NameScope, line: nodes.VerbLine, block: StatementContext) 
 
 
 def _drop_name_arguments(line: nodes.VerbLine) -> nodes.VerbLine:
-    """Return the line without the arguments that are names of clips or transform groups. Such names are not expressions."""
+    """Return the line without the arguments that name clips or transform groups, because such names are not expressions."""
     named = [
         isinstance(each, nodes.Argument) and each.name is not None and each.name.text in _NAME_ARGUMENTS
         for each in line.arguments
@@ -146,7 +146,7 @@ def _drop_name_arguments(line: nodes.VerbLine) -> nodes.VerbLine:
 
 
 def _get_name_argument(scope: NameScope, clip: str, argument: str, node: nodes.Expr) -> str | None:
-    """Return the name of a clip or transform group in an argument; None after an error."""
+    """Return the name of a clip or transform group in an argument, or None after an error."""
     if isinstance(node, nodes.NameRef):
         return node.name.text
     what, sample = ("a transform group", "arms") if argument == "on" else ("a clip", f"{clip}_{argument}")
@@ -156,7 +156,7 @@ def _get_name_argument(scope: NameScope, clip: str, argument: str, node: nodes.E
 
 
 def _is_valid_value(scope: NameScope, clip: str, argument: str, expr: Expr) -> bool:
-    """Return whether a value is allowed for its argument; report an error if not."""
+    """Return whether a value is allowed for its argument. If not, report an error."""
     known = find_constant(expr)
     text = " ".join(expr.span.text.split())
     words, help = "", ""
@@ -175,7 +175,7 @@ def _is_valid_value(scope: NameScope, clip: str, argument: str, expr: Expr) -> b
 
 
 def check_single_clip(scope: NameScope, node: nodes.State) -> None:
-    """Report a state that plays several clips."""
+    """Report a state with more than one line that plays a clip."""
     lines = [line for line in node.body if isinstance(line, nodes.VerbLine) and line.verb == "play"]
     for line in lines[1:]:
         message = f"`{node.name.text}` plays a clip already, and a state can play only one"

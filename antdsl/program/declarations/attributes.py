@@ -1,6 +1,6 @@
-"""Checks the attributes of a species: initial values and types.
+"""Checks the types and initial values of a species' attributes.
 
-Each attribute is ordered after the attributes that its initial value reads."""
+Each attribute is placed after the attributes that its initial value reads."""
 
 from __future__ import annotations
 
@@ -57,7 +57,8 @@ _TOO_EARLY_REASON = "starting values are computed before the animal has sensed a
 
 
 def check_attributes(scope: NameScope, node: nodes.Species) -> list[model.AttributeDecl]:
-    """Return the built-in attributes and the species' own. Each comes after the attributes that its initial value reads."""
+    """Return the built-in attributes and the species' own attributes. Each comes after the attributes that its initial value
+    reads."""
     declared: dict[str, nodes.Declaration | nodes.AnimalProperty] = {}
     assert scope.species is not None
     for name, row in scope.builtins.items():
@@ -102,7 +103,7 @@ def _check_speeds(
     declarations: list[model.AttributeDecl],
     nodes_by_name: Mapping[str, nodes.Declaration | nodes.AnimalProperty],
 ) -> None:
-    """Check that the lowest speed of a species is not above the highest, if both are known."""
+    """Check that the lowest speed of a species is not above its highest speed. A speed that is not known is not checked."""
     known = {each.name: find_constant(each.default) for each in declarations if each.name in ("min_speed", "max_speed")}
     least, most = known.get("min_speed"), known.get("max_speed")
     if (
@@ -127,14 +128,14 @@ def get_default_text(name: str, species: SpeciesNames) -> str | None:
 
 
 def has_default_without_register(name: str, species: SpeciesNames) -> bool:
-    """Return whether an attribute has its default even in species without a register for it. Then it needs no register."""
+    """Return whether an attribute has its default even in species that have no register for it."""
     return name in OPTIONAL_ATTRIBUTES and not (species.has_standing_bodies and name in STANDING_DEFAULTS)
 
 
 def find_switches(scope: NameScope, node: nodes.Species) -> dict[str, bool]:
-    """Return by name whether each switch of a species, such as `body_clearance`, is on.
+    """Return, by name, whether each switch of a species is on. A switch is a setting such as `body_clearance`.
 
-    A switch without a line in the text has the default of the edition."""
+    A switch that the text does not set has the default of the edition."""
     assert scope.species is not None
     values = {name: get_default_text(name, scope.species) == "true" for name in SWITCH_HELP}
     for member in node.members:
@@ -194,7 +195,7 @@ def _is_settable(scope: NameScope, member: nodes.AnimalProperty) -> bool:
 
 
 def _suggest_place(word: str) -> str | None:
-    """Return where a line must be that begins with a word of the language, such as a sense.
+    """Return where in a program a line that begins with `word` must be. `word`: a word of the language, such as a sense.
 
     Such words cannot be attribute names."""
     if word in SENSE_REPLACEMENTS:
@@ -240,7 +241,7 @@ def _check_attribute(scope: NameScope, node: nodes.Declaration | nodes.AnimalPro
 
 
 def _type_builtin_default(scope: NameScope, node: nodes.AnimalProperty, type: model.ValueType) -> Expr:
-    """Return the initial value of a built-in attribute that a species sets. It is infinite for `none`, which means no limit."""
+    """Return the initial value of a built-in attribute that a species sets. For `none`, which means no limit, it is infinite."""
     name, limits = node.name.text, BUILTIN_ATTRIBUTE_BY_NAME[node.name.text].can_be_unlimited
     if limits and isinstance(node.value, nodes.NoneOf) and node.value.of is None:
         return model.Constant(type, model.ChangeRate.CONST, node.value.span, inf)

@@ -1,4 +1,5 @@
-"""Checks each behaviour once, without its callers. Replaces each call by the behaviour's expansion with the types of the call."""
+"""Checks each behaviour once, without its callers. Each call is replaced by an expansion of the behaviour with the types of the
+call."""
 
 from __future__ import annotations
 
@@ -36,8 +37,8 @@ _MAX_NESTED_OPERATIONS = 100  # maximum size of an expanded behaviour
 
 
 def measure_behaviour(report: Report, info: BehaviourInfo) -> None:
-    """Compute the size and depth of a behaviour and of all behaviours that it calls. A cycle of calls is reported once, with all
-    its names."""
+    """Compute the size and depth of a behaviour and of all behaviours that it calls. A cycle of calls is reported only once,
+    with the names of all behaviours in it."""
     stack: list[tuple[BehaviourInfo, int]] = [(info, 0)]
     path: list[BehaviourInfo] = []
     while stack:
@@ -114,7 +115,7 @@ def _report_call_cycle(report: Report, cycle: list[BehaviourInfo]) -> None:
 
 
 def check_behaviour(declarations: Declarations, info: BehaviourInfo, report_errors: bool = True) -> bool:
-    """Check a behaviour once, with the declared types of its arguments; return whether it has no errors."""
+    """Check a behaviour once, with the declared types of its arguments. Return whether it has no errors."""
     if info.check_state in ("ok", "broken"):
         return info.check_state == "ok"
     report = Report()
@@ -170,7 +171,7 @@ def resolve_returned_type(scope: NameScope, node: nodes.Behaviour) -> ValueType:
 
 
 def resolve_declared_type(scope: NameScope, written_type: nodes.TypeName) -> ValueType:
-    """Return the type for a type name in the source; report an unknown one."""
+    """Return the type that a type name in the source stands for. Report an unknown name."""
     name = written_type.name
     if written_type.of is not None:
         scope.record_thing_use(written_type.of)
@@ -226,7 +227,7 @@ def _check_keep(scope: NameScope, line: nodes.Keep) -> Binding:
 
 
 def call_behaviour(scope: NameScope, node: nodes.Call, expected_type: ValueType | None) -> Expr:
-    """Return the expansion of a behaviour for a call."""
+    """Return the expansion of the behaviour that `node` calls."""
     info = _find_called_behaviour(scope, node.function)
     if info is None:
         type_arguments(scope, node)
@@ -259,7 +260,7 @@ def expand_implicit_call(scope: NameScope, info: BehaviourInfo, node: nodes.Call
 
 
 def _bind_call_names(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> None:
-    """Record the declarations of the names in a call: the module, the behaviour, and its arguments."""
+    """Record the declarations of the names in a call, which are the module, the behaviour and its arguments."""
     path, name, function = info.file.node.source.path, info.node.name.text, node.function
     if isinstance(function, nodes.Member) and isinstance(function.owner, nodes.NameRef):
         scope.record_name_use(function.owner.span, "alias", scope.file.node.source.path, function.owner.name.text)
@@ -292,9 +293,9 @@ def _find_called_behaviour(scope: NameScope, function: nodes.Expr) -> BehaviourI
 
 
 def _is_allowed(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> bool:
-    """Return whether the call is allowed at this place; report an error if not.
+    """Return whether a call is allowed at its position. If not, report an error.
 
-    Memory and draws are not allowed everywhere, and the expanded size is limited."""
+    Memory and draws are not allowed in all positions, and the size of the expansion is limited."""
     name, declared = info.node.name.text, scope.declarations
     if info.has_memory and scope.no_keep_reason:
         help = "call it in a separate line: `steer …`, or a line of `layers`"
@@ -316,7 +317,8 @@ def _is_allowed(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> bool
 
 
 def _check_call(scope: NameScope, info: BehaviourInfo, node: nodes.Call, argument_nodes: Mapping[str, nodes.Expr]) -> Expr:
-    """Check the arguments of a call inside a behaviour that is checked alone. Return an expression with the type of the result.
+    """Check the arguments of a call inside a behaviour that is checked without its callers. Return an expression with the type
+    of the result.
 
     The body of the called behaviour is checked separately."""
     quiet = scope.with_changes(report=Report())

@@ -1,6 +1,6 @@
-"""Checks lines that begin with a verb of the world, by the verb's row in the table.
+"""Checks lines that begin with a verb of the world, such as `deposit`. The rules are in the verb's row of the effects table.
 
-The row defines the named thing, the arguments, and the blocks in which the line may appear."""
+The row defines what the line names, its arguments, and the blocks in which it may appear."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def check_request(scope: NameScope, line: nodes.VerbLine, block: StatementContex
 
 
 def find_argument_type(arg: ArgumentRow) -> ValueType:
-    """Return the type of an argument. For the argument kinds `added T` and `own U`, it is the type T or U."""
+    """Return the type of an argument. For `added T` and `own U`, it is the type T or U."""
     first, _, rest = arg.type.partition(" ")
     if first == "own" and (unit := find_unit_measure(rest)) is not None:
         return ValueType(TypeKind.NUMBER, unit.dim)
@@ -71,7 +71,7 @@ def find_argument_type(arg: ArgumentRow) -> ValueType:
 
 
 def _match_arguments(scope: NameScope, row: EffectRow, line: nodes.VerbLine, form: str) -> WrittenArguments | None:
-    """Return the argument nodes by name; None after an error."""
+    """Return the nodes of the arguments by name, or None after an error."""
     if line.amount is not None:
         return {row.args[0].name: line.amount}
     behind = {} if line.to is None else {"to": line.to}
@@ -96,7 +96,7 @@ def _type_argument(
     block: StatementContext,
     form: str,
 ) -> Expr | None:
-    """Return the typed value of an argument. Return None if it is absent, or BAD after an error."""
+    """Return the typed value of an argument. Return None if the argument is absent, and BAD after an error."""
     node = written_arguments.get(arg.name)
     if node is None:
         return None if arg.default is None else parse_default_values(scope, arg.default, line.span)[0]
@@ -112,7 +112,8 @@ def _type_argument(
 
 
 def _type_recipient(scope: NameScope, row: EffectRow, line: nodes.VerbLine, node: nodes.Expr) -> Expr:
-    """Return the agent that a line addresses with `to`. Report an error if it is not a single agent of a known species."""
+    """Return the agent to which a line with `to` sends its request. Report an error if it is not a single agent of a known
+    species."""
     expr = type_value(scope, node)
     if expr.type.kind is TypeKind.BAD:
         return expr
@@ -131,7 +132,7 @@ def _type_recipient(scope: NameScope, row: EffectRow, line: nodes.VerbLine, node
 
 
 def _find_own_attribute(scope: NameScope, row: EffectRow, arg: ArgumentRow, node: nodes.Expr) -> str | None:
-    """Return the name of the agent's own attribute that an argument names; None after an error."""
+    """Return the agent's own attribute that an argument names, or None after an error."""
     species, want = scope.species, find_argument_type(arg)
     assert species is not None
     name = node.name.text if isinstance(node, nodes.NameRef) else ""
@@ -154,7 +155,7 @@ def _find_own_attribute(scope: NameScope, row: EffectRow, arg: ArgumentRow, node
 def _report_missing_arguments(
     scope: NameScope, row: EffectRow, line: nodes.VerbLine, written_arguments: WrittenArguments, form: str
 ) -> bool:
-    """Report the required arguments that a line lacks. Return whether at least one is missing."""
+    """Report the required arguments that are missing in a line. Return whether at least one is missing."""
     missing = [arg for arg in row.args if arg.default is None and not arg.is_optional and arg.name not in written_arguments]
     if missing:
         shape = ", ".join(f"{arg.name}: {arg.sample or '…'}" for arg in missing)
@@ -164,9 +165,9 @@ def _report_missing_arguments(
 
 
 def _is_declared(scope: NameScope, row: EffectRow, name: nodes.Name | None) -> bool:
-    """Return whether the thing that a line names is declared; report an error if not.
+    """Return whether the thing that a line names is declared. If not, report an error.
 
-    An event needs no declaration, but must not be a built-in one."""
+    An event needs no declaration, but must not have the name of a built-in event."""
     if name is None:
         return True
     declared, text = scope.declarations, name.text
@@ -197,6 +198,7 @@ def _is_declared(scope: NameScope, row: EffectRow, name: nodes.Name | None) -> b
 def _has_max_combination(field: nodes.FieldDecl) -> bool:
     """Return whether a field has `combine max`.
 
-    Such a field adds no amounts, so a state's line may give a minimum for the agent's cell."""
+    Such a field does not add deposits up. In a state's body, a line may therefore deposit an amount, the minimum for the agent's
+    cell, instead of a rate."""
     said = [s.value for s in field.settings if s.name.text == "combine"]
     return any(isinstance(each, nodes.NameRef) and each.name.text == "max" for each in said)

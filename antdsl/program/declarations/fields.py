@@ -1,4 +1,4 @@
-"""Checks the fields of a program: what their cells hold, the surfaces that they are on, and their settings."""
+"""Checks the fields of a program: the contents of their cells, the surfaces that they cover, and their settings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from antdsl.syntax.words import FIELD_VALUE_WORDS, WORD_SETTING_VALUES
 
 
 def declare_fields(declarations: Declarations, names: FileNames) -> list[nodes.FieldDecl]:
-    """Add a file's fields to the declarations and return them. Two files may declare the same field only with equal text."""
+    """Add a file's fields to the declarations and return them. If two files declare the same field, the texts must be equal."""
     added: list[nodes.FieldDecl] = []
     for item in names.node.items:
         if not isinstance(item, nodes.FieldDecl):
@@ -44,7 +44,7 @@ def declare_fields(declarations: Declarations, names: FileNames) -> list[nodes.F
 
 
 def check_field(declarations: Declarations, names: FileNames, node: nodes.FieldDecl) -> model.Field | None:
-    """Return a field with its settings; None if it has no valid cell size."""
+    """Return a field with its settings, or None if its cell size is invalid."""
     report = declarations.report
     scope = make_outer_scope(declarations, names, f"field.{node.name.text}")
     _check_value_type(report, node)
@@ -81,7 +81,7 @@ def check_field(declarations: Declarations, names: FileNames, node: nodes.FieldD
 
 
 def _check_value_type(report: Report, node: nodes.FieldDecl) -> None:
-    """Report an error if the cells would hold anything other than numbers or pushes."""
+    """Report an error if the cells of a field would contain anything other than numbers or pushes."""
     written = node.value_type
     if written is not None and (written.name.text not in FIELD_VALUE_WORDS or written.of is not None):
         words = " or ".join(f"`{word}`" for word in FIELD_VALUE_WORDS)
@@ -91,7 +91,7 @@ def _check_value_type(report: Report, node: nodes.FieldDecl) -> None:
 
 
 def _check_vector_settings(report: Report, node: nodes.FieldDecl, settings: dict[str, nodes.Setting]) -> None:
-    """Report settings that make no sense for vectors, such as the greatest of several, which is not defined for them."""
+    """Report settings that are not defined for vectors, such as `combine max`."""
     setting = settings.get("combine")
     if node.has_vectors and setting is not None and setting.value.span.text == "max":
         message = f"`combine max` needs numbers, but the cells of `{node.name.text}` hold vectors"
@@ -151,7 +151,7 @@ def _make_setting_rule(
 
 
 def is_run_constant(report: Report, expr: Expr, subject: str) -> bool:
-    """Return whether a value is equal for all agents and in all steps; report an error if not."""
+    """Return whether a value is equal for all agents and in all steps. If not, report an error."""
     if expr.rate <= ChangeRate.RUN:
         return True
     differs = "changes from step to step" if expr.rate is ChangeRate.STEP else "differs from agent to agent"
@@ -161,7 +161,7 @@ def is_run_constant(report: Report, expr: Expr, subject: str) -> bool:
 
 
 def _type_keep_factor(scope: NameScope, node: nodes.Setting) -> Expr | None:
-    """Return the factor per step of the setting `keeps`: 0.9 for `keeps 90 %/step`."""
+    """Return the factor per step of the setting `keeps`, such as 0.9 for `keeps 90 %/step`."""
     expr = type_value(scope, node.value)
     if expr.type.kind is TypeKind.BAD:
         return None
@@ -180,8 +180,8 @@ def _type_keep_factor(scope: NameScope, node: nodes.Setting) -> Expr | None:
 
 
 def _find_word_index(scope: NameScope, node: nodes.Setting) -> Expr | None:
-    """Return the index of a setting's word among the allowed words, as a constant. For another word, report an error and return
-    None."""
+    """Return the index of a setting's word among the allowed words, as a constant. For any other word, report an error and
+    return None."""
     setting = node.name.text
     words = WORD_SETTING_VALUES[setting]
     word = node.value.name.text if isinstance(node.value, nodes.NameRef) else ""
@@ -194,7 +194,7 @@ def _find_word_index(scope: NameScope, node: nodes.Setting) -> Expr | None:
 
 
 def _get_chosen_word(setting: str, setting_values: dict[str, Expr | None]) -> str:
-    """Return the word of a setting; the default if it is absent or wrong."""
+    """Return the word of a setting, or its default if it is absent or invalid."""
     chosen_value = setting_values.get(setting)
     return WORD_SETTING_VALUES[setting][int(chosen_value.number) if isinstance(chosen_value, Constant) else 0]
 

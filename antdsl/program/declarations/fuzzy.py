@@ -1,4 +1,4 @@
-"""Checks `fuzzy NAME { A and B -> 0.8; C -> 0.1 }`: rules with degrees of truth, combined into one number."""
+"""Checks `fuzzy NAME { A and B -> 0.8; C -> 0.1 }`: rules with degrees of truth that are combined into one number."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from antdsl.syntax import nodes
 
 
 def type_fuzzy_mean(scope: NameScope, node: nodes.Fuzzy) -> Expr:
-    """Return the mean output of the rules, weighted by the truth of each rule. It is 0 if no rule applies.
+    """Return the mean of the rules' outputs, weighted by the degree of truth of each rule. It is 0 if no rule applies.
 
     This is zero-order Sugeno inference, a weighted mean of singletons (Takagi and Sugeno, Fuzzy identification of systems, IEEE
-    Trans. SMC 15(1), 1985, section II). In the paper the outputs are linear functions. They may be here too, because any number
-    can follow the arrow.
+    Trans. SMC 15(1), 1985, section II). In the paper, the outputs are linear functions. Here, they may be any number, so linear
+    functions are also possible.
     The arguments of the operation are degree, output, degree, output, …"""
     if not node.rules:
         message = f"`fuzzy {node.name.text}` has no rules"
@@ -44,7 +44,7 @@ def type_fuzzy_mean(scope: NameScope, node: nodes.Fuzzy) -> Expr:
 
 
 def _type_degree(scope: NameScope, node: nodes.Expr) -> Expr:
-    """Return the degree of truth of a rule: a shade from 0 to 1, or a bool as 1 or 0."""
+    """Return the degree of truth of a rule, 0 to 1. A shade is such a degree; a bool counts as 1 or 0."""
     expr = type_value(scope, node, BOOL_TYPE)
     if expr.type.kind is not TypeKind.NUMBER:
         return convert_to_bool(scope, node, expr, "a rule")

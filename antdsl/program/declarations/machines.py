@@ -1,4 +1,4 @@
-"""Checks the states and transitions of a species, and puts the transitions in evaluation order."""
+"""Checks the states and transitions of a species, and puts the transitions into evaluation order."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MachineMember = nodes.State | nodes.Start | nodes.Change | nodes.Let | nodes.Lat
 
 
 def check_machine(scope: NameScope, names: MachineNames, members: Sequence[object], span: Span) -> model.Machine:
-    """Return a checked machine with its states. `span`: the location of its name."""
+    """Return the checked machine with its states. `span`: the location of the machine's name."""
     scope = scope.with_changes(machine=names)
     states = [m for m in members if isinstance(m, nodes.State)]
     known = (names.key, *(scope.species.bindings.values() if scope.species is not None else ()))
@@ -58,7 +58,8 @@ def check_machine(scope: NameScope, names: MachineNames, members: Sequence[objec
 def _check_from_any_transitions(
     scope: NameScope, names: MachineNames, changes: Sequence[nodes.Change]
 ) -> list[tuple[nodes.Change, model.Transition | None]]:
-    """Return each transition `from any`, as a pair of its syntax node and its checked form. The form is None after an error."""
+    """Return each `from any` transition as a pair of its syntax node and its checked form. The checked form is None after an
+    error."""
     scope = scope.with_changes(keys=StableKeys(f"{names.key}.{model.FROM_ANY_KEY}"))
     return [(node, _check_from_any_transition(scope, names, node)) for node in changes]
 
@@ -82,8 +83,8 @@ def _find_start_index(scope: NameScope, names: MachineNames, members: Sequence[o
 
 
 def _find_state_index(scope: NameScope, names: MachineNames, state: nodes.Name) -> int | None:
-    """Return the index of a state. For an unknown name, report an error and return the index of the most similar name, or
-    None."""
+    """Return the index of the state with this name. For an unknown name, report an error and return the index of the most
+    similar name, or None."""
     species, _, machine = names.key.partition(".")
     if state.text in names.states:
         scope.record_name_use(state.span, "state", species, machine, state.text)
@@ -116,7 +117,8 @@ def _check_state(
 
 
 def _check_lets(scope: NameScope, node: nodes.State) -> dict[str, Binding | Expr]:
-    """Return the lets of a state in text order. Like the lets of a species, they are snapshots of the start of the step."""
+    """Return the lets of a state in text order. Like the lets of a species, they read the agent's state at the start of the
+    step."""
     local: dict[str, Binding | Expr] = dict(scope.local_names)
     assert scope.species is not None
     for line in node.body:
@@ -134,7 +136,7 @@ def _check_lets(scope: NameScope, node: nodes.State) -> dict[str, Binding | Expr
 
 
 def _find_earlier_declaration(node: nodes.State, scope: NameScope, name: nodes.Name) -> Span:
-    """Return where a name was declared before, in the species or in the state."""
+    """Return the span where a name was declared before, in the species or in the state."""
     assert scope.species is not None
     own = scope.species.bindings.get(name.text)
     earlier = [
@@ -186,9 +188,9 @@ def _check_from_any_transition(scope: NameScope, names: MachineNames, node: node
 
 
 def _applies_in_state(node: nodes.Change, change: model.Transition, state: str, index: int) -> bool:
-    """Return whether a transition `from any` applies in the state with this name and index.
+    """Return whether a `from any` transition applies in the state with this name and index.
 
-    It does not apply in its excepted states, and never leads into the current state."""
+    It does not apply in the states that it excepts, and never leads into the current state."""
     return change.target != index and all(name.text != state for name in node.any_except or ())
 
 
@@ -211,9 +213,9 @@ def _check_transition(scope: NameScope, names: MachineNames, node: nodes.Change,
 
 
 def _type_delay(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
-    """Return the time of `after T`, which must be the complete condition.
+    """Return the typed time of `after T`. This must be the complete condition of the transition.
 
-    In `after 1 s and meal`, the parser reads the time as part of the condition, which is an error."""
+    In `after 1 s and meal`, the parser reads the time as one part of a larger condition, which is an error."""
     time = _find_leftmost(node)
     if node is None or time is None or time is node:
         return _type_duration(scope, node, "`after`")
@@ -225,9 +227,9 @@ def _type_delay(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
 
 
 def _type_hold_time(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
-    """Return the time of `held T`, which must end the condition.
+    """Return the typed time of `held T`, which must be at the end of the condition.
 
-    In `meal held 1 s and scent > 1` it is in the middle, which is an error."""
+    In `meal held 1 s and scent > 1`, it is in the middle, which is an error."""
     time = _find_leftmost(node)
     if node is None or time is None or time is node:
         return _type_duration(scope, node, "`held`")
@@ -250,14 +252,14 @@ def _format_target(target: nodes.Target) -> str:
 
 
 def _find_target_index(scope: NameScope, names: MachineNames, target: nodes.Target) -> int | None:
-    """Return the index of the state that a transition leads to; None for `previous`, `choose`, or after an error."""
+    """Return the index of the state to which a transition leads. Return None for `previous` and `choose`, and after an error."""
     if target.name is None or target.is_previous:
         return None
     return _find_state_index(scope, names, target.name)
 
 
 def _type_choices(scope: NameScope, names: MachineNames, target: nodes.Target) -> tuple[tuple[int, Expr], ...]:
-    """Return the states of a `choose`, each as its index and its weight. Empty for other targets."""
+    """Return the states of a `choose` as (index, weight) pairs. The result is empty for other targets."""
     choices: list[tuple[int, Expr]] = []
     for choice in target.choices:
         weight = type_value_as(

@@ -1,4 +1,4 @@
-"""Checks measures, which are numbers and conditions about the complete run, in the language of specs."""
+"""Checks measures: numbers and conditions about the complete run, written in the language of specs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _REPORTED_KINDS = (TypeKind.NUMBER, TypeKind.BOOL)
 
 
 def declare_measures(declarations: Declarations, names: Sequence[FileNames]) -> dict[str, FileNames]:
-    """Add the measures of all files to the declarations. Return the file of each measure by name."""
+    """Add the measures of all files to the declarations. Return the file of each measure by the measure's name."""
     file_by_name: dict[str, FileNames] = {}
     for file in names:
         for item in file.node.items:
@@ -52,7 +52,7 @@ def _declare_measure(declarations: Declarations, node: nodes.Measure) -> None:
 
 
 def check_measures(declarations: Declarations, file_by_name: Mapping[str, FileNames]) -> tuple[Measure, ...]:
-    """Return all measures without errors, with the types of their expressions, in text order."""
+    """Return all measures that have no errors, with typed expressions, in text order."""
     order, _ = order_declarations(
         declarations.report, "measures", declarations.measures, lambda node: (node.value,), lambda node: node.name
     )

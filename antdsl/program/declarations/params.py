@@ -1,6 +1,6 @@
-"""Checks the params of a species: each has a value, and a range within which it may change.
+"""Checks the params of a species. A param has a value and a range of allowed values.
 
-If the value and the two ends of the range do not match, the finding marks the number that differs from the other two."""
+If the value and the two ends of the range do not match, the finding marks the one that differs from the other two."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from antdsl.syntax import nodes
 
 @dataclass(frozen=True, slots=True)
 class _WrittenParamNumber:
-    """The value of a param, or one end of its range: the syntax node and the constant."""
+    """The value of a param, or one end of its range: its syntax node and its constant."""
 
     node: nodes.Expr
     constant: Constant
@@ -73,7 +73,7 @@ def check_param(scope: NameScope, node: nodes.Declaration) -> model.Param | None
 
 
 def _type_constant(scope: NameScope, node: nodes.Expr, subject: str) -> Constant | None:
-    """Return the constant value of an expression; report an error and return None if it is not constant."""
+    """Return the constant value of an expression. If it is not constant, report an error and return None."""
     expr = type_value(scope, node)
     constant = find_constant(expr)
     if constant is None and expr.type.kind is not TypeKind.BAD:
@@ -85,9 +85,9 @@ def _type_constant(scope: NameScope, node: nodes.Expr, subject: str) -> Constant
 def _unify_types(
     scope: NameScope, node: nodes.Declaration, param_numbers: list[_WrittenParamNumber]
 ) -> list[_WrittenParamNumber]:
-    """Return the value, the lower end and the upper end with one type.
+    """Return the value, the lower end and the upper end with one common type.
 
-    A number of another type is reported, and gets the type of the others."""
+    A number of another type is reported and converted to the type of the other two."""
     types = [each.constant.type for each in param_numbers]
     if types[0] == types[1] == types[2]:
         _check_order(scope, node, param_numbers)
@@ -119,7 +119,8 @@ def _convert_to_type_of(const: Constant, reference: Constant) -> Constant:
 def _report_differing_type(
     scope: NameScope, param_numbers: Sequence[_WrittenParamNumber], odd_index: int, expected_type: ValueType, subject: str
 ) -> None:
-    """Report the number at `odd_index`, which has another type than the other two of value, lower end and upper end."""
+    """Report that the type of the number at `odd_index` differs from that of the other two. `param_numbers`: value, lower end
+    and upper end."""
     node, type = param_numbers[odd_index].node, param_numbers[odd_index].constant.type
     if (type.kind, expected_type.kind) != (TypeKind.NUMBER, TypeKind.NUMBER):
         report_mismatch(scope.report, node, type, expected_type, subject)
@@ -135,7 +136,8 @@ def _report_differing_type(
 def _suggest_number(param_numbers: Sequence[_WrittenParamNumber], odd_index: int) -> str | None:
     """Return the text that replaces the number at `odd_index`, so that value, lower end and upper end have one type.
 
-    It is the number with another unit, or else the nearer of the other two numbers. None if there is no such text."""
+    The text is the same number with another unit, or else the nearer of the other two numbers. The result is None if neither
+    fits."""
     others = [each for each in param_numbers if each is not param_numbers[odd_index]]
 
     def is_consistent_with(const: Constant) -> bool:
@@ -151,8 +153,8 @@ def _suggest_number(param_numbers: Sequence[_WrittenParamNumber], odd_index: int
 
 
 def _compute_values_by_unit(node: nodes.Expr, others: Sequence[_WrittenParamNumber]) -> dict[str, Constant]:
-    """Return the constant for the number in `node` with each possible unit: the units of the other numbers, and all units of
-    their dimension."""
+    """Return, by unit, the constant that the number in `node` would be with this unit. The units are those of the other numbers,
+    and all units with the same dimensions."""
     if not isinstance(node, (nodes.Number, nodes.Quantity)):
         return {}
     type = others[0].constant.type
@@ -171,8 +173,8 @@ def _get_number_text(node: nodes.Expr) -> str:
 
 
 def _is_consistent(consts: Sequence[Constant]) -> bool:
-    """Return whether a value and both ends have one type and are in order. If their order depends on the scene, the result is
-    True."""
+    """Return whether a value and both ends of its range have one type and are in order. If the order depends on the scene,
+    return True."""
     value, low, high = consts
     if not value.type == low.type == high.type:
         return False
@@ -182,7 +184,7 @@ def _is_consistent(consts: Sequence[Constant]) -> bool:
 def _report_missing_units(
     scope: NameScope, param_numbers: Sequence[_WrittenParamNumber], unit_numbers: Sequence[_WrittenParamNumber]
 ) -> None:
-    """Report numbers without a unit. A single fix adds the unit to all of them."""
+    """Report numbers without a unit. One fix adds the unit to all of them."""
     bare = [each for each in param_numbers if each.is_unitless]
     unit = _find_common_unit(param_numbers, unit_numbers)
     if unit is None:
@@ -205,7 +207,7 @@ def _format_missing_units(unitless_numbers: Sequence[_WrittenParamNumber], unit_
 
 
 def _find_common_unit(param_numbers: Sequence[_WrittenParamNumber], unit_numbers: Sequence[_WrittenParamNumber]) -> str | None:
-    """Return a unit with which the numbers without a unit match the others. It is a unit in the source, or another one of the
+    """Return a unit that makes the numbers without a unit match the others. It is a unit in the source, or another unit of the
     same dimension."""
     by_unit = [_compute_values_by_unit(each.node, unit_numbers) for each in param_numbers]
     for unit in next(constants for each, constants in zip(param_numbers, by_unit, strict=True) if each.is_unitless):
@@ -241,8 +243,8 @@ def _report_no_unit(
 
 
 def _check_order(scope: NameScope, node: nodes.Declaration, param_numbers: list[_WrittenParamNumber]) -> None:
-    """Report a range that ends before it begins, and a value outside the range. Numbers that depend on the scene are not
-    checked."""
+    """Report a range with a lower end above its upper end, and a value outside the range. Numbers that depend on the scene are
+    not checked."""
     value, low, high = param_numbers
     if len({(each.constant.unit_power, each.constant.step) for each in param_numbers}) > 1 or node.range is None:
         return
@@ -283,7 +285,8 @@ def _format_order_advice(end: _WrittenParamNumber, low: _WrittenParamNumber) -> 
 
 
 def _suggest_within_limits(param_numbers: Sequence[_WrittenParamNumber]) -> str | None:
-    """Return the value with the unit of the range's ends, to replace a wrong unit. Return None if that is outside the range."""
+    """Return the value with the unit of the range's ends, to replace a wrong unit. Return None if this value is outside the
+    range."""
     value, low, high = param_numbers
     units = {each.unit for each in (low, high)} - {""}
     node = value.node

@@ -1,5 +1,5 @@
-"""Finds states without steering. If other states of the species steer, agents in these states stand still, by the library's
-`halt()`."""
+"""Finds states without steering. If other states of the species steer, agents in these states stand still: they use the
+library's `halt()`."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ HALT_LIBRARY, HALT_BEHAVIOUR = "steering", "halt"
 
 
 def find_resting_push(scope: NameScope, machines: Sequence[model.Machine], name: nodes.Name) -> model.RestingPush | None:
-    """Return the push for agents in states that steer nothing. Return None if a machine steers in all of its states, or if no
+    """Return the push for agents in states that do not steer. Return None if a machine steers in all of its states, or if no
     machine steers at all.
 
-    A machine that never steers, such as one for moods, does not count. An agent stands still only if none of the other machines
-    steers in its current state. `name`: the name of the species, which is the location of the implicit call."""
+    A machine that never steers, such as one for moods, is ignored. An agent stands still only if none of the other machines
+    steers in its current state. `name`: the name of the species, used as the location of the implicit call."""
     silent: dict[str, tuple[int, ...]] = {}
     for machine in machines:
         quiet = tuple(state.index for state in machine.states if not is_steering(state))
@@ -34,5 +34,5 @@ def find_resting_push(scope: NameScope, machines: Sequence[model.Machine], name:
 
 
 def is_steering(state: model.State) -> bool:
-    """Return whether a state declares how its agents move, even if by a zero push."""
+    """Return whether a state declares how its agents move. A zero push counts as steering."""
     return any(isinstance(line, model.Steer) for line in state.body)

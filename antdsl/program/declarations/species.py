@@ -1,4 +1,4 @@
-"""Checks a species: first params and attributes, lets and latches with their types, then handlers, machines and layers."""
+"""Checks a species: first params and attributes, then lets and latches, then handlers, machines and layers."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _PURE_LET_REASON = "a `let` only names a value"
 
 @dataclass(slots=True)
 class PartlyCheckedSpecies:
-    """A species that is not completely checked. It has its own names, so that other species can refer to them.
+    """A species of which only the names, params and attributes are checked, so that other species can refer to them.
     `complete_species` adds the other members."""
 
     names: SpeciesNames
@@ -55,7 +55,7 @@ class PartlyCheckedSpecies:
 
 
 def begin_species(declarations: Declarations, file: FileNames, node: nodes.Species) -> PartlyCheckedSpecies:
-    """Check the params and attributes of a species."""
+    """Check the params and attributes of a species, the first half of its check."""
     names = declarations.species[node.name.text]
     scope = NameScope(
         declarations, file, StableKeys(names.name), declarations.report, species=names, no_keep_reason=_PURE_LET_REASON
@@ -81,7 +81,7 @@ def _check_draft(
 
 
 def _list_members(node: nodes.Species, *kinds: type) -> list[Any]:
-    """Return the members of some kinds in text order, from the species and its machines."""
+    """Return the members of the given node classes in text order, from the species and its machines."""
     members: list[object] = []
     for member in node.members:
         members.append(member)
@@ -91,7 +91,7 @@ def _list_members(node: nodes.Species, *kinds: type) -> list[Any]:
 
 
 def _check_names(scope: NameScope, node: nodes.Species) -> None:
-    """Report names that occur twice or are words of the language."""
+    """Report names that are declared twice, and names that are words of the language."""
     spans_by_name: dict[str, Span] = {}
     for member in _list_members(node, nodes.Declaration, nodes.ParamDecl, nodes.Let, nodes.Latch, nodes.Fuzzy):
         each = member.declaration if isinstance(member, nodes.ParamDecl) else member
@@ -113,7 +113,7 @@ def _check_names(scope: NameScope, node: nodes.Species) -> None:
 
 
 def complete_species(species_draft: PartlyCheckedSpecies) -> model.Species:
-    """Check lets, latches, handlers, machines and layers. The attributes of all species must be known."""
+    """Check lets, latches, handlers, machines and layers. The attributes of all species must already be known."""
     names, node = species_draft.names, species_draft.node
     key = ("species", node.name, names.edition, node.help, node.members, *species_draft.attributes, *species_draft.params)
     species, names.bindings = get_or_compute_part(
@@ -159,7 +159,7 @@ def _check_members(species_draft: PartlyCheckedSpecies) -> model.Species:
 
 
 def _add_relaxation(scope: NameScope, attribute: model.AttributeDecl, node: nodes.Declaration | None) -> model.AttributeDecl:
-    """Return the attribute with its rest value. A pair value also gets the species of the other agents."""
+    """Return the attribute with its rest value. For a pair value, also set the species of the other agents."""
     if node is None or (node.relax is None and node.each is None):
         return attribute
     to = over = None
@@ -203,7 +203,7 @@ def _list_expressions(member: nodes.Let | nodes.Latch | nodes.Fuzzy) -> list[nod
 
 
 def _check_bindings(scope: NameScope, node: nodes.Species) -> list[Binding]:
-    """Return lets, latches and fuzzy values. Each comes after the bindings that it uses."""
+    """Return the lets, latches and fuzzy values. Each comes after the bindings that it uses."""
     names = scope.species
     assert names is not None
     declared: dict[str, nodes.Let | nodes.Latch | nodes.Fuzzy] = {}
@@ -254,7 +254,7 @@ def _check_handlers(scope: NameScope, handler_nodes: tuple[nodes.On, ...]) -> li
 
 
 def _check_handler(scope: NameScope, node: nodes.On, keys_by_event: dict[str, StableKeys]) -> model.Handler:
-    """Check a handler. `keys_by_event`: for each event, the keys of earlier handlers. Two handlers of one event must not share
+    """Check a handler. `keys_by_event`: for each event, the keys that earlier handlers used, so that two handlers never share
     random draws."""
     names, event = scope.species, node.event.text
     assert names is not None
@@ -289,8 +289,8 @@ def _check_handler(scope: NameScope, node: nodes.On, keys_by_event: dict[str, St
 
 
 def _find_partner_species(scope: NameScope, node: nodes.On) -> str:
-    """Return the species of the other agent in a collision: the named species, or the agent's own by default. "" after an
-    error."""
+    """Return the species of the other agent in a collision: the named species or, by default, the agent's own. Return "" after
+    an error."""
     assert scope.species is not None
     if node.species is None:
         return scope.species.name
@@ -310,7 +310,7 @@ def _find_partner_species(scope: NameScope, node: nodes.On) -> str:
 
 
 def _check_distinct_name(scope: NameScope, variable: nodes.Name) -> None:
-    """Report a name in the brackets of `on collision(…)` that already has another meaning."""
+    """Report a name in the brackets of `on collision(…)` if it already has another meaning."""
     if variable.text in scope.declarations.species:
         message = f"`{variable.text}` is a species, but the name in brackets is the other agent"
         scope.report.error("wrong-argument", message, variable.span, f"write `on collision(other: {variable.text})`")
@@ -353,7 +353,8 @@ def _check_layers(scope: NameScope, node: nodes.Species) -> model.LayerStack:
 
 
 def _check_layer(scope: NameScope, node: nodes.Layer, word_counts: dict[str, int]) -> model.Layer:
-    """Check a layer. Its key is its first word, such as `separate`; a second layer with this word has the key `separate#2`."""
+    """Check a layer. Its key is its first word, such as `separate`. The key of a second layer with the same word is
+    `separate#2`."""
     text = " ".join(node.push.span.text.split())
     steered = isinstance(node.push, nodes.NameRef) and node.push.name.text == "state" and not node.is_face_line
     word = _find_layer_word(node.push)

@@ -1,4 +1,4 @@
-"""Checks specs: scene, duration, seeds, params, and the expectations about the complete run and about each agent."""
+"""Checks specs: scene, duration, seeds, params, and expectations about the complete run and about each agent."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class _SpecCheck:
 def check_spec(
     declarations: Declarations, names: FileNames, spec: nodes.Spec, params: Mapping[str, Param], fields: Mapping[str, Field]
 ) -> Spec:
-    """Return a spec with the types of all its expressions. Report names that are not allowed in a spec."""
+    """Return a spec with typed expressions. Report names that are not allowed in a spec."""
     if spec.scene is not None and not spec.scene.text.endswith((".yaml", ".yml")):
         words = f"`{spec.scene.text}` is not the name of a scene"
         declarations.report.error("not-a-scene", words, spec.scene.span, 'write `on "scene.yaml"`')
@@ -125,7 +125,8 @@ def _type_time(
 
 
 def _read_share(work: _SpecCheck, line: nodes.SpecLine, node: nodes.Expr | None) -> float | None:
-    """Return the fraction of seeds that must pass, or the tolerance of a goal, from 0 to 1. Return None after an error."""
+    """Return a fraction from 0 to 1, or None after an error. It is the fraction of seeds that must pass, or the tolerance of a
+    goal."""
     assert node is not None
     word = f"`{line.kind}`"
     expr = type_value_as(make_outer_scope(work.declarations, work.names, "spec"), node, NUMBER_TYPE, word)
@@ -140,7 +141,7 @@ def _read_share(work: _SpecCheck, line: nodes.SpecLine, node: nodes.Expr | None)
 
 
 def _check_reference_run(work: _SpecCheck, line: nodes.SpecLine) -> ComparisonRun:
-    """Return the reference run of an `against` block, with the changes that its `set` lines make."""
+    """Return the reference run that an `against` block describes, with the changes from its `set` lines."""
     report, scene = work.declarations.report, line.target
     if isinstance(scene, nodes.Text) and not scene.text.endswith((".yaml", ".yml")):
         message = f"`{scene.text}` is not the name of a scene"
@@ -221,7 +222,8 @@ def _add_change(work: _SpecCheck, line: nodes.SpecLine) -> None:
 
 
 def _bind_target(scope: NameScope, target: nodes.Expr | nodes.Text, owner: str, value: str) -> None:
-    """Record the declarations of the two names in `forager.smell` or `trail.half_life`. `owner` and `value` are their kinds."""
+    """Record the declarations of the two names in `forager.smell` or `trail.half_life`. `owner` and `value`: the kinds of the
+    first and the second name."""
     if isinstance(target, nodes.Member) and isinstance(target.owner, nodes.NameRef):
         name, word = target.owner.name.text, target.name.text
         scope.record_name_use(target.owner.span, owner, name)
@@ -284,7 +286,7 @@ def _add_expectation(work: _SpecCheck, line: nodes.SpecLine, species: str | None
 
 
 def _add_goal(work: _SpecCheck, line: nodes.SpecLine) -> None:
-    """Add a goal as an expectation about the last frame: the difference between value and target is at most the tolerance."""
+    """Add a goal as an expectation about the last frame. It is met if value and target differ by at most the tolerance."""
     report, node, tolerance = work.declarations.report, line.condition, _read_share(work, line, line.time)
     if not isinstance(node, nodes.Binary) or node.op != "==" or line.held is not None:
         span = line.span if node is None else node.span
@@ -314,7 +316,7 @@ def _make_absolute(expr: Expr) -> Expr:
 
 
 def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
-    """Return whether the line may have `held` or `sooner`; report an error if not."""
+    """Return whether a line may have `held` or `sooner`. If not, report an error."""
     report = work.declarations.report
     if line.held is not None and line.kind in ("always", "for"):
         words = f"`{line.kind}` with `held` fails in the first frame, where nothing has held yet"
@@ -329,8 +331,8 @@ def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
 
 
 def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, expr: Expr, at_end: bool) -> bool:
-    """Return whether a condition of the line can be judged; report an error if not. `at_end`: the condition uses a measure of the
-    complete run."""
+    """Return whether the condition of a line can be judged. If not, report an error. `at_end`: whether the condition uses a
+    measure that is known only at the end of the run."""
     report, text = work.declarations.report, quote_source(expr.span)
     if species is None and expr.rate > ChangeRate.STEP:
         names = [name for name, each in work.declarations.species.items() if each.node is not None] or ["walker"]
@@ -346,8 +348,8 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
 
 
 def is_free_of_draws(report: Report, expr: Expr, place: str) -> bool:
-    """Return whether an expression has no random draws; report an error if it has some. `place`: its location, as text for the
-    message."""
+    """Return whether an expression has no random draws. If it has some, report an error. `place`: a text that describes where
+    the expression is."""
     draw = next((p for p in iterate_parts(expr) if isinstance(p, OperationExpr) and p.name in DRAWING_OPERATIONS), None)
     if draw is not None:
         message = f"{quote_source(draw.span)} draws a random number, but {place} must not change the run"
@@ -358,7 +360,7 @@ def is_free_of_draws(report: Report, expr: Expr, place: str) -> bool:
 def _list_readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReading]:
     """Yield the values that the message of a failed expectation reports, in text order.
 
-    They are both sides of each comparison, and the other values in the condition."""
+    These are both sides of each comparison, and the other values in the condition."""
     units = [part.unit for part, _ in iterate_nodes(node) if isinstance(part, nodes.Quantity)]
     stack: list[Expr] = [expr]
     while stack:
@@ -379,7 +381,7 @@ def _list_readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReading]
 
 
 def _choose_display_unit(part: Expr, units: list[str]) -> str:
-    """Return a unit for the display of a number: the first unit of its dimension in the source, or a default unit."""
+    """Return the unit in which to display a number: the first unit of its dimension in the source, or a default unit."""
     if part.type.kind is not TypeKind.NUMBER:
         return ""
     for unit in units:

@@ -1,5 +1,5 @@
-"""Checks the statements of a state or an action. An added value is a rate if the line runs in every step, or an amount if it
-runs once."""
+"""Checks the statements of a state or an action. A value that is added must be a rate if the line runs in every step, and an
+amount if it runs once."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from antdsl.syntax import nodes
 
 
 def check_statements(scope: NameScope, lines: Iterable[object], block: StatementContext) -> tuple[model.Statement, ...]:
-    """Return the statements of a block in text order, without those that have errors."""
+    """Return the checked statements of a block in text order. Statements with errors are omitted."""
     scope = scope.with_changes(is_evaluated_once=not block.is_state_body)
     checked_statements: list[model.Statement] = []
     assigned: dict[str, Span] = {}
@@ -119,7 +119,7 @@ def _check_assign(scope: NameScope, line: nodes.Assign, block: StatementContext)
 def _find_assigned_attribute(
     scope: NameScope, name: nodes.Name, block: StatementContext, line: nodes.Assign
 ) -> tuple[str, ValueType] | None:
-    """Return the name and the type of the attribute on the left of an assignment. None after an error."""
+    """Return the name and the type of the attribute on the left of an assignment, or None after an error."""
     species, report, text = scope.species, scope.report, name.text
     assert species is not None
     scope.record_own_name_use(name.span, name.text)
@@ -184,9 +184,9 @@ def _check_give(scope: NameScope, line: nodes.Give, block: StatementContext) -> 
 
 
 def check_take(scope: NameScope, line: nodes.Take) -> model.Take | None:
-    """Check `take 1 load from meal` or `take all load from grass`.
+    """Check `take 1 load from meal` or `take all load from grass`, which is part of a transition.
 
-    Such a take is part of a transition. All agents that claim the same amount compete for it."""
+    All agents that claim the same amount compete for it."""
     source = scope.type_expression(line.source, ValueType(TypeKind.PLACE)) if isinstance(line.source, nodes.NameRef) else None
     if source is None or source.type.kind is not TypeKind.FIELD:
         source = type_point(scope, line.source, "`from`")
@@ -231,7 +231,7 @@ def check_take(scope: NameScope, line: nodes.Take) -> model.Take | None:
 
 
 def _is_field_amount(scope: NameScope, node: nodes.Expr, expr: Expr, attribute: nodes.Name, own_type: ValueType) -> bool:
-    """Return whether the agent's attribute is a plain number, as in the cells of a field; report an error if not."""
+    """Return whether the agent's attribute is a plain number, as in the cells of a field. If not, report an error."""
     if own_type.kind is TypeKind.BAD or is_compatible(NUMBER_TYPE, own_type):
         return own_type.kind is not TypeKind.BAD
     a = model.AttributeRef(own_type, model.ChangeRate.AGENT, attribute.span, None, attribute.text)
@@ -267,7 +267,7 @@ def _find_amount_type(scope: NameScope, name: nodes.Name, purpose: str) -> Value
 
 
 def _has_attribute(scope: NameScope, node: nodes.Expr, item_expr: Expr, attribute: nodes.Name, own_type: ValueType) -> bool:
-    """Return whether the item has an attribute of this name with the dimension of `own_type`. Report an error if not."""
+    """Return whether an item has the attribute with the dimension of `own_type`. If not, report an error."""
     if item_expr.type.kind is TypeKind.BAD:
         return False
     if item_expr.type.kind is not TypeKind.ITEM:

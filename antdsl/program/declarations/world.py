@@ -1,4 +1,4 @@
-"""Checks the things of the world and the fields: everything that a program needs from a scene. No scene is read."""
+"""Checks the things of the world and the fields, which are everything that a program requires of a scene. No scene is read."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from antdsl.syntax import nodes
 
 
 def make_outer_scope(declarations: Declarations, names: FileNames, path: str) -> NameScope:
-    """Return a scope outside of every species."""
+    """Return a scope for text outside of all species. `path`: the start of the keys of draws and memories."""
     return NameScope(
         declarations, names, StableKeys(path), declarations.report, no_keep_reason="values can be stored only within a species"
     )
@@ -36,7 +36,7 @@ def make_outer_scope(declarations: Declarations, names: FileNames, path: str) ->
 
 
 def declare_world(declarations: Declarations, names: FileNames) -> None:
-    """Add a file's `world` to the declarations. Two files may declare the same thing if the declarations agree."""
+    """Add the `world` of a file to the declarations. Two files may declare the same thing only if both declarations agree."""
     for item in names.node.items:
         if isinstance(item, nodes.World):
             for thing in item.items:
@@ -96,7 +96,8 @@ def _check_attribute(
 
 
 def check_world_species(declarations: Declarations) -> None:
-    """Check that `world { species rabbit { … } }` agrees with the declaration of the species, if both are checked together."""
+    """Check that `world { species rabbit { … } }` agrees with the declaration of the species, if both are in the checked
+    files."""
     for thing in declarations.things.values():
         species = declarations.species.get(thing.name)
         if thing.kind != "species" or species is None or species.node is None:

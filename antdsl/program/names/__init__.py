@@ -2,5 +2,5 @@
 
 - `collect`: reads all files once, and collects their declarations and the behaviours that each file can call.
 - `ordering`: puts each declaration after the declarations that it uses.
-- `scope`: the names that are visible at a position of the text, and their meanings.
-- `missing_things`: reports an undeclared thing of the world, with the line that would declare it."""
+- `scope`: the names that are visible at a position in the text, and their meanings.
+- `missing_things`: suggests how to declare a missing thing of the world."""

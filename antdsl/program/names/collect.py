@@ -53,12 +53,13 @@ LIBRARY_NAMES = ("steering",)
 
 
 def make_module_key(using_file: nodes.File, path: str) -> str:
-    """Return the key of a file that is used by path: its path relative to the file that uses it, in the form of `Source.path`."""
+    """Return the key of a file that another file uses by its path. The key is the path relative to the other file, in the form
+    of `Source.path`."""
     return posixpath.normpath(posixpath.join(posixpath.dirname(using_file.source.path.replace("\\", "/")), path))
 
 
 class FileLoader:
-    """Finds the behaviours that files use. Each library and module is read once."""
+    """Loader of the behaviours that files use. Each library and module is read only once."""
 
     def __init__(self, report: Report, library: LibraryFinder, modules: Mapping[str, nodes.File] | None) -> None:
         self.report = report
@@ -69,7 +70,8 @@ class FileLoader:
         self.libraries: dict[str, FileNames | None] = {}
 
     def load_file(self, node: nodes.File, using_files: tuple[nodes.File, ...] = ()) -> FileNames:
-        """Return the names of a file. `using_files`: the chain of files that use it, outermost first, to detect cycles."""
+        """Return the names of a file. `using_files`: the chain of files that lead to this one, outermost first, to detect
+        cycles."""
         if id(node) in self.known:
             return self.known[id(node)]
         names = self.known[id(node)] = FileNames(node)
@@ -82,7 +84,7 @@ class FileLoader:
         return names
 
     def find_library(self, behaviour: str) -> str | None:
-        """Return the name of the library that has a behaviour of this name, or None. The library need not be in use."""
+        """Return the name of the library that contains a behaviour, or None. The program need not use this library."""
         for name in LIBRARY_NAMES:
             node = self.load_library(name)
             if node is not None and any(isinstance(item, nodes.Behaviour) and item.name.text == behaviour for item in node.items):
@@ -90,7 +92,7 @@ class FileLoader:
         return None
 
     def find_library_behaviour(self, library: str, behaviour: str) -> BehaviourInfo | None:
-        """Return a library's behaviour that the language itself needs, or None. The library need not be in use."""
+        """Return a behaviour that the language itself needs from a library, or None. The program need not use this library."""
         names = self.libraries.get(library)
         if names is None and (node := self.load_library(library)) is not None:
             names = self.libraries[library] = self.load_file(node)
@@ -159,7 +161,8 @@ class FileLoader:
 
 
 def declare_names(declarations: Declarations, names: FileNames) -> None:
-    """Add the names of a file's fields, species, machines, states and events. `world.py` adds the things of the world."""
+    """Add the fields, species, machines, states and events of a file to the declarations. `world.py` adds the things of the
+    world."""
     report = declarations.report
     for item in names.node.items:
         if isinstance(item, nodes.Species):
@@ -187,8 +190,8 @@ def check_free_name(report: Report, name: nodes.Name) -> bool:
 
 
 def check_free_member_name(report: Report, name: nodes.Name, value: Span, builtins: Mapping[str, BuiltinAttribute]) -> bool:
-    """Like `check_free_name`, for members of a species, which may not have the names of `builtins` either. `value`: the span of
-    the declared value."""
+    """Return whether a member of a species may have a name. Like `check_free_name`, but also reports the names of `builtins`.
+    `value`: the span of the declared value."""
     builtin = builtins.get(name.text)
     if builtin is None:
         return check_free_name(report, name)
@@ -204,7 +207,7 @@ def check_free_member_name(report: Report, name: nodes.Name, value: Span, builti
 
 
 def _declare_machines(report: Report, species: SpeciesNames, node: nodes.Species) -> None:
-    """Add the machines of a species with their states: each `machine`, and `main` for states directly in the species."""
+    """Add the machines of a species with their states. States directly in the species belong to the machine `main`."""
     loose = tuple(m for m in node.members if isinstance(m, nodes.State))
     if loose:
         _declare_machine(report, species, "main", loose)
@@ -234,7 +237,7 @@ def _declare_machine(report: Report, species: SpeciesNames, name: str, states: t
 
 
 def _iterate_events(species: nodes.Species) -> Iterator[tuple[str, Span]]:
-    """Yield the events that a species emits or handles."""
+    """Yield the name and span of each event that a species emits or handles."""
     for actions in iterate_action_blocks(species):
         for action in actions:
             if (event := find_emitted_event(action)) is not None:

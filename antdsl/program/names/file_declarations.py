@@ -1,4 +1,4 @@
-"""Finds all declarations of a file in its syntax tree. The bindings of the checker refer to their keys."""
+"""Finds all declarations of a file in its syntax tree, with the keys that the checker's bindings use."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ DeclarationIterator = Iterator["Declaration"]
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """A declaration. `key`: kind, owners and name. `name`: the location that an editor jumps to. `node`: the complete
-    declaration."""
+    """A declaration. `key`: its kind, owners and name. `name`: the location to which an editor jumps. `node`: the syntax node of
+    the complete declaration."""
 
     key: NameKey
     name: nodes.Name
@@ -25,14 +25,14 @@ class Declaration:
 
 
 def list_declarations(file: nodes.File) -> DeclarationIterator:
-    """Return the declarations of a file. If keys are equal, only the first declaration counts, as in the checker: a `species`
-    comes before its entry in `world`."""
+    """Return the declarations of a file. Of declarations with equal keys, only the first is returned, as in the checker: a
+    `species` block comes before its entry in `world`."""
     for item in sorted(file.items, key=lambda item: isinstance(item, nodes.World)):
         yield from _LISTER_BY_ITEM[type(item)](file.source.path, item)
 
 
 def find_declaring_node(member: object) -> Any:
-    """Return the declaring node of a species member, or None if the member declares no name."""
+    """Return the node that declares the name of a species member, or None if the member declares no name."""
     if isinstance(member, nodes.ParamDecl):
         return member.declaration
     return member if isinstance(member, (nodes.Declaration, nodes.Let, nodes.Latch, nodes.Fuzzy)) else None

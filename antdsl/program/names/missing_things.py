@@ -1,4 +1,5 @@
-"""Suggests the line of `world` that would declare an unknown name. It does so where a thing of the world is expected."""
+"""Suggests how to fix an unknown name where a thing of the world is expected: a similar name, or the `world` line that declares
+it."""
 
 from __future__ import annotations
 
@@ -18,9 +19,9 @@ _DECLARATION_LINES: dict[TypeKind, tuple[str, tuple[str, ...]]] = {
 
 
 def suggest_missing_thing(scope: NameScope, name: str, expected_type: ValueType | None) -> tuple[str, Fix | None] | None:
-    """Return help and a fix for an unknown name: a similar declared name, or the line that declares it.
+    """Return help and a fix for an unknown name: a similar declared name, or the line that declares the name.
 
-    `expected_type`: the expected type. The result is None if the expected type is not a thing of the world."""
+    `expected_type`: the type that a value needs at this position. The result is None if it is not a thing of the world."""
     if expected_type is None or expected_type.kind not in _DECLARATION_LINES:
         return None
     word, kinds = _DECLARATION_LINES[expected_type.kind]
@@ -44,7 +45,7 @@ def suggest_missing_thing(scope: NameScope, name: str, expected_type: ValueType 
 
 
 def _make_append_fix(world: Span, line: str) -> Fix | None:
-    """Return a fix that adds a line at the end of a `world` block; None if the block has no closing bracket."""
+    """Return a fix that adds a line at the end of a `world` block, or None if the block has no closing bracket."""
     text, source = world.text, world.source
     if not text.endswith("}"):
         return None

@@ -31,7 +31,7 @@ TypingRules = Mapping[type, Callable[["NameScope", object, "ValueType | None"], 
 
 @dataclass(slots=True)
 class MachineNames:
-    """The states of a machine. Their indices are stored by name. `key`: `species.machine`, as in the type of a state."""
+    """The states of a machine, with the index of each state by name. `key`: `species.machine`, as in the type of a state."""
 
     name: str
     key: str
@@ -40,7 +40,7 @@ class MachineNames:
 
 @dataclass(slots=True)
 class SpeciesNames:
-    """The declared names of a species. `attributes` and `params` get their types as they are checked."""
+    """The declared names of a species. The types in `attributes` and `params` are added as these are checked."""
 
     name: str
     node: nodes.Species | None
@@ -54,23 +54,23 @@ class SpeciesNames:
 
     @property
     def builtins(self) -> Mapping[str, BuiltinAttribute]:
-        """Return the built-in attributes of agents of the species."""
+        """Return the built-in attributes that agents of the species have, by name."""
         rows = get_builtin_attributes(self.edition)
         return rows if self.has_standing_bodies else {name: row for name, row in rows.items() if not row.is_for_standing}
 
     @property
     def has_standing_bodies(self) -> bool:
-        """Return whether the species has standing bodies, because it sets their height."""
+        """Return whether the bodies of the species stand upright. They do if the species sets their height."""
         members = () if self.node is None else self.node.members
         return any(isinstance(each, nodes.AnimalProperty) and each.name.text == STANDING_SIZE_SETTING for each in members)
 
 
 @dataclass(slots=True)
 class BehaviourInfo:
-    """A behaviour with all information for calls of it.
+    """A behaviour with everything that a call of it needs.
 
     - `calls`: the behaviours that it calls.
-    - `operation_count`, `depth`: the number and nesting of its operations, with nested behaviours expanded.
+    - `operation_count`, `depth`: the number of its operations, and how deeply they are nested, with all calls expanded.
     - `check_state`: the progress of its check: new, sized, circular, ok or broken."""
 
     node: nodes.Behaviour
@@ -85,7 +85,8 @@ class BehaviourInfo:
 
 @dataclass(slots=True)
 class FileNames:
-    """The behaviours that one file can call: its own, those of its libraries, and those of its modules by alias."""
+    """The behaviours that one file can call: its own, those of its libraries, and those of its modules, which are stored by
+    alias."""
 
     node: nodes.File
     own_behaviours: dict[str, BehaviourInfo] = field(default_factory=dict)
@@ -96,7 +97,7 @@ class FileNames:
     missing_uses: set[str] = field(default_factory=set)  # libraries for which a missing `use` is reported
 
     def find_behaviour(self, name: str) -> BehaviourInfo | None:
-        """Return the behaviour that a name calls in this file, or None."""
+        """Return the behaviour that this file calls by `name`, or None."""
         return self.own_behaviours.get(name) or self.library_behaviours.get(name)
 
 
@@ -130,12 +131,12 @@ class Declarations:
 
 
 def is_known_missing(scope: NameScope, kind: str, name: nodes.Name, owner: str = "") -> bool:
-    """Return whether a missing name is already reported. If not, mark it as reported, because the caller then reports it.
+    """Return whether a missing name has already been reported. If not, mark it as reported, because the caller now reports it.
 
-    Every call records the place of the name.
+    Every call also records the span of the name.
 
-    - `kind`: separates names of different kinds.
-    - `owner`: the species to which the name belongs wherever it is used; "" for the species at this place."""
+    - `kind`: a group of names; equal names in different groups are independent.
+    - `owner`: the species to which the name belongs, if it is always the same; "" for the species at this position."""
     around = (scope.file.node.source.path, scope.species.name if scope.species else "", scope.behaviour or "")
     where = (kind, *((owner,) if owner else around), name.text)
     if where in scope.declarations.unknown_names:
@@ -146,8 +147,8 @@ def is_known_missing(scope: NameScope, kind: str, name: nodes.Name, owner: str =
 
 
 class StableKeys:
-    """Generates keys for memories and draws that do not change when lines move. A key has a path, a word, and the count of this
-    word so far."""
+    """Generator of keys for memories and draws, which do not change when lines move. A key consists of a path, a word, and how
+    many times the word has occurred."""
 
     __slots__ = ("counts", "path")
 
@@ -156,7 +157,7 @@ class StableKeys:
         self.counts: dict[str, int] = {}
 
     def make_key(self, word: str, separator: str = ".") -> str:
-        """Return the next key for a word: `PATH.word#1`, then `PATH.word#2`."""
+        """Return the next key for a word: first `PATH.word#1`, then `PATH.word#2`."""
         count = self.counts[word] = self.counts.get(word, 0) + 1
         return f"{self.path}{separator}{word}#{count}"
 
@@ -183,48 +184,48 @@ class NameScope:
 
     @property
     def builtins(self) -> Mapping[str, BuiltinAttribute]:
-        """Return the built-in attributes of the agents at this place."""
+        """Return the built-in attributes of agents at this position, by name."""
         return get_builtin_attributes(self.edition) if self.species is None else self.species.builtins
 
     @property
     def edition(self) -> int:
-        """Return the edition of the language at this place."""
+        """Return the edition of the language at this position."""
         return self.file.node.edition_number if self.species is None else self.species.edition
 
     def with_changes(self, **changes: Any) -> NameScope:
         return replace(self, **changes)
 
     def type_expression(self, node: nodes.Expr, expected_type: ValueType | None = None) -> Expr:
-        """Return the expression with its type. `expected_type`: the expected type, which gives `none` and bare names their
-        meaning. It is not enforced."""
+        """Return the typed expression of a node. `expected_type`: the expected type, which determines the meaning of `none` and
+        of bare names. The result may have another type."""
         return self.declarations.rules[type(node)](self, node, expected_type)
 
     def report_error(self, code: str, message: str, span: Span, help: str | None = None, **details: object) -> Expr:
-        """Report an error about an expression, and return an expression to use in its place."""
+        """Report an error about an expression, and return a placeholder for the expression."""
         self.report.error(code, message, span, help, **details)
         return make_bad_expression(span)
 
     def record_name_use(self, span: Span, *key: str) -> None:
-        """Record the declaration of the name at a span. Names in an expanded behaviour are not recorded: their text is
-        elsewhere."""
+        """Record the declaration to which the name at a span refers. `key`: the declaration's key. Names in an expanded
+        behaviour are not recorded, because their text is elsewhere."""
         if self.behaviour is None or self.is_generic:
             self.declarations.name_uses.append(NameUse(span, key))
 
     def record_local_name_use(self, span: Span, declaration: Span) -> None:
-        """Like `record_name_use`, for a name that is declared in the surrounding text, at the span `declaration`."""
+        """Record the use of a name that is declared in the surrounding text, at the span `declaration`."""
         if self.behaviour is None or self.is_generic:
             self.declarations.name_uses.append(NameUse(span, declaration))
 
     def record_thing_use(self, name: nodes.Name) -> None:
-        """Like `record_name_use`, for a name that can only be a species or a thing of the world."""
+        """Record the use of a name that can only be a species or a thing of the world."""
         kinds = (("species", self.declarations.species), ("thing", self.declarations.things))
         for kind in (kind for kind, known in kinds if name.text in known):
             self.record_name_use(name.span, kind, name.text)
             return
 
     def record_own_name_use(self, span: Span, name: str, owner: SpeciesNames | None = None) -> None:
-        """Like `record_name_use`, for a name that can only be a member of a species. `owner`: the species, if it is not the one
-        at this place."""
+        """Record the use of a name that can only be a member of a species. `owner`: the species; None: the species at this
+        position."""
         owner = owner or self.species
         if owner is not None and (
             name in owner.attributes or name in owner.params or name in owner.bindings or name in owner.untyped_names
@@ -232,7 +233,7 @@ class NameScope:
             self.record_name_use(span, "own", owner.name, name)
 
     def record_value_use(self, span: Span, owner: ValueType, name: str) -> None:
-        """Like `record_name_use`, for a value that an item, agent or hit has."""
+        """Record the use of a value of an item, agent or hit. `owner`: the type of this item, agent or hit."""
         if owner.kind is TypeKind.AGENT:
             self.record_name_use(
                 span,
@@ -250,7 +251,7 @@ class NameScope:
             self.record_name_use(span, *(("attribute", owner.referent or "", name) if own else ("item-given", name)))
 
     def record_possible_use(self, name: nodes.Name, owner: ValueType) -> None:
-        """Like `record_name_use`, for a declared value that cannot be read here, such as a param of one agent or a value of all
+        """Record the use of a declared value that cannot be read here, such as a param of a single agent or a value of all
         items."""
         one = ValueType(TypeKind.ITEM, referent=owner.referent)
         if owner.kind in (TypeKind.AGENT, TypeKind.SPECIES) and owner.referent in self.declarations.species:
@@ -264,18 +265,18 @@ class NameScope:
 
 
 def make_bad_expression(span: Span) -> Expr:
-    """Return an expression to use in place of one with a reported error."""
+    """Return a placeholder for an expression with an error that has already been reported."""
     return ThingRef(BAD_TYPE, ChangeRate.CONST, span, "?")
 
 
 def find_highest_rate(parts: Iterable[Expr | None]) -> ChangeRate:
-    """Return the highest rate of some expressions; CONST if there are none."""
+    """Return the highest rate of the given expressions, or CONST if there are none."""
     return max((part.rate for part in parts if part is not None), default=ChangeRate.CONST)
 
 
 def parse_type_words(words: str, owner_name: str | None = None) -> ValueType | None:
-    """Return the type that words of the tables name: a word of `TYPE_BY_WORD`, or a quotient such as `angle / time`. None if
-    there is no such type."""
+    """Return the type that `words` in a table stand for: a word of `TYPE_BY_WORD`, or a quotient such as `angle / time`. Return
+    None if there is no such type."""
     if "/" in words:
         top, below = (TYPE_BY_WORD.get(part.strip()) for part in words.split("/"))
         if not isinstance(top, Dimension) or not isinstance(below, Dimension):
@@ -293,9 +294,9 @@ def parse_type_words(words: str, owner_name: str | None = None) -> ValueType | N
 
 
 def find_attributes(declarations: Declarations, type: ValueType) -> dict[str, ValueType]:
-    """Return the types of the values that an item, agent or hit of a type has, by name.
+    """Return the types of the values that an item, agent or hit of the type `type` has, by name.
 
-    An agent of unknown species has the built-in values only."""
+    If the species of an agent is unknown, only built-in values are returned."""
     if type.kind is TypeKind.HIT or (type.kind is TypeKind.ITEM and type.referent == "hit"):
         return _parse_types(HIT_ATTRIBUTE_TYPES)
     if type.kind is TypeKind.ITEM:
@@ -312,7 +313,7 @@ def find_attributes(declarations: Declarations, type: ValueType) -> dict[str, Va
 def find_builtins_of_agent(declarations: Declarations, type: ValueType) -> Mapping[str, BuiltinAttribute]:
     """Return the built-in attributes that agents of the type `type` have, by name.
 
-    An agent of unknown species has the attributes of edition 1, which every agent has."""
+    If the species is unknown, these are the attributes of edition 1, which every agent has."""
     names = declarations.species.get(type.referent or "")
     return get_builtin_attributes(1) if names is None else names.builtins
 
@@ -322,7 +323,7 @@ def _parse_types(table: Mapping[str, str]) -> dict[str, ValueType]:
 
 
 def suggest_name(word: str, candidates: Iterable[str], default_help: str | None = None) -> str:
-    """Return the help text for the unknown name `word`: the similar candidate, else `default_help`, else a list of candidates."""
+    """Return help text for the unknown name `word`: a similar candidate, else `default_help`, else a list of candidates."""
     known = list(candidates)
     suggestion = find_nearest_name(word, known)
     if suggestion:
@@ -331,13 +332,14 @@ def suggest_name(word: str, candidates: Iterable[str], default_help: str | None 
 
 
 def list_names(names: Iterable[str], max_count: int = 12) -> str:
-    """Return a list of names for a help line, such as `a`, `b`, `c` …, with at most `max_count` names."""
+    """Return a list of at most `max_count` names for a help line, such as `a`, `b`, `c` …."""
     names = sorted(names)
     return ", ".join(f"`{name}`" for name in names[:max_count]) + (", …" if len(names) > max_count else "")
 
 
 def report_duplicate(report: Report, kind_words: str, name: nodes.Name, first: Span) -> None:
-    """Report a second declaration of a name, with the location of the first. `kind_words`: the kind in words."""
+    """Report that a name is declared again, with the location of its first declaration. `kind_words`: words for the kind of
+    name."""
     message = f"{kind_words} `{name.text}` is declared twice"
     advice = "give one of them another name, or delete it"
     report.error("duplicate-name", message, name.span, advice, labels=(Label(first, "first here"),))

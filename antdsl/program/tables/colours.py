@@ -1,4 +1,4 @@
-"""The colours that an artist may write after a state's label, as sRGB values by name.
+"""The colour names that an artist may write after a state's label, with their sRGB values.
 
 The checker uses the names; caches and pictures use the values."""
 
@@ -90,10 +90,10 @@ DEFAULT_COLOUR_NAMES: tuple[str, ...] = (
 
 
 def find_rgb(name: str) -> RgbTriple | None:
-    """Return the sRGB values 0..255 of the colour `name`; None if there is no such colour."""
+    """Return the sRGB values (0 to 255) of the colour `name`, or None if there is no such colour."""
     return COLOUR_BY_NAME.get(name)
 
 
 def choose_default_rgb(index: int) -> RgbTriple:
-    """Return the sRGB values 0..255 for a state without a declared colour. `index`: the index of the state, from 0."""
+    """Return the sRGB values (0 to 255) for a state without a declared colour. `index`: the index of the state, from 0."""
     return COLOUR_BY_NAME[DEFAULT_COLOUR_NAMES[index % len(DEFAULT_COLOUR_NAMES)]]

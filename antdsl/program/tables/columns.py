@@ -1,8 +1,8 @@
-"""The table of the arrays of agents, items and frames, with one row each.
+"""The table of all arrays of agents, items and frames, with one row for each array.
 
-A row defines an array and its uses. These parts of antdsl use the rows: populations, the state hash, checkpoints, reloads,
-frames of a cache, exports, the preview and `docs/cache.md`. Registers that a program declares have no rows; their names, types
-and roles are in the plan.
+A row defines an array and its uses. Rows are used by populations, the state hash, checkpoints, reloads, frames of a cache,
+exports, the preview and `docs/cache.md`. Registers that a program declares have no rows; their names, types and roles are in the
+plan.
 
 Rows are data. Functions that compute derived arrays are in the tables `VALUE_WRITERS` of `antdsl.outputs.cache.agent_arrays` and
 `VALUE_FUNCTIONS` of `antdsl.preview.agent_columns`, by the name of the row."""
@@ -20,24 +20,26 @@ ColumnTexts = tuple[str, str, RowShape, str] | tuple[str, str, RowShape, str, In
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """An array.
+    """A row of the table, which describes one array.
 
-    - `kind`: `fixed`: in every population. `register`: a register of the plan, or one per axis. `derived`: computed for frames
+    - `kind`: `fixed`: in every population; `register`: a register of the plan, or one per axis; `derived`: computed for frames
       and packets.
-    - `type`: a NumPy type code. `shape`: the shape of one row. `unit`: the unit of the values in the world.
-    - `initial_value`: the value in new rows.
-    - `is_checkpointed`, `is_hashed`: whether it is in checkpoints and in the state hash, if it is not derived.
+    - `type`: a NumPy type code. `shape`: the shape of the array without its first axis. `unit`: the unit of the values in the
+      world.
+    - `initial_value`: the value for new agents or items.
+    - `is_checkpointed`, `is_hashed`: whether checkpoints and the state hash include it; only for arrays that are not derived.
     - `survives_reload`: every reload copies the values. Newborns inherit such registers from their parents.
     - `inherited_array`: for a fixed array, the array of the parent from which a newborn gets its value.
-    - `save_mode`: whether a frame has it: by `default`, on `request` in the scene's `output`, or `always` if there are values.
+    - `save_mode`: whether frames include it: by `default`, on `request` in the scene's `output`, or `always` if there are
+      values.
     - `alias`: its name in frames, if that is not `name`. Words in capitals stand for names of the scene.
-    - `row_kind`: the meaning of a row: an agent of any `species`, an agent of `one` species, a `pair`, an `event`, an `item` or a
-      `part` of a thing.
+    - `row_kind`: what one entry along the first axis describes: an agent of any `species`, an agent of `one` species, a `pair`,
+      an `event`, an `item` or a `part` of a thing.
     - `exports`: the formats with a separate attribute for it. Formats that write all arrays of agents write it under its name.
     - `packet`: its name and type in the preview's packet of a frame.
-    - `in_preview`: the preview stores it for all frames.
-    - `interpolation`: how it changes between two frames: `linear`, as a `rotation`, a `direction` or a `phase` from 0 to 1, or
-      as a `clip`: linear as long as the machine plays the same clips. Values of other arrays are those of the nearer frame."""
+    - `in_preview`: whether the preview stores it for all frames.
+    - `interpolation`: how it changes between two frames: `linear`, as a `rotation`, as a `direction`, or as a `phase` from 0 to
+      1. `clip` is linear as long as the machine plays the same clips. Other arrays have the values of the nearer frame."""
 
     name: str
     kind: ColumnKind
@@ -65,7 +67,7 @@ class Column:
 
     @property
     def frame_type(self) -> str:
-        """Return the type of the array in frames, where positions of agents are float32."""
+        """Return the type of the array in frames. Positions of agents are float32 there."""
         return "f4" if self.type == "f8" and self.row_kind == "species" else self.type
 
     @property
@@ -75,15 +77,15 @@ class Column:
 
     @property
     def registers(self) -> tuple[str, ...]:
-        """Return the names of the plan's registers that make up the array."""
+        """Return the names of the plan's registers that the array consists of."""
         return tuple(f"{self.name}.{axis}" for axis in "xyz") if self.shape else (self.name,)
 
     def compute_dimensions(self, **sizes: int) -> tuple[int, ...]:
-        """Return the shape of one row as numbers. `sizes`: the values of named sizes."""
+        """Return the shape of one entry of the array as numbers. `sizes`: the values of the named sizes in `shape`."""
         return tuple(sizes[size] if isinstance(size, str) else size for size in self.shape)
 
     def compute_unit_factor(self, scale: float) -> float:
-        """Return the factor from values in the world to values in frames. `scale`: scene units per millimetre."""
+        """Return the factor that converts values in the world to values in frames. `scale`: scene units per millimetre."""
         return scale if self.unit.startswith("mm") else 1.0
 
 
@@ -124,8 +126,8 @@ AGENT_COLUMNS = (
 
 
 def _make_columns(prefix: str, row_kind: str, *columns: ColumnTexts, kind: ColumnKind = "derived") -> tuple[Column, ...]:
-    """Return rows of arrays that are always saved. `prefix`: the start of their names. `columns`: name, type, shape, help and, if
-    set, `interpolation` of each."""
+    """Return rows for arrays that are always saved. `prefix`: the start of their names. `columns`: for each array, the name,
+    type, shape, help and, optionally, `interpolation`."""
     return tuple(
         Column(
             f"{prefix}{name}", kind, type, shape, help,

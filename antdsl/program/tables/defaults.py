@@ -1,5 +1,5 @@
-"""Parses default values of the vocabulary, which are in the language: `360 deg`, `0 .. 1`, `mass * max_speed / response`,
-`max(90 deg * max_speed / size, 600 deg/s)`."""
+"""Parses default values in the vocabulary. They are texts in the language, such as `360 deg`, `0 .. 1`, `mass * max_speed /
+response` or `max(90 deg * max_speed / size, 600 deg/s)`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _CALL_PATTERN = re.compile(r"([a-z_]+)\((.+)\)")
 
 
 def parse_default_values(scope: NameScope, text: str, span: Span) -> tuple[Expr, ...]:
-    """Return the expression of a default, or both ends of a range. `span`: the location that errors refer to."""
+    """Return the expression of a default value, or those of both ends of a range. `span`: the location for errors."""
     return tuple(scope.type_expression(parse_product(part.strip(), span)) for part in text.split(".."))
 
 
 def parse_default(text: str, span: Span) -> nodes.Expr:
-    """Return the syntax tree of a product, or of a call of a built-in function with products as arguments."""
+    """Return the syntax tree of a default value: a product, or a call of a built-in function with products as arguments."""
     call = _CALL_PATTERN.fullmatch(text)
     if call is None:
         return parse_product(text, span)
@@ -30,7 +30,8 @@ def parse_default(text: str, span: Span) -> nodes.Expr:
 
 
 def parse_product(text: str, span: Span) -> nodes.Expr:
-    """Return the syntax tree of terms joined by `*` and `/`, from left to right. There must be blanks around each sign."""
+    """Return the syntax tree of terms that are joined by `*` and `/`, evaluated from left to right. Each sign must be between
+    blanks."""
     words = re.split(r" ([*/]) ", text)
     node = parse_term(words[0], span)
     for sign, term in zip(words[1::2], words[2::2], strict=True):

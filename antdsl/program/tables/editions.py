@@ -1,7 +1,8 @@
-"""Defaults that differ between editions of the language, one row for each setting of a species.
+"""Defaults that differ between editions of the language, with one row for each setting of a species.
 
-A file has the defaults of its edition. `antdsl fmt --edition` writes the previous defaults into the text (`upgrade.py`), so
-that an upgraded program has the same results. New settings need a row only if their default in edition 1 has another effect."""
+A file uses the defaults of its edition. `antdsl fmt --edition` writes the previous defaults into the text (`upgrade.py`), so
+that an upgraded program has the same results. A new setting needs a row only if edition 1 behaves differently from its default.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ SWITCH_EDITION = 2  # the first edition with switches
 class EditionDefault:
     """The defaults of one setting of a species in all editions.
 
-    `defaults`: for each edition in order, the default as text of the language; "" if a species must set it. `reason`: why a
+    `defaults`: for each edition in order, the default as text in the language; "" if a species must set it. `reason`: why a
     newer default differs."""
 
     setting: str
@@ -29,11 +30,11 @@ class EditionDefault:
     reason: str
 
     def get_default(self, edition: int) -> str:
-        """Return the default in an edition, as text of the language; "" if a species must set it."""
+        """Return the default in an edition as text in the language; "" if a species must set it."""
         return self.defaults[edition - 1]
 
     def format_setting_line(self, edition: int) -> str:
-        """Return the line that sets the default of an edition explicitly in a species."""
+        """Return the line that sets the default of an edition explicitly in the text of a species."""
         return f"{self.setting} {self.get_default(edition)}"
 
 
@@ -55,7 +56,8 @@ DEFAULT_BY_SETTING = {row.setting: row for row in EDITION_DEFAULTS}
 
 
 def find_setting_defaults(edition: int, is_standing: bool) -> dict[str, str]:
-    """Return the defaults of the settings of a species that depend on the edition, as text of the language, by name.
+    """Return the species settings with a default that depends on the edition, and their defaults as text in the language, by
+    name.
 
     "" means that the species must set it. `is_standing`: whether the species sets its height."""
     defaults = {row.setting: row.get_default(edition) for row in EDITION_DEFAULTS}

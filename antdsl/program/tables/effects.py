@@ -1,9 +1,8 @@
-"""The table of the requests that an agent may make of the world, with one row each.
+"""The table of the requests that an agent can send to the world, with one row for each request.
 
-A row defines the checks of the request's line, the statement of the plan with its checks and text, and the record of a step. It
-also defines the trace, the costs and the editor's words.
-The syntax of the line is the row of the same word in `antdsl.syntax.verbs`. The function that resolves the request is in
-`SETTLER_BY_EFFECT` of `antdsl.runtime.phases`.
+A row defines how the request's line is checked, how plans store and print it, and how the record of a step describes it. It also
+defines its trace, its cost and the editor's words. The syntax of the line is in the row of the same word in
+`antdsl.syntax.verbs`. The function that resolves the request is in `SETTLER_BY_EFFECT` of `antdsl.runtime.phases`.
 Two kinds of statements have no row: `take` and `give`, which are resolved among several agents, and statements that change only
 the agent itself."""
 
@@ -18,26 +17,27 @@ from antdsl.program.tables.rows import ArgumentRow, UseCost
 
 @dataclass(frozen=True, slots=True)
 class EffectRow:
-    """A request to the world.
+    """A kind of request to the world.
 
-    - `target`: the kind of the thing that it names; "" for none.
-    - `args`: its arguments. An argument of type `added A` is written without brackets, one of type `agent` after the word `to`.
+    - `target`: the kind of the thing that the request names; "" for none.
+    - `args`: its arguments. An argument of type `added A` is written without brackets, and one of type `agent` after the word
+      `to`.
     - `computed_operands`: the names of the plan's operands, if a function of `antdsl.plan.lowering.actions` computes them.
     - `phase`: the phase of a step that resolves it.
     - `help`: text for the editor. `meaning`: text for readers of plans.
     - `state_body_error`: the text of the error if its line is in a state's body; "" if it is allowed there.
-    - `removes_agent`: the agent is removed after it.
-    - `uses_draws`: it uses random numbers that depend on its place in the text.
-    - `is_feeding_senses`: it changes what other agents sense of the named thing. Examples are `deposit` for a field and `emit`
-      for an event.
-    - `fault_name`: the name of the fault that an operand that is not finite causes; "" if such operands are allowed.
-    - `needs_positive_operand`: a first operand of 0 or less requests nothing. `hides_zero_in_trace`: a trace omits a first
-      operand of 0.
-    - `plan_template`, `trace_template`: templates of its line in a plan and in a trace, with operands by name.
+    - `removes_agent`: whether the agent is removed after the request.
+    - `uses_draws`: whether it uses random numbers. They depend on its position in the text.
+    - `is_feeding_senses`: whether it changes what other agents sense of the named thing. Examples are `deposit` for a field and
+      `emit` for an event.
+    - `fault_name`: the name of the fault that a NaN or infinite operand causes; "" if such operands are allowed.
+    - `needs_positive_operand`: whether the request has no effect if its first operand is 0 or less. `hides_zero_in_trace`:
+      whether a trace omits a first operand of 0.
+    - `plan_template`, `trace_template`: templates of its line in a plan and in a trace. They contain operands by name.
 
-    The templates have further names. `{of}` is the named thing. `{own}` is the agent's register that it fills after the blocks.
-    `{receiver}` (traces only) is the species of the one agent that receives it. A part in square brackets is left out if one of
-    its values is missing."""
+    Templates may also contain these names: `{of}` is the named thing. `{own}` is the agent's register to which the result is
+    added after the blocks. `{receiver}` (traces only) is the species of the single agent that receives the request. A part in
+    square brackets is omitted if one of its values is missing."""
 
     op: str
     target: str
@@ -59,7 +59,7 @@ class EffectRow:
 
     @property
     def computed_arguments(self) -> tuple[ArgumentRow, ...]:
-        """Return the arguments with a value that is computed. The other arguments name an attribute."""
+        """Return the arguments with a computed value. The other arguments name an attribute."""
         return tuple(arg for arg in self.args if not arg.type.startswith("own "))
 
     @property
@@ -154,12 +154,14 @@ def list_effects_of_phase(phase: str) -> tuple[str, ...]:
 
 
 def list_feeding_effects(kind: str) -> frozenset[str]:
-    """Return the names of the effects that change what agents sense of a thing. `kind`: the kind of thing, "field" or "event"."""
+    """Return the names of the requests that change what agents sense of a thing. `kind`: the kind of this thing, "field" or
+    "event"."""
     return frozenset(row.op for row in EFFECT_BY_OPERATION.values() if row.is_feeding_senses and row.target == kind)
 
 
 def fill_template(template: str, values: Mapping[str, str | None]) -> str:
-    """Return a template filled with values. A part in square brackets is left out if one of its values is None."""
+    """Return the template with all names replaced by their values. A part in square brackets is omitted if one of its values is
+    None."""
 
     def fill_part(match: re.Match[str]) -> str:
         inner = match.group(1)

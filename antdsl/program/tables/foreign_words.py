@@ -59,7 +59,8 @@ _UNBRACKETED_NODES = (nodes.Number, nodes.Quantity, nodes.NameRef, nodes.Call, n
 
 
 def find_call_replacement(node: nodes.Call, word: str) -> tuple[str, bool] | None:
-    """Return the replacement for a call of a word from another tool, and whether it uses the arguments in the source.
+    """Return the replacement for a call that uses a word from another tool. The bool says whether it contains the arguments in
+    the source.
 
     If the number of arguments does not match, letters stand for the arguments."""
     if word in NAME_REPLACEMENTS and not node.arguments:

@@ -1,6 +1,7 @@
-"""Classes for the rows of the language's tables: an argument, a callable word, a sense, a set, a request to the world.
+"""The classes of the rows in the language's tables: an argument, a callable word, a sense, a set, a request to the world.
 
-Rows are data. The functions that lower, compute and resolve them are in tables of other packages, under the same `op`."""
+Rows are data. The functions that lower, compute and resolve them are in tables of other packages, where they have the same `op`.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +15,14 @@ class ArgumentRow:
     """One argument of a word.
 
     - `type`: a type word, or one of the following.
-    - `number A`: a number of any dimension. All arguments with the same letter have one dimension. `vector A`: likewise a vector.
+    - `number A`: a number of any dimension. All arguments with the same letter have the same dimension. `vector A`: likewise a
+      vector.
     - `range A`: two such numbers, which fill two arguments of the operation.
-    - `count`: a whole constant. `any A`: a value of any type, equal for every A. `condition`: a bool about the element.
-    - `added T` (in statements): a rate per second in a state, else an amount.
+    - `count`: a constant integer. `any A`: a value of any type, with the same type for every A. `condition`: a bool about the
+      element.
+    - `added T` (in statements): a rate per second in a state, otherwise an amount.
     - `own U` (in statements): the name of an attribute of the agent, of unit or type U.
-    - `default`: the default as an expression of the language.
+    - `default`: the default, as an expression in the language.
     - `is_optional`: the argument may be absent (None). `is_variadic`: the argument may be repeated.
     - `lower_bound`: a constant value must be above this number. `is_integer`: the value must be whole.
     - `display_name`: the name of the argument in messages.
@@ -41,11 +44,11 @@ class UseCost:
     """The cost of one use of a word, for `antdsl check --cost`.
 
     - `weight`: a rough weight; one addition has the weight 1.
-    - `text_template`: the text of the use, with `{thing}` for the named thing and `{count}` for the number of uses.
+    - `text_template`: the text about the use, with `{thing}` for the named thing and `{count}` for the number of uses.
     - `heading`: the heading under which the use is listed.
-    - `multiplier_index`: the index of the argument that multiplies the weight. `default_multiplier`: the multiplier for an
-      argument that is not constant.
-    - `distance_index`: the index of the argument with the distance.
+    - `multiplier_index`: the index of the argument that multiplies the weight. `default_multiplier`: the multiplier if this
+      argument is not constant.
+    - `distance_index`: the index of the argument that is a distance.
     - `needs_thing`: the use counts only if it names a thing of the world."""
 
     weight: float
@@ -59,15 +62,15 @@ class UseCost:
 
 @dataclass(frozen=True, slots=True)
 class BuiltinRow:
-    """A word of the language for `op`, an operation of the typed tree.
+    """A word of the language and `op`, the operation of the typed tree that it stands for.
 
     - `form`: a `call`, a bare `name`, or the `value` of a thing, if the thing's name is used where a value is expected.
-    - `word`: the word, if it is not `op`.
-    - `part`: the name of the sense's result that the word returns.
+    - `word`: the word, if it differs from `op`.
+    - `part`: the name of the part of the sense's result that the word returns.
     - `depends_on_agent`: whether the value depends on the agent even if all arguments are constant.
     - `uses_draws`: whether the operation uses a random number.
     - `interval`: the smallest and the largest value.
-    - `sample`: a line of the language with the word."""
+    - `sample`: an example line with the word."""
 
     args: tuple[ArgumentRow, ...]
     result: str
@@ -95,12 +98,13 @@ _ARGUMENT_PATTERN = re.compile(
 
 
 def parse_row(signature: str, help: str, op: str = "", **details: Any) -> BuiltinRow:
-    """Return the row of a word from its signature in the form of an editor: `clamp(x: number A, to: range A) -> number A`.
+    """Return the row of a word. `signature`: the word's signature as an editor shows it, such as `clamp(x: number A, to: range
+    A) -> number A`.
 
     - `a…: any A`: may be repeated.
     - `to: place?`: may be absent.
     - `most: whole number > 0 = 10`: must be whole and above 0; the default is 10.
-    - `op`: the operation, if its name is not the word."""
+    - `op`: the operation, if its name differs from the word."""
     parts = _SIGNATURE_PATTERN.fullmatch(signature)
     assert parts is not None, signature
     args = tuple(_parse_argument(each) for each in parts["args"].split(", ") if each)
@@ -126,13 +130,14 @@ class ResultPart:
 
 @dataclass(frozen=True, slots=True)
 class SenseRow:
-    """An operation of the plan that reads the world at the agent's position, with its words in the language.
+    """An operation of the plan that reads the world at the agent's position, and its words in the language.
 
     - `thing_kind`: the kind of thing that its first attribute names; "" for none.
-    - `operands`: the kinds of the operands, one letter each. `attrs`: further attributes.
-    - `trace`: the trace text of the results, by the names of the parts. Without it, three or more numbers are all listed.
+    - `operands`: the kinds of the operands, one letter for each. `attrs`: further attributes.
+    - `trace`: the trace text of the results, which contains the names of parts. Without it, three or more numbers are listed in
+      full.
     - `empty_trace`: the trace text if the first result is false.
-    - `is_untraced`: left out of traces."""
+    - `is_untraced`: whether traces omit it."""
 
     op: str
     thing_kind: str
@@ -147,12 +152,12 @@ class SenseRow:
 
     @property
     def kinds(self) -> str:
-        """Return the kinds of all result numbers, one letter each."""
+        """Return the kinds of all result numbers, one letter for each."""
         return "".join(part.kind * part.component_count for part in self.results)
 
     @property
     def results_text(self) -> str:
-        """Return the results and their meaning as text, as in the plan's table."""
+        """Return a text with the results and their meanings, as in the table of plan operations."""
         if len(self.kinds) == 1:
             return self.meaning
         names = (
@@ -161,7 +166,7 @@ class SenseRow:
         return f"({', '.join(names)}): {self.meaning}"
 
     def find_result_index(self, part: str) -> tuple[int, int]:
-        """Return the index of a result among all result numbers, and its size."""
+        """Return the index of a result among all result numbers, and how many numbers it has."""
         first = 0
         for each in self.results:
             if each.name == part:
@@ -176,7 +181,7 @@ class SetSense:
 
     - `op`: the source of the set in the typed tree.
     - `plan_operations`: the operations of the plan to which it can be lowered.
-    - `rows`: its signatures, distinguished by the kind of the first argument."""
+    - `rows`: its signatures, which differ in the kind of the first argument."""
 
     op: str
     rows: tuple[BuiltinRow, ...]

@@ -1,7 +1,7 @@
-"""The table of the senses. Each row defines the words, types, costs, ranges, plan operation, trace and editor help of one sense.
+"""The table of the senses. A row defines the words, types, costs, ranges, plan operation, trace and editor help of one sense.
 
-To add a sense, add a row here and a function of the same `op` in `antdsl.runtime.sensing.world_senses`. Only a sense with
-computed operands needs a separate rule in `antdsl.plan.lowering.rules.senses`."""
+To add a sense, add a row here and a function with the same `op` in `antdsl.runtime.sensing.world_senses`. Only a sense with
+computed operands also needs a rule in `antdsl.plan.lowering.rules.senses`."""
 
 from __future__ import annotations
 
@@ -362,6 +362,6 @@ GENERIC_WORDS = (
 
 
 def find_words(form: str) -> tuple[BuiltinRow, ...]:
-    """Return the words of senses with one form: a `call`, a bare `name`, or the `value` of a thing."""
+    """Return the words of senses that have the form `form`: a `call`, a bare `name`, or the `value` of a thing."""
     every = (*(word for sense in _SENSE_ROWS for word in sense.words), *GENERIC_WORDS)
     return tuple(word for word in every if word.form == form)

@@ -1,5 +1,5 @@
-"""The table of the words that return a set, with one row each. `SET_CHECKERS` of `antdsl.program.types.sets` checks their uses,
-and the lowering of sets converts them."""
+"""The table of the words that return a set, with one row for each. `SET_CHECKERS` of `antdsl.program.types.sets` checks their
+uses, and `antdsl.plan.lowering.sets` lowers them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The table of the kinds of things of the world, with one row each.
+"""The table of the kinds of things of the world, with one row for each kind.
 
-From the rows come type words, checks, lowering, message texts for programs and scenes, the plan's lists and the editor's help.
-The class that reads a kind from a scene is in `antdsl.scene.scene_kinds`."""
+The rows are the source of type words, checks, lowering, message texts for programs and scenes, the plan's lists and the editor's
+help. The class that reads a kind from a scene is in `antdsl.scene.scene_kinds`."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ class ThingKindRow:
     """A kind of thing of the world.
 
     - `word`: its word in `world { … }`.
-    - `label`: its name in messages, such as `a curve`; "" if types have other words for it.
-    - `replaced_kinds`: the kinds of arguments for which it is also allowed.
+    - `label`: its name in messages, such as `a curve`; "" if other words for its type exist.
+    - `replaced_kinds`: the argument kinds for which this kind is also allowed.
     - `type_meaning`: its meaning as the type of an argument; "" if it is no type word.
     - `scene_form`: words for its definition in a scene, such as `a mesh`.
     - `scene`: an example of the definition, for messages. `snippet`: the same with placeholders, for an editor.
-    - `nearest_op`: the operation of the plan that finds its nearest point; "" if it has no position.
-    - `touching_op`: the operation that tests whether agents touch it, if that is not `nearest_op`.
-    - `has_values`: each of its members has attributes.
-    - `is_ground`: agents walk on it.
-    - `is_blocking`: agents cannot walk through it.
-    - `is_dug`: agents change its shape, and its total is a volume.
-    - `look`: the default look of its meshes in pictures.
+    - `nearest_op`: the plan operation that finds its nearest point; "" if it has no position.
+    - `touching_op`: the plan operation that tests whether agents touch it, if that is not `nearest_op`.
+    - `has_values`: whether each of its members has attributes.
+    - `is_ground`: whether agents walk on it.
+    - `is_blocking`: whether it blocks the path of agents.
+    - `is_dug`: whether agents change its shape. The total of such a thing is a volume.
+    - `look`: the default material of its meshes in pictures.
     - `wrap_advice`: what to write instead in a periodic world; "" if it continues across the seam.
-    - `section`: the key of a scene that holds its entries.
+    - `section`: the key of the scene section that holds its entries.
     - `type_word`: the kind of its values in expressions, if that is not `word`."""
 
     word: str
@@ -52,7 +52,7 @@ class ThingKindRow:
 
     @property
     def is_item_group(self) -> bool:
-        """Return whether the thing consists of items with positions and sizes."""
+        """Return whether the thing is a group of items with positions and sizes."""
         return self.nearest_op == "set.items"
 
     @property
@@ -125,5 +125,5 @@ BLOCKING_KINDS = tuple(row.word for row in _THING_ROWS if row.is_blocking)
 
 
 def list_replacements(kind: str) -> tuple[str, ...]:
-    """Return the kinds of things that are allowed where an argument has the kind `kind`. The kind itself comes first."""
+    """Return the kinds of things that may be used where an argument has the kind `kind`. The kind itself comes first."""
     return (kind, *(row.word for row in _THING_ROWS if kind in row.replaced_kinds))

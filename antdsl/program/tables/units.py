@@ -1,4 +1,4 @@
-"""Units and dimensions. Converts quantities to base units, and describes dimensions in words."""
+"""Units and dimensions: converts quantities to base units, and describes dimensions in words."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def combine_dimensions(a: Dimension, b: Dimension, power: float = 1) -> Dimensio
 
 
 def find_unit_measure(unit: str) -> UnitMeasure | None:
-    """Return the value of a unit such as `mm/s`, `%/s`, `/step` or `mm^2/s`; None for an unknown unit."""
+    """Return the value of a unit such as `mm/s`, `%/s`, `/step` or `mm^2/s`, or None for an unknown unit."""
     dim, factor, u, step, position = Dimension(), 1.0, 0.0, 0.0, 0
     text = unit.replace(" ", "")
     for part in _UNIT_PART_PATTERN.finditer(text):
@@ -53,7 +53,7 @@ def find_unit_measure(unit: str) -> UnitMeasure | None:
 
 
 def make_constant(value: float, unit: str, span: Span) -> Constant | None:
-    """Return the constant for a quantity; None if its unit is unknown."""
+    """Return the constant for a quantity, or None if its unit is unknown."""
     known = find_unit_measure(unit)
     if known is None:
         return None
@@ -83,7 +83,7 @@ _DIMENSION_NAMES: dict[Dimension, str] = {
 
 
 def choose_default_unit(dim: Dimension) -> str:
-    """Return a usual unit of a dimension, such as `mm`, `deg/s` or `/s`; empty for a plain number."""
+    """Return the usual unit of a dimension, such as `mm`, `deg/s` or `/s`. It is empty for a number without a unit."""
     if dim == FORCE_DIMENSION:
         return "uN"
     top: list[str] = []
@@ -96,18 +96,18 @@ def choose_default_unit(dim: Dimension) -> str:
 
 
 def add_article(words: str) -> str:
-    """Return words with `a` or `an` before them."""
+    """Return the words with `a` or `an` before them."""
     return ("an " if words[0] in "aeiou" else "a ") + words
 
 
 def describe_dimension(dim: Dimension) -> str:
-    """Return words for a dimension, such as `a length`, `a number without a unit` or `a value in mm*g`."""
+    """Return words that describe a dimension, such as `a length`, `a number without a unit` or `a value in mm*g`."""
     name = _DIMENSION_NAMES.get(dim)
     return add_article(name) if name else f"a value in `{choose_default_unit(dim)}`"
 
 
 def format_number(value: float) -> str:
-    """Return a number in its usual form: `30`, `0.05`."""
+    """Return the usual text of a number, such as `30` or `0.05`."""
     return f"{value:.12g}"
 
 
@@ -118,7 +118,7 @@ def format_with_unit(value: float, dim: Dimension) -> str:
 
 
 def find_unit_spelling(node: nodes.Expr) -> str:
-    """Return the first unit in the text of an expression; empty if there is none."""
+    """Return the first unit in the text of an expression, or an empty text if there is none."""
     stack: list[object] = [node]
     while stack:
         part = stack.pop()

@@ -1,4 +1,4 @@
-"""Every built-in word of the language, as tables: units, types, built-in names, and built-in operations with costs and ranges.
+"""The built-in words of the language as tables: units, types, built-in names, and built-in operations with costs and ranges.
 
 The checker uses the tables to type calls, the lowering has one rule per operation, and the editor displays the help. To add an
 operation, add one row here and one rule in `plan/lowering/rules`. Senses are rows of `program/tables/senses`."""
@@ -27,10 +27,9 @@ FORCE_DIMENSION = Dimension(length=1, time=-2, mass=1)
 
 @dataclass(frozen=True, slots=True)
 class UnitRow:
-    """A unit of the language.
+    """A unit of the language. Its value in base units (mm, s, g, rad) has three factors.
 
-    `factor`: the value in base units (mm, s, g, rad). This value is multiplied by the scene's unit to the power `unit_power`, and
-    by `dt` to the power `step`."""
+    They are `factor`, the scene's unit (mm) to the power `unit_power`, and the step length `dt` to the power `step`."""
 
     dim: Dimension
     factor: float
@@ -84,11 +83,11 @@ TYPE_BY_WORD: dict[str, Dimension | str] = {
 class BuiltinAttribute:
     """An attribute that every agent has.
 
-    - `is_settable`: a species may set the attribute without `=`, and statements may assign it.
-    - `default`: the default as text of the language. `edition`: the first edition that has the attribute.
-    - `can_be_unlimited`: whether the value `none` means that there is no limit.
-    - `is_for_standing`: whether only species with standing bodies have it.
-    - `max_value`: the greatest value, in base units."""
+    - `is_settable`: whether a species may set the attribute without `=`, and statements may assign it.
+    - `default`: the default as text in the language. `edition`: the first edition that has the attribute.
+    - `can_be_unlimited`: whether the value `none`, which means no limit, is allowed.
+    - `is_for_standing`: whether only species with upright bodies have it.
+    - `max_value`: the largest value, in base units."""
 
     type: str
     is_settable: bool
@@ -182,7 +181,8 @@ def get_builtin_attributes(edition: int) -> Mapping[str, BuiltinAttribute]:
 
 
 def explain_range(name: str, number: float) -> str | None:
-    """Return the advice for a value that a built-in attribute cannot have, such as `write 0 or more`; None for an allowed value.
+    """Return advice for a value that a built-in attribute cannot have, such as `write 0 or more`. Return None for an allowed
+    value.
 
     `number`: the value in base units."""
     row = BUILTIN_ATTRIBUTE_BY_NAME.get(name)

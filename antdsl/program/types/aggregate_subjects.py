@@ -1,4 +1,4 @@
-"""Finds which agents, items or cells a value such as `total(food.load)` or `share(state == carry)` is about."""
+"""Finds the agents, items or cells that an aggregate such as `total(food.load)` or `share(state == carry)` is about."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from antdsl.syntax import nodes
 
 
 def find_cell_field(declarations: Declarations, operand: nodes.Expr) -> str:
-    """Return the name of the field that an expression reads by cells, such as `trail` in `trail.value > 0.1`; "" without one."""
+    """Return the name of the field of which an expression reads the cells, such as `trail` for `trail.value > 0.1`, or ""."""
     members = [part for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
     owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
     return next((name for name in owners if name in declarations.fields), "")
 
 
 def find_subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> ValueType | None:
-    """Return the type of the species or items that an aggregate is about; None after an error. If it names none, as in
-    `share(state == carry)`, it is about the only species that has all of its values."""
+    """Return the type of the species or items that an aggregate is about, or None after an error. An aggregate that names none,
+    such as `share(state == carry)`, is about the only species that has all of its values."""
     declared = scope.declarations
     owners = [part.owner for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Member)]
     named = [owner.name.text for owner in (*owners, operand) if isinstance(owner, nodes.NameRef)]
@@ -57,7 +57,7 @@ def find_subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> Val
 
 
 def find_thing_kind(declarations: Declarations, name: str) -> TypeKind | None:
-    """Return SPECIES or ITEMS if the name is that of a species or of items; None for other names."""
+    """Return SPECIES for the name of a species, ITEMS for the name of items, and None for other names."""
     if name in declarations.species:
         return TypeKind.SPECIES
     thing = declarations.things.get(name)
@@ -65,7 +65,7 @@ def find_thing_kind(declarations: Declarations, name: str) -> TypeKind | None:
 
 
 def _has_values(declarations: Declarations, species: str, operand: nodes.Expr) -> bool:
-    """Return whether a species has every value that an expression names without an owner. Only names are compared."""
+    """Return whether a species has every value that an expression names without an owner. Only the names are compared."""
     names = declarations.species[species]
     states = {state for machine in names.machines.values() for state in machine.states}
     mine = states.union(names.attributes, names.params, names.bindings, names.untyped_names, names.machines, names.builtins)
@@ -78,7 +78,8 @@ def _has_values(declarations: Declarations, species: str, operand: nodes.Expr) -
 
 
 def make_element_scope(scope: NameScope, population: ValueType, span: Span) -> tuple[NameScope, tuple[Binding, ...]]:
-    """Return the scope for expressions about one agent or item of `population`, and, for an item, the binding of its name."""
+    """Return the scope for expressions about one agent or item of `population`. For an item, also return the binding of its
+    name."""
     name = population.referent or ""
     if population.kind is TypeKind.SPECIES:
         who = ThingRef(ValueType(TypeKind.AGENT, referent=name), ChangeRate.AGENT, span, "self")

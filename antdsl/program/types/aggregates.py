@@ -53,7 +53,7 @@ _VOLUME_TYPE = ValueType(TypeKind.NUMBER, Dimension(length=3))
 
 
 class SpecRules:
-    """The rules of specs. They override the language's rules while a condition of a spec is checked."""
+    """The typing rules of specs. They override the language's rules while a condition of a spec is checked."""
 
     def __init__(self, declarations: Declarations, has_reference_run: bool = False) -> None:
         self.language_rules = declarations.rules
@@ -89,7 +89,7 @@ class SpecRules:
         return expressions.type_name(scope, node, expected_type)
 
     def _type_measure(self, scope: NameScope, node: nodes.NameRef) -> Expr:
-        """Return the value of a declared measure. Its own errors are reported at its declaration."""
+        """Return the value of a declared measure. Errors in the measure are reported at its declaration."""
         name = node.name.text
         scope.record_name_use(node.span, "measure", name)
         value = scope.declarations.measure_values.get(name)
@@ -120,7 +120,7 @@ class SpecRules:
         return StartValue(expr.type, expr.rate, span, expr)
 
     def _type_reference_run_value(self, scope: NameScope, expr: Expr, span: Span) -> Expr:
-        """Return the value that the number `expr` has in the reference run. The number must be about the complete run."""
+        """Return the value of the number `expr` in the reference run. The number must be about the complete run."""
         if expr.type.kind is TypeKind.BAD:
             return make_bad_expression(span)
         names_agent = self.is_in_aggregate or scope.species is not None
@@ -173,7 +173,8 @@ class SpecRules:
         )  # fmt: skip
 
     def _is_value_of_unnamed_agent(self, scope: NameScope, owner: str, node: nodes.Member) -> bool:
-        """Return whether a text such as `forager.load` names a value of an agent or item, but not which one; report it if so."""
+        """Return whether a text such as `forager.load` names a value of an agent or item without saying which one. If so, report
+        it."""
         kind, name = find_thing_kind(scope.declarations, owner), node.name.text
         type = ValueType(TypeKind.AGENT if kind is TypeKind.SPECIES else TypeKind.ITEM, referent=owner)
         params = scope.declarations.species[owner].params if kind is TypeKind.SPECIES else {}
@@ -244,7 +245,7 @@ class SpecRules:
         return make_bad_expression(node.span)
 
     def _is_nested_aggregate(self, scope: NameScope, span: Span) -> bool:
-        """Return whether an aggregate is inside another aggregate; report an error if so."""
+        """Return whether an aggregate is inside another aggregate. If so, report an error."""
         if self.is_in_aggregate:
             message = f"{quote_source(span)} is inside an expression for each agent"
             scope.report.error("set-in-set", message, span, "write the two next to each other")
@@ -319,9 +320,9 @@ class SpecRules:
         return make_bad_expression(node.span)
 
     def _type_set_aggregate(self, scope: NameScope, reduction: ReduceExpr) -> Expr:
-        """Type `count(n in forager: n.load > 0)`.
+        """Type an aggregate over a set, such as `count(n in forager: n.load > 0)`.
 
-        A set of all agents is a population. A smaller set would need an agent as its owner."""
+        The set must contain all agents, because a smaller set would need an agent as its owner."""
         over = reduction.elements
         if self._is_nested_aggregate(scope, reduction.span):
             return make_bad_expression(reduction.span)
@@ -349,7 +350,8 @@ def _find_result_type(reducer: str, body: Expr | None) -> ValueType:
 
 
 def _uses_word(root: nodes.Expr, words: Container[str]) -> bool:
-    """Return whether an expression contains a word such as `initial_count` alone, not as a call `initial_count(…)`."""
+    """Return whether an expression contains one of `words` as a name, such as `initial_count`, rather than as a call
+    `initial_count(…)`."""
     called = {id(part.function) for part, _ in iterate_nodes(root) if isinstance(part, nodes.Call)}
     return any(isinstance(p, nodes.NameRef) and p.name.text in words and id(p) not in called for p, _ in iterate_nodes(root))
 

@@ -1,7 +1,7 @@
 """Matches the arguments of a call with the parameters, by position or by name. Results are in the order of the parameters.
 
-If a parameter is a point, the name of items or of a species means the nearest item or agent. Other values with a position are
-used directly."""
+If a parameter is a point, the name of items or of a species stands for the nearest item or agent. Other values that have a
+position are used directly."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ ArgumentsBySlot = dict[str, list[nodes.Argument]]
 class ArgumentSlot:
     """One parameter of a call.
 
-    - `is_required`: the parameter has no default and is not optional.
-    - `is_variadic`: the parameter accepts any number of values.
-    - `is_range`: the value consists of two values joined by `..`."""
+    - `is_required`: whether the parameter has no default and is not optional.
+    - `is_variadic`: whether the parameter accepts any number of values.
+    - `is_range`: whether the value consists of two values joined by `..`."""
 
     name: str
     is_required: bool
@@ -39,7 +39,7 @@ class ArgumentSlot:
 def arrange_arguments(
     scope: NameScope, function_name: str, slots: Sequence[ArgumentSlot], node: CallNode, form: str = ""
 ) -> ArgumentsBySlot | None:
-    """Return the arguments of a call by the names of the parameters; None after an error that makes the call unusable.
+    """Return the arguments of a call by parameter name, or None after an error that makes the call unusable.
 
     `slots`: the parameters. `form`: the text of the call up to its bracket, if it is not `function_name`."""
     form = form or function_name
@@ -118,8 +118,8 @@ def _format_call(function_name: str, slots: Sequence[ArgumentSlot]) -> str:
 
 
 def type_arguments(scope: NameScope, node: CallNode) -> None:
-    """Type the arguments of an invalid call. Names in them then count as used, and their own errors are reported. Errors in
-    `with:` are not: its names may be those of elements, which an invalid call does not determine."""
+    """Type the arguments of an invalid call, to mark names in them as used and to report their own errors. Errors in `with:` are
+    not reported, because an invalid call does not determine its elements."""
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
             scope.type_expression(argument.over)
@@ -150,9 +150,10 @@ def _report_late_positions(
 
 
 def _find_decimal_comma(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument]) -> Span | None:
-    """Return the span of the first number with a decimal comma that was parsed as two arguments; None if there is none.
+    """Return the span of the first number with a decimal comma, which was parsed as two arguments. Return None if there is none.
 
-    A comma is a decimal comma if the call is valid with both numbers joined. In `vector(1,2,3)`, it separates arguments."""
+    A comma is a decimal comma if the call becomes valid when both numbers are joined. In `vector(1,2,3)`, it separates
+    arguments."""
     joints: dict[int, Span] = {}
     is_second_half = False  # whether the argument was already joined to the previous one
     tight = 0
@@ -194,7 +195,7 @@ def _list_argument_forms(arguments: Sequence[nodes.Argument]) -> list[_ArgumentF
 
 
 def _merge_range_pairs(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm]) -> list[_ArgumentForm] | None:
-    """Return the arguments, in which two positional values count as one where the parameter expects a range.
+    """Return the arguments with two positional values merged into one where the parameter expects a range.
 
     Returns None if the second value is missing."""
     paired: list[_ArgumentForm] = []
@@ -211,7 +212,7 @@ def _merge_range_pairs(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentF
 
 
 def _make_range_fix(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument]) -> tuple[str, Fix] | None:
-    """Return help and a fix for two values where a range is expected. None if the number of arguments would still be wrong."""
+    """Return help and a fix for two values where a range is expected, or None if the number of arguments would still be wrong."""
     place = next((n for n, slot in enumerate(slots) if slot.is_range), len(arguments))
     if place + 1 >= len(arguments) or not _is_valid_count(slots, _merge_range_pairs(slots, _list_argument_forms(arguments))):
         return None
@@ -221,7 +222,7 @@ def _make_range_fix(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Arg
 
 
 def _is_valid_count(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm] | None, min_variadic: int = 1) -> bool:
-    """Return whether the positional and named arguments match the parameters.
+    """Return whether the positional and named arguments match the parameters in number and names.
 
     `min_variadic`: the smallest number of positional arguments of a variadic call."""
     if forms is None:
@@ -266,7 +267,7 @@ def find_element_type(things: ValueType) -> ValueType:
 
 
 def make_nearest_reduction(things: Expr, span: Span) -> ReduceExpr:
-    """Return a reduction to the nearest item of a group, or to the nearest agent of a species."""
+    """Return a reduction that finds the nearest item of a group, or the nearest agent of a species."""
     type = find_element_type(things.type)
     element = Binding("it", "element", type, ChangeRate.ELEMENT, span)
     over = SetExpr(

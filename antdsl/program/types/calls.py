@@ -1,5 +1,5 @@
-"""Determines the types of calls. It finds the called function, matches the arguments with the tables, and returns the operation
-with its type."""
+"""Determines the types of calls: finds the called function, matches the arguments with the tables, and returns the typed
+operation."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _VALUE_WORDS[TypeKind.VECTOR_FIELD] = TypeKind.VECTOR
 
 
 def _make_use_fix(file: nodes.File, library: str) -> Fix | None:
-    """Return a fix that adds a `use` line after the edition and the help text of a file."""
+    """Return a fix that adds a `use` line after the edition line and the help text of a file."""
     head = file.help or file.edition
     if head is None:
         return None
@@ -105,14 +105,14 @@ def _report_unknown(scope: NameScope, node: nodes.Call, name: nodes.Name, expect
 
 
 def _find_first_argument_name(node: nodes.Call) -> str:
-    """Return the text of the first argument if it is a name, else `food`."""
+    """Return the text of a call's first argument if this is a name, else `food`."""
     first = node.arguments[0] if node.arguments else None
     named = isinstance(first, nodes.Argument) and isinstance(first.value, nodes.NameRef)
     return first.span.text if first is not None and named else "food"
 
 
 def _format_own_behaviour(node: nodes.Call, name: str, expected_type: ValueType | None) -> str:
-    """Return the declaration of a behaviour `name` that fits the arguments of the call and the expected type."""
+    """Return the text that declares a behaviour `name` with the arguments of the call and the expected type."""
     kind = expected_type.kind if expected_type is not None else TypeKind.NUMBER
     gives = {TypeKind.BOOL: "bool", TypeKind.VECTOR: "push"}.get(kind, "number")
     arguments = ", ".join(f"{letter}: place" for letter, _ in zip("abcdefgh", node.arguments, strict=False))
@@ -151,7 +151,8 @@ def _make_slot(arg: ArgumentRow) -> ArgumentSlot:
 
 
 def _find_matching_row(scope: NameScope, node: nodes.Call, rows: tuple[BuiltinRow, ...]) -> tuple[BuiltinRow, nodes.Call]:
-    """Return the row that accepts the call's first argument and argument names, and the call with that argument typed.
+    """Return the row that accepts the first argument of the call and the names of its arguments. Also return the call with its
+    first argument typed.
 
     The argument is typed here, so that nested calls are typed only once."""
     named = {a.name.text for a in node.arguments if isinstance(a, nodes.Argument) and a.name}
@@ -225,7 +226,7 @@ def _type_argument(
 
 
 def check_row_limits(scope: NameScope, arg: ArgumentRow, subject: str, span: Span, expr: Expr, sample: str = "") -> None:
-    """Check a constant against the limits in its row. `sample`: a correct example line for the message."""
+    """Report a constant that is outside the limits of its row. `sample`: a correct example line for the message."""
     known = find_constant(expr)
     if known is None:
         return
@@ -249,7 +250,7 @@ def _bind_variable(
     variables: TypeVariables,
     ignores_kind: bool = False,
 ) -> Expr:
-    """Bind a type variable such as `A` to the type of a value. If it is bound already, report an error for a different type."""
+    """Bind a type variable such as `A` to the type of a value. If it is already bound to another type, report an error."""
     expr = convert_to_value(expr)
     if variable not in variables or variables[variable][1].type.kind is TypeKind.BAD:
         variables[variable] = (node, expr)
@@ -304,7 +305,7 @@ def _make_operation(
 def _infer_result_type(
     row: BuiltinRow, variables: Mapping[str, tuple[nodes.Expr, Expr]], args: list[Expr | None] | tuple[Expr | None, ...]
 ) -> ValueType:
-    """Return the result type of a row. Its type variables are replaced by the types they are bound to."""
+    """Return the result type of a row, with its type variables replaced by the types to which they are bound."""
     word, _, of = row.result.partition(" ")
     if word in ("number", "vector") and of:
         kind = TypeKind(word)

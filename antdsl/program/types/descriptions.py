@@ -1,4 +1,4 @@
-"""The names of types for artists, and the errors about types and units that several parts of the checker report."""
+"""The names of types for artists, and errors about types and units that several parts of the checker report."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _VECTOR_PHRASES: dict[Dimension, str] = {
 
 
 def describe_type(type: ValueType) -> str:
-    """Return words for a type, such as `a length`, `a push or direction`, `an item of food` or `an agent of rabbit`."""
+    """Return words that describe a type, such as `a length`, `a push or direction`, `an item of food` or `an agent of rabbit`."""
     if type.kind is TypeKind.NUMBER:
         return describe_dimension(type.dimension)
     if type.kind is TypeKind.VECTOR:
@@ -58,7 +58,7 @@ def describe_type(type: ValueType) -> str:
 
 
 def quote_source(span: Span, max_characters: int = 40) -> str:
-    """Return the source text of a span in backquotes, on one line, and shortened to `max_characters` characters."""
+    """Return the source text of a span in backquotes, on one line, shortened to at most `max_characters` characters."""
     text = " ".join(span.text.split())
     if len(text) > max_characters:
         text = text[: max_characters - 1].rstrip() + "…"
@@ -66,8 +66,8 @@ def quote_source(span: Span, max_characters: int = 40) -> str:
 
 
 def is_compatible(actual: ValueType, expected_type: ValueType) -> bool:
-    """Return whether a value of type `actual` is allowed where `expected_type` is needed. Values with a reported error are always
-    allowed."""
+    """Return whether a value of type `actual` is allowed where `expected_type` is needed. Always true for values with an error
+    that has already been reported."""
     if TypeKind.BAD in (actual.kind, expected_type.kind):
         return True
     if actual.kind is TypeKind.VECTOR_FIELD:
@@ -82,9 +82,9 @@ def is_compatible(actual: ValueType, expected_type: ValueType) -> bool:
 def report_mismatch(
     report: Report, node: nodes.Expr, actual: ValueType, expected_type: ValueType, place: str, expr: Expr | None = None
 ) -> Expr:
-    """Report that `node` has another type than `place` needs: a missing unit, a wrong unit, or another kind of thing.
+    """Report that the type of `node` does not fit at `place`: a missing unit, a wrong unit, or another kind of thing.
 
-    `expr`: its typed expression, if known. Returns a replacement for the expression."""
+    `expr`: the typed expression of the node, if known. Returns a replacement for this expression."""
     if isinstance(expr, OperationExpr) and expr.name == "map_value" and expected_type.kind is TypeKind.VECTOR:
         text = " ".join(node.span.text.split())
         message = f"`{text}` is a map of numbers, but {place} needs {describe_type(expected_type)}"
@@ -129,7 +129,8 @@ def _make_mismatch(node: nodes.Expr, actual: ValueType, expected_type: ValueType
 
 
 def _make_vector_units_fix(node: nodes.Expr) -> Fix | None:
-    """Return a fix that adds a length unit to the numbers of `vector(10, 0, 0)`, so that it is a point; None if there is none."""
+    """Return a fix that adds a length unit to the numbers of `vector(10, 0, 0)`, which makes it a point. Return None if there is
+    none."""
     if not isinstance(node, nodes.Call) or node.function.span.text != "vector":
         return None
     values = [each.value for each in node.arguments if isinstance(each, nodes.Argument)]
@@ -143,7 +144,7 @@ def _is_negation(node: nodes.Expr) -> bool:
 
 
 def _make_own_text_fix(node: nodes.Expr, advice: str) -> Fix | None:
-    """Return a fix that replaces the node by the first text in backquotes of `advice`.
+    """Return a fix that replaces the node by the first text in backquotes in `advice`.
 
     Returns None if this text does not contain the source text of the node."""
     text, match = " ".join(node.span.text.split()), re.search("`([^`…]+)`", advice)
@@ -199,7 +200,7 @@ def _choose_advice(node: nodes.Expr, actual: ValueType, expected_type: ValueType
 def report_operand_mismatch(
     report: Report, op: str, span: Span, left: tuple[nodes.Expr, Expr], right: tuple[nodes.Expr, Expr]
 ) -> None:
-    """Report two operands with types that do not match, and quote their source text."""
+    """Report that the types of two operands do not match, and quote the source text of both."""
     (left_node, a), (right_node, b) = left, right
     both = (
         f"{quote_source(left_node.span)} is {describe_type(a.type)} "

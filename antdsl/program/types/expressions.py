@@ -63,7 +63,7 @@ def type_number(scope: NameScope, node: nodes.Number, expected_type: ValueType |
 
 
 def type_quantity(scope: NameScope, node: nodes.Quantity, expected_type: ValueType | None) -> Expr:
-    """Type a number with a unit; report an unknown unit."""
+    """Type a number with a unit. Report an unknown unit."""
     expr = make_constant(node.value, node.unit, node.span)
     if expr is not None:
         if abs(expr.number) > limits.MAX_NUMBER:
@@ -77,7 +77,7 @@ def type_quantity(scope: NameScope, node: nodes.Quantity, expected_type: ValueTy
 
 
 def type_none(scope: NameScope, node: nodes.NoneOf, expected_type: ValueType | None) -> Expr:
-    """Type `none` or `none of food`; the expected type gives a bare `none` its meaning."""
+    """Type `none` or `none of food`. The expected type determines the meaning of a bare `none`."""
     if node.of is None:
         if expected_type is not None and expected_type.kind in OPTIONAL_KINDS:
             return NoneRef(expected_type, ChangeRate.CONST, node.span)
@@ -88,7 +88,8 @@ def type_none(scope: NameScope, node: nodes.NoneOf, expected_type: ValueType | N
 
 
 def find_reference_type(scope: NameScope, name: nodes.Name) -> ValueType | None:
-    """Return the type of one item of the items `name` or of one agent of the species `name`; None, with an error, for others."""
+    """Return the type of one item of the items `name`, or of one agent of the species `name`. For other names, report an error
+    and return None."""
     declared = scope.declarations
     thing = declared.things.get(name.text)
     if thing is not None and KIND_BY_WORD[thing.kind].is_item_group:
@@ -144,7 +145,7 @@ def _type_local_name(scope: NameScope, name: str, span: Span) -> Expr | None:
 
 
 def make_binding_ref(scope: NameScope, binding: Binding, span: Span) -> Expr:
-    """Return an expression that uses a named value."""
+    """Return an expression for a use of a named value."""
     if binding.role == "let" and binding.is_snapshot and scope.no_let_reason:
         _report_early_use(scope, binding.name, span)
     if binding.type.kind is TypeKind.SET and isinstance(binding.value, SetExpr):
@@ -159,7 +160,7 @@ def _report_early_use(scope: NameScope, name: str, span: Span) -> None:
 
 
 def report_pair_value(scope: NameScope, node: nodes.Name, owner: str = "") -> Expr:
-    """Report a pair value that is used without another agent in brackets."""
+    """Report that a pair value is used without another agent in brackets. Return a placeholder."""
     help = f"read it as the agent that stores it: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
     return scope.report_error("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
 
@@ -191,7 +192,7 @@ def _type_language_word(scope: NameScope, name: str, span: Span) -> Expr | None:
 
 
 def _type_species_value(scope: NameScope, name: str, span: Span) -> Expr | None:
-    """Return the value of a name of the species: a param, attribute, let, latch, or value of a machine. None inside a
+    """Return the value of a name of the species: a param, attribute, let, latch, or value of a machine. Return None inside a
     behaviour."""
     species = scope.species
     if species is None or scope.behaviour is not None:
@@ -256,7 +257,7 @@ def _type_world_value(scope: NameScope, name: str, span: Span) -> Expr | None:
 
 
 def list_visible_names(scope: NameScope) -> set[str]:
-    """Return every name that may be used as a value at a place."""
+    """Return every name that may be used as a value at this position."""
     names = {*scope.local_names, *scope.builtins, *RUN_VALUE_TYPES, *SENSE_TYPE_BY_NAME, "self", "true", "false"}
     declared = scope.declarations
     names |= {*declared.fields, *declared.things, *declared.species, *declared.events}
@@ -300,7 +301,7 @@ def _report_unknown(scope: NameScope, node: nodes.NameRef, expected_type: ValueT
 
 
 def _make_foreign_word_fix(name: str, span: Span) -> tuple[str | None, Fix | None]:
-    """Return help and a fix for a unit without a number, or for a name from other tools."""
+    """Return help and a fix for a name that is a unit without a number, or a word from another tool."""
     unit = f"a unit follows its number and contains no spaces: `1 {name}`, `30 mm/s`" if name in UNIT_NAMES else None
     instead = NAME_REPLACEMENTS.get(name)
     if instead is None:
@@ -312,7 +313,7 @@ def _make_foreign_word_fix(name: str, span: Span) -> tuple[str | None, Fix | Non
 
 
 def make_attribute_ref(scope: NameScope, owner: Expr, name: str, type: ValueType, span: Span) -> Expr:
-    """Return the expression `owner.name` for a value that is known to exist."""
+    """Return the expression `owner.name`. The value must be known to exist."""
     if isinstance(owner, ThingRef) and owner.name == "self":
         scope.mark_used("attribute", f"{owner.type.referent}.{name}")
         return AttributeRef(type, ChangeRate.AGENT, span, None, name)
@@ -378,7 +379,7 @@ def _type_param(scope: NameScope, owner: Expr, node: nodes.Member) -> Expr:
 
 @dataclass(frozen=True, slots=True)
 class TypedArgument:
-    """A node for an argument that is already typed, so that it is typed only once."""
+    """A node that stands for an argument that is already typed, so that it is not typed again."""
 
     expr: Expr
     span: Span

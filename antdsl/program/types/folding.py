@@ -1,4 +1,4 @@
-"""Computes operations on constants before a run, so that `1.5 * 40 mm` is a plain value. Reports errors in these operations."""
+"""Computes operations on constants before a run, so that `1.5 * 40 mm` becomes one value. Reports errors in these operations."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ _FLOAT_FUNCTIONS: dict[str, Callable[[float, float], float]] = {"add": lambda a,
 
 
 def fold_operation(report: Report, op: OperationExpr) -> Expr:
-    """Return the operation, or its constant value. Reports a division by 0 and numbers that are too large to store."""
+    """Return the constant value of an operation or, if it is not constant, the operation. Report a division by 0 and numbers
+    that are too large to store."""
     values = [find_constant(arg) if arg is not None else None for arg in op.args]
     if op.name == "div" and len(values) == 2 and values[1] is not None and values[1].number == 0:
         report.error("division-by-zero", "this divides by 0", op.span, "divide by a value that is never 0")
@@ -57,8 +58,8 @@ def _make_constant(op: OperationExpr, value: float, unit_power: float, step_powe
 
 
 def find_constant(expr: Expr) -> Constant | None:
-    """Return the value of an expression that is a constant, or an argument of a behaviour with a constant value; None for
-    others."""
+    """Return the value of a constant expression, or of a behaviour's argument that has a constant value. Return None for other
+    expressions."""
     while isinstance(expr, BindingRef) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
         expr = expr.binding.value
     return expr if isinstance(expr, Constant) else None

@@ -31,7 +31,7 @@ _VALUE_AT_AGENT[TypeKind.VECTOR_FIELD] = _VALUE_AT_AGENT[FLOW_KIND]
 
 
 def make_operation(name: str, type: ValueType, span: Span, *args: Expr | None, site: str = "") -> OperationExpr:
-    """Return an operation with the highest rate of its arguments. `site`: the key of a random draw."""
+    """Return an operation. Its rate is the highest rate of its arguments. `site`: the key of a random draw."""
     return OperationExpr(type, find_highest_rate(args), span, name, args, site)
 
 
@@ -39,18 +39,19 @@ def make_operation(name: str, type: ValueType, span: Span, *args: Expr | None, s
 
 
 def type_value(scope: NameScope, node: nodes.Expr, expected_type: ValueType | None = None) -> Expr:
-    """Return an expression as a value. The name of a field, flow or map stands for its value at the agent."""
+    """Return an expression as a value. The name of a field, flow or map becomes its value at the agent."""
     return convert_to_value(scope.type_expression(node, expected_type))
 
 
 def convert_to_value(expr: Expr) -> Expr:
-    """Return the value at the agent for the name of a field, flow or map; any other expression unchanged."""
+    """Return the value at the agent for the name of a field, flow or map. Return any other expression unchanged."""
     value_op = _VALUE_AT_AGENT.get(expr.type.kind)
     return expr if value_op is None else OperationExpr(value_op[1], ChangeRate.AGENT, expr.span, value_op[0], (expr,))
 
 
 def type_value_as(scope: NameScope, node: nodes.Expr, expected_type: ValueType, place: str) -> Expr:
-    """Return the value of an expression that must have a given type. `place`: a description of its position, for messages."""
+    """Return the value of an expression that must have the type `expected_type`. `place`: words for its position, for
+    messages."""
     expr = type_value(scope, node, expected_type)
     if is_compatible(expr.type, expected_type):
         return expr
@@ -58,7 +59,7 @@ def type_value_as(scope: NameScope, node: nodes.Expr, expected_type: ValueType, 
 
 
 def type_facing_direction(scope: NameScope, node: nodes.Expr) -> Expr:
-    """Return the value of an expression for a direction to face: a push or a velocity. The length has no effect."""
+    """Return the value of an expression that is a direction to face: a push or a velocity. Its length has no effect."""
     expr = type_value(scope, node, PUSH_TYPE)
     if is_compatible(expr.type, VELOCITY_TYPE):
         return expr
@@ -75,7 +76,7 @@ def type_condition(scope: NameScope, node: nodes.Expr, place: str) -> Expr:
 
 
 def convert_to_bool(scope: NameScope, node: nodes.Expr, expr: Expr, place: str) -> Expr:
-    """Return a typed expression as a bool; report an error if it cannot be one."""
+    """Return a typed expression as a bool. Report an error if it cannot be one."""
     kind = expr.type.kind
     if kind in (TypeKind.BOOL, TypeKind.BAD):
         return expr
@@ -183,7 +184,7 @@ def _check_chance(scope: NameScope, node: nodes.Unary, expr: Expr) -> None:
 
 
 def make_draw_site(scope: NameScope, word: str, span: Span) -> str:
-    """Return the key of a random draw. Draws inside a set are errors, because the result would depend on the order of the
+    """Return the key of a random draw. A draw inside a set is an error, because its result would depend on the order of the
     elements."""
     if scope.set_elements:
         message = f"`{word}` draws a random number inside a set"
@@ -192,7 +193,7 @@ def make_draw_site(scope: NameScope, word: str, span: Span) -> str:
 
 
 def type_count(scope: NameScope, node: nodes.Expr, subject: str) -> Expr:
-    """Return the typed expression of a whole number that is constant during a run; report an error for other expressions."""
+    """Return the typed expression of an integer that is constant during a run. Report an error for other expressions."""
     expr = type_value(scope, node)
     if expr.type.kind is TypeKind.BAD or (scope.is_generic and expr.type == NUMBER_TYPE):
         return expr
@@ -223,7 +224,7 @@ def type_binary(scope: NameScope, node: nodes.Binary, expected_type: ValueType |
 
 
 def _type_logic(scope: NameScope, node: nodes.Binary) -> Expr:
-    """Type `and` or `or`: a bool for two bools, or the minimum or maximum of two degrees of truth."""
+    """Type `and` or `or`. The result is a bool for two bools, or the minimum or maximum of two degrees of truth."""
     left, right = type_value(scope, node.left, BOOL_TYPE), type_value(scope, node.right, BOOL_TYPE)
     if BAD_TYPE in (left.type, right.type) and {left.type, right.type} <= {BAD_TYPE, NUMBER_TYPE}:
         return make_operation(
@@ -300,7 +301,7 @@ def _type_sum(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> 
 
 
 def _check_operands(scope: NameScope, node: nodes.Binary, left: Expr, right: Expr) -> bool:
-    """Return whether both operands are numbers or vectors. Report the first that is not."""
+    """Return whether both operands are numbers or vectors. Report the first one that is not."""
     for part, expr in ((node.left, left), (node.right, right)):
         if expr.type.kind not in (TypeKind.NUMBER, TypeKind.VECTOR):
             report_mismatch(scope.report, part, expr.type, NUMBER_TYPE, f"`{node.op}`")

@@ -1,4 +1,5 @@
-"""Types pair values such as `likes[other]`, an agent's value about another agent, in declarations, reads and assignments."""
+"""Types pair values, such as `likes[other]`, in declarations, reads and assignments. A pair value is an agent's value about
+another agent."""
 
 from __future__ import annotations
 
@@ -39,9 +40,9 @@ def reject_pair(scope: NameScope, node: nodes.PairOf, expected_type: ValueType |
 
 
 def check_pair_value(scope: NameScope, attribute: AttributeDecl, rest_value: Expr | None) -> None:
-    """Report an invalid pair value. It must be a number with an initial value that does not depend on the agent.
+    """Report an invalid pair value. It must be a number, and its initial value must not depend on the agent.
 
-    It may relax only to the initial value, because agents without a slot always have that value."""
+    It may relax only to its initial value, which is always the value about agents without a slot."""
     name, default = attribute.name, attribute.default
     if TypeKind.BAD in (attribute.type.kind, default.type.kind):
         return
@@ -65,8 +66,8 @@ def _is_same(first: Expr, second: Expr) -> bool:
 
 
 def type_set_index(scope: NameScope, node: nodes.IndexAll) -> tuple[AttributeRef, SetExpr, Binding, NameScope] | None:
-    """Return the parts of `likes[n in SET]`: the value, the set, the binding of an element, and the scope of the element. None
-    after an error."""
+    """Return the parts of `likes[n in SET]`: the value, the set, the binding of an element, and the scope of an element. Return
+    None after an error."""
     over = scope.type_expression(node.over)
     if over.type.kind in (TypeKind.SPECIES, TypeKind.ITEMS):
         over = make_complete_set(over)

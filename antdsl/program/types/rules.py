@@ -1,4 +1,4 @@
-"""The table of typing functions, with one row for each class of node."""
+"""The table of the typing functions, with one row for each class of syntax node."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 """Determines the types of sets and of reductions over them: `neighbours`, `all`, `nearest`, `feelers`, `sum(n in SET: …)` and
-similar."""
+others."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _arrange_arguments(scope: NameScope, node: nodes.Call, name: str, row: Built
 def _type_optional(
     scope: NameScope, function_name: str, arg: ArgumentRow, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
 ) -> Expr | None:
-    """Return the typed value of an argument, or its default; None for an absent optional argument."""
+    """Return the typed value of an argument or its default. Return None for an optional argument that is absent."""
     written = arguments_by_slot.get(arg.name)
     if written is None:
         return parse_default_values(scope, arg.default, node.span)[0] if arg.default else None
@@ -61,7 +61,7 @@ def make_element_binding(type: ValueType, name: str, node: nodes.Expr | nodes.Na
 
 
 def type_neighbours(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
-    """Type `neighbours(radius, fov, of:)`: other agents of the agent's own species, or of the species `of`."""
+    """Type `neighbours(radius, fov, of:)`: other agents of the agent's own species or, with `of`, of another species."""
     arguments_by_slot = _arrange_arguments(scope, node, name, row)
     if arguments_by_slot is None:
         return make_bad_expression(node.span)
@@ -100,7 +100,7 @@ def _check_reach(scope: NameScope, radius: Expr | None, node: nodes.Call) -> Non
 def _type_count_limit(
     scope: NameScope, function_name: str, row: BuiltinRow, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
 ) -> Expr | None:
-    """Return how many of the nearest elements of a set count at most. A known value must be whole and at least 1."""
+    """Return the largest number of nearest elements that a set may have. A constant number must be whole and at least 1."""
     arg = next((arg for arg in row.args if arg.name == "most"), None)
     most = _type_optional(scope, function_name, arg, arguments_by_slot, node) if arg is not None else None
     known = find_constant(most) if most is not None else None
@@ -168,7 +168,8 @@ def _make_nearest(elements: SetExpr, node: nodes.Call) -> ReduceExpr:
 
 
 def type_feelers(scope: NameScope, node: nodes.Call, name: str, row: BuiltinRow) -> Expr:
-    """Type `feelers(X, count, spread, reach)`: rays ahead and to both sides. The elements of the set are their hits."""
+    """Type `feelers(X, count, spread, reach)`, which are rays ahead and to both sides. The elements of the set are the hits of
+    these rays."""
     arguments_by_slot = _arrange_arguments(scope, node, name, row)
     if arguments_by_slot is None:
         return make_bad_expression(node.span)
@@ -238,14 +239,14 @@ def type_reduction(scope: NameScope, node: nodes.Call, reducer: str) -> Expr:
 
 
 def make_element_scope(scope: NameScope, elements: SetExpr, variable: nodes.Name) -> tuple[Binding, NameScope]:
-    """Return the binding of a name to each element of a set, and the scope in which it is visible."""
+    """Return the binding of a name to the elements of a set, and the scope in which this name is visible."""
     element = make_element_binding(elements.element.type, variable.text, variable)
     _check_shadow(scope, variable)
     return element, _make_set_scope(scope, element).with_changes(local_names={**scope.local_names, variable.text: element})
 
 
 def make_complete_set(things: Expr) -> SetExpr:
-    """Return the set of all items or agents of a name, such as `food`."""
+    """Return the set of all items or agents that `things` names, such as `food`."""
     element = Binding("it", "element", find_element_type(things.type), ChangeRate.ELEMENT, things.span)
     return SetExpr(
         ValueType(TypeKind.SET, Dimension(), things.type.referent),
@@ -272,7 +273,8 @@ def _check_shadow(scope: NameScope, variable: nodes.Name) -> None:
 
 
 def type_reduction_body(scope: NameScope, reducer: str, node: nodes.Expr) -> Expr:
-    """Return the typed body of a reduction: a bool for `count`, `any` and `every`, else a number. `sum` also allows a vector."""
+    """Return the typed body of a reduction. It must be a bool for `count`, `any` and `every`, a number or vector for `sum`, and
+    a number for the others."""
     if reducer in ("count", "any", "every"):
         return type_condition(scope, node, f"`{reducer}`")
     expr = type_value(scope, node)
@@ -302,7 +304,7 @@ def _find_result_type(reducer: str, body: Expr, element: Binding) -> ValueType:
 
 
 def _check_nesting(scope: NameScope, expr: Expr, node: nodes.Call) -> None:
-    """Report a set inside a set that depends on the outer element. Neighbours of neighbours are not supported."""
+    """Report a set inside a set if the inner set depends on the outer element. Neighbours of neighbours are not supported."""
     if not scope.set_elements:
         return
     used = find_bindings(expr)

@@ -1,7 +1,6 @@
 """Represents conditions as lists of cases, to decide whether a condition can hold and whether it implies another one.
 
-The analysis understands comparisons with constants, and tests with equal text. It assumes that any other test may be true or
-false."""
+The analysis understands comparisons with constants, and recognises tests with equal text. Any other test may be true or false."""
 
 from __future__ import annotations
 
@@ -20,16 +19,16 @@ _NEGATED_COMPARISONS = {"lt": "ge", "le": "gt", "gt": "le", "ge": "lt", "eq": "n
 
 @dataclass(slots=True)
 class ConditionCase:
-    """One of the cases in which a condition holds. The case applies if all of its entries hold.
+    """One case in which a condition holds. The case applies if all of its entries are true.
 
-    - `intervals`: by the key of a number's expression, the interval that contains the number.
-    - `truth_by_test`: by the key of a test that is not a comparison with a constant, whether the test is true."""
+    - `intervals`: the interval that contains a number, by the key of the number's expression.
+    - `truth_by_test`: whether a test is true, by the key of the test. It contains all tests except comparisons with constants."""
 
     intervals: dict[str, Interval] = field(default_factory=dict)
     truth_by_test: dict[str, bool] = field(default_factory=dict)
 
     def intersect(self, other: ConditionCase) -> ConditionCase | None:
-        """Return the case in which both cases hold, or None if they exclude each other."""
+        """Return the case in which both cases apply, or None if they exclude each other."""
         numbers, tests = dict(self.intervals), dict(self.truth_by_test)
         for key, interval in other.intervals.items():
             numbers[key] = numbers[key].intersect(interval) if key in numbers else interval
@@ -54,11 +53,11 @@ UNREADABLE_CONDITION_ERRORS = (TooManyCasesError, RecursionError)
 
 @dataclass(slots=True)
 class ConditionReader:
-    """Converts the conditions of one species to lists of cases, and caches the results.
+    """Converter of the conditions of one species to lists of cases. It caches the results.
 
-    - `range_by_key`: by the key of an expression, a range that always contains its number.
+    - `range_by_key`: by the key of an expression, a range that contains all of its values.
     - `key_by_id`, `range_by_expr_id`, `cached_cases`: caches by the `id()` of an expression or binding.
-    - `retained_parts`: the objects with these ids. They are stored here, because a new object could get the id of a freed one.
+    - `retained_parts`: the objects with these ids. They are retained, because a new object could get the id of a freed one.
     """
 
     params: Mapping[str, Param]
@@ -70,7 +69,7 @@ class ConditionReader:
     cached_cases: dict[tuple[int, bool], ConditionCases] = field(default_factory=dict)
 
     def read_cases(self, test: Expr | None, is_true: bool = True) -> ConditionCases:
-        """Return the cases in which a condition is true, or the cases in which it is false if `is_true` is False.
+        """Return the cases in which a condition is true or, if `is_true` is False, the cases in which it is false.
 
         Raises TooManyCasesError."""
         if test is None:
@@ -132,9 +131,10 @@ class ConditionReader:
         return [ConditionCase(intervals={key: interval}) for interval in intervals if not interval.is_empty]
 
     def make_key(self, part: object) -> str:
-        """Return a key that is equal for expressions of equal meaning. Two random draws, or two memories, never have equal keys.
+        """Return a key that is equal for expressions with the same meaning. Two random draws, or two memories, never have equal
+        keys.
 
-        Long keys are hashed: with nested lets, the length of a key could otherwise double at each level."""
+        Long keys are hashed. Without this, each level of nested lets could double the length of a key."""
         if isinstance(part, BindingRef) and part.binding.role in ("let", "argument") and part.binding.value is not None:
             return self.make_key(part.binding.value)
         known = self.key_by_id.get(id(part))
@@ -158,16 +158,17 @@ class ConditionReader:
 
 
 def _find_constant_value(expr: Expr) -> float | None:
-    """Return the value of an expression that is a constant, or a name for a constant; None for any other expression."""
+    """Return the value of a constant or of a name for a constant. Return None for any other expression."""
     while isinstance(expr, BindingRef) and expr.binding.role in ("let", "argument") and expr.binding.value is not None:
         expr = expr.binding.value
     return expr.number if isinstance(expr, Constant) and not (expr.unit_power or expr.step) else None
 
 
 def _isolate_variable(subject: Expr, limit: float, name: str) -> tuple[Expr, float, str]:
-    """Solve the comparison of `subject` with a constant for its variable, as `2 * x + 1 > 5` becomes `x > 2`.
+    """Solve the comparison of `subject` with a constant for its variable: `2 * x + 1 > 5` becomes `x > 2`.
 
-    Returns the variable, the new constant, and the name of the comparison (such as `gt`), which a negative factor swaps."""
+    Returns the variable, the new constant, and the name of the comparison (such as `gt`). A negative factor reverses the
+    comparison."""
     while isinstance(subject, OperationExpr) and subject.name in ("neg", "add", "sub", "mul", "div"):
         if subject.name == "neg":
             assert subject.args[0] is not None
@@ -201,7 +202,7 @@ def _intersect_cases(left: ConditionCases, right: ConditionCases) -> ConditionCa
 
 
 def _check_case_count(cases: ConditionCases) -> ConditionCases:
-    """Return the cases unchanged. Raises TooManyCasesError if there are more than the analysis allows."""
+    """Return the cases unchanged. Raises TooManyCasesError if there are too many for the analysis."""
     if len(cases) > _MAX_CASES:
         raise TooManyCasesError
     return cases

@@ -22,7 +22,7 @@ from antdsl.program.tables.vocabulary import INTERVAL_BY_OPERATION
 
 
 class Interval(NamedTuple):
-    """Numbers from `low` to `high`; an open end is not included."""
+    """The numbers from `low` to `high`. An open end is not included."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -50,10 +50,10 @@ _OPERATION_INTERVALS: dict[str, Interval] = {op: Interval(*ends) for op, ends in
 
 
 def compute_range(expr: Expr | None, params: Mapping[str, Param], known_ranges: dict[int, Interval]) -> Interval:
-    """Return the range that contains all values of a numeric expression, in base units.
+    """Return a range, in base units, that contains all values of a numeric expression.
 
-    A param has its declared range, because a scene may set any value within it. `known_ranges`: a cache of the ranges of bindings
-    by `id()`, because one let may be used in many places."""
+    The range of a param is its declared range, because a scene may set any value within it. `known_ranges`: a cache of the
+    ranges of bindings by `id()`, because a `let` may be used in many expressions."""
     if expr is None or expr.type.kind is not TypeKind.NUMBER:
         return ANY_NUMBER
     if isinstance(expr, Constant):
@@ -78,7 +78,7 @@ def compute_range(expr: Expr | None, params: Mapping[str, Param], known_ranges: 
 
 
 def _compute_sign_range(number: float) -> Interval:
-    """Return the range of a constant that depends on the scene. Only the sign of such a constant is known."""
+    """Return the range of a constant that depends on the scene. Only its sign is known."""
     return Interval(0, 0) if number == 0 else POSITIVE_NUMBERS if number > 0 else Interval(-math.inf, 0)
 
 
@@ -102,7 +102,7 @@ def _compute_operation_range(op: OperationExpr, params: Mapping[str, Param], kno
 
 
 def _multiply_ends(a: Interval, b: Interval) -> Interval:
-    """Return the product of two interval ends. The product of infinity and 0 is 0, because actual values are finite."""
+    """Return the product of two ends of intervals. The product of infinity and 0 is 0, because actual values are finite."""
     ends = [0.0 if 0 in (x, y) else x * y for x in (a.low, a.high) for y in (b.low, b.high)]
     return Interval(min(ends), max(ends))
 

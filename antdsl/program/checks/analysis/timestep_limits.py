@@ -1,8 +1,8 @@
 """Computes the limit of an updated value as the step length `dt` goes to 0, to find updates that depend on the frame rate.
 
 An update is independent of the frame rate under two conditions. In a step of length 0 the value does not change, and in a short
-step the change is proportional to `dt`. Then two steps of half the length change the value as much as one step. The analysis
-therefore examines each part of an expression for small `dt`: how fast it vanishes, its limit and if it has the previous value."""
+step the change is proportional to `dt`. Then two half steps change the value as much as one full step. The analysis therefore
+finds, for each part of an expression, how fast it vanishes, its limit, and whether it contains the previous value."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ UpdateTarget = str | Binding  # the attribute that an update sets, or the memory
 
 
 class StepInfluence(IntEnum):
-    """How the value before an update influences the value after it, for a short step. NONE: not at all. VANISHING: less as the
-    step gets shorter. SAME: the value stays the same, so the number of updates does not matter. UNSURE: unknown. CHANGED:
-    even a very short step changes the value."""
+    """How the value before an update influences the value after it, in a short step. NONE: not at all. VANISHING: less and less
+    as the step gets shorter. SAME: the value remains the same, so the number of updates does not matter. UNSURE: unknown.
+    CHANGED: even a very short step changes the value."""
 
     NONE = 0
     VANISHING = 1
@@ -63,10 +63,10 @@ _RATE_FREE_OPERATIONS = frozenset(("chance", "event"))  # equally frequent at an
 
 
 def find_rate_dependent_operations(value: Expr, target: UpdateTarget, has_other_change: bool = False) -> tuple[Expr, ...]:
-    """Return at most two operations of an update that make its effect depend on the frame rate.
+    """Return at most two operations that make the effect of an update depend on the frame rate.
 
-    They change the attribute or memory `target` even for `dt` near 0, or not in proportion to `dt`. `check --strict` reports the
-    unit `step` instead. `value`: the new value. `has_other_change`: another line also changes the attribute."""
+    They change the attribute or memory `target` even if `dt` is near 0, or not in proportion to `dt`. Uses of the unit `step`
+    are left to `check --strict`. `value`: the new value. `has_other_change`: whether another line also changes the attribute."""
     short = _analyse_value(value, target, has_other_change)
     if short.influence is StepInfluence.CHANGED:
         makers = short.changing_parts
@@ -78,7 +78,7 @@ def find_rate_dependent_operations(value: Expr, target: UpdateTarget, has_other_
 
 
 def is_rate(value: Expr, target: UpdateTarget) -> bool:
-    """Return whether `value`, which an update multiplies by `dt` and adds, is an amount per second."""
+    """Return whether `value` is an amount per second: the update multiplies it by `dt` and adds the product."""
     short = _analyse_value(value, target, False)
     return short.influence is StepInfluence.UNSURE or _has_growing_power(short.power + 1, value) or _uses_step_unit(value)
 
@@ -89,7 +89,7 @@ def depends_on_step(value: Expr) -> bool:
 
 
 def is_update_target(part: Expr, target: UpdateTarget) -> bool:
-    """Return whether an expression reads the attribute or memory that an update sets."""
+    """Return whether an expression is the attribute or memory that the update sets."""
     if isinstance(target, str):
         return isinstance(part, AttributeRef) and part.owner is None and part.name == target
     return isinstance(part, BindingRef) and part.binding is target
@@ -101,8 +101,8 @@ def reads_update_target(expr: Expr, target: UpdateTarget) -> bool:
 
 
 def _has_growing_power(power: float, value: Expr) -> bool:
-    """Return whether the sum of values proportional to `dt ** power`, added once per step, does not depend on the step length.
-    With random draws, this also holds for the power 0.5, because such a sum grows with the root of the time."""
+    """Return whether the sum of values proportional to `dt ** power`, one per step, is independent of the step length. For
+    random draws, this is also true of the power 0.5, because their sum grows with the root of the time."""
     has_draw = any(isinstance(part, OperationExpr) and part.name in DRAWING_OPERATIONS for part in iterate_parts(value))
     return power == math.inf or math.isclose(power, 1) or (has_draw and math.isclose(power, 0.5))
 
@@ -185,7 +185,7 @@ def _make_changed_value(op: Expr, operands: OperandValues) -> ShortStepValue:
 
 
 def _make_offset_value(previous_value: ShortStepValue, deviation_power: float, cause: Expr | None) -> ShortStepValue:
-    """Return the previous value with an added deviation that is proportional to `dt ** deviation_power`."""
+    """Return the previous value plus a deviation that is proportional to `dt ** deviation_power`."""
     is_greater = previous_value.influence is StepInfluence.SAME and deviation_power < previous_value.deviation_exponent
     return replace(previous_value, deviation_exponent=deviation_power, cause=cause) if is_greater else previous_value
 
@@ -316,7 +316,7 @@ def _analyse_rotation(op: OperationExpr, operands: OperandValues) -> ShortStepVa
 
 
 def _analyse_combination(op: Expr, operands: OperandValues) -> ShortStepValue:
-    """Analyse an operation such as a vector of numbers or a draw between two ends. The result vanishes if all operands vanish."""
+    """Analyse an operation such as a vector of numbers or a draw between two ends. The result vanishes if all operands do."""
     influence = _find_strongest_influence(operands)
     if influence >= StepInfluence.SAME:
         return _UNSURE_VALUE if influence is StepInfluence.UNSURE else _make_changed_value(op, operands)
@@ -345,7 +345,7 @@ def _analyse_pass_through(op: OperationExpr, operands: OperandValues) -> ShortSt
 
 
 def _analyse_clamp(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
-    """Analyse `min`, `max` and `clamp`. If all operands are known numbers, the result is known."""
+    """Analyse `min`, `max` and `clamp`. The result is a known number if all operands are."""
     tos = [each.limit for each in operands if each.limit is not None]
     if _find_strongest_influence(operands) > StepInfluence.VANISHING or len(tos) < len(operands):
         return _analyse_pass_through(op, operands)
@@ -357,8 +357,8 @@ def _analyse_clamp(op: OperationExpr, operands: OperandValues) -> ShortStepValue
 
 
 def _analyse_if(op: OperationExpr, operands: OperandValues, target: UpdateTarget, has_other_change: bool) -> ShortStepValue:
-    """Analyse `if`. Changes by chance or by an event happen equally often at any rate. `has_other_change`: another line changes
-    the value; a branch may then move it back into its range (`if turn > 1 then turn - 1 else turn`)."""
+    """Analyse `if`. A change by chance or by an event happens equally often at any frame rate. `has_other_change`: another line
+    changes the value, so a branch may move it back into its range (`if turn > 1 then turn - 1 else turn`)."""
     (test, *ends), branches = op.args, operands[1:]
     assert test is not None
     if (influence := _find_strongest_influence(branches)) < StepInfluence.SAME:
