@@ -1,10 +1,10 @@
 """Reads and formats program text. `read_program_file` opens a file safely, and `parse` makes a `File` of its text. `format`
-writes a text in the standard layout, and `write_program_file` replaces a file.
+returns a text in the standard layout, and `write_program_file` replaces a file.
 
-`scan_tokens` makes tokens, `brackets` pairs them, `blocks` divides the text into lines and blocks. Then each line is parsed
-separately with lark's tables, so that an error affects only its line. `grammar` makes these tables, and `parse_tables` loads
-them. `builder` makes the `nodes`. Messages about mistakes are in `mistakes`; the layout is in `formatting`. For an editor,
-`incremental_parser` parses only what changed."""
+Parsing has these steps. `scan_tokens` makes tokens, `brackets` pairs brackets, and `blocks` divides the text into lines and
+blocks. Each line is then parsed separately with lark's tables, so that an error affects only its line. `grammar` makes these
+tables, and `parse_tables` loads them. `builder` makes the `nodes`. The other parts are `mistakes`, which explains errors,
+`formatting`, and `incremental_parser`, which parses only what changed, for an editor."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def format(source: Source) -> tuple[str | None, Report]:
 
 
 def write(path: Path, text: str) -> None:
-    """Replace the file `path` with a text by an atomic write; see `text_files.write`."""
+    """Replace the content of the file `path` by a text, with an atomic write; see `text_files.write`."""
     from antdsl.syntax import text_files
 
     text_files.write_program_file(path, text)

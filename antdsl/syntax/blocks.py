@@ -1,5 +1,5 @@
-"""Divides tokens with paired brackets into lines, and recursively the content of braces. A line has its parts and its text for
-the parser."""
+"""Divides tokens with paired brackets into lines and, recursively, the content of braces into lines. Also makes the text of a
+line for the parser."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class BraceGroup:
 
 @dataclass(slots=True)
 class SourceLine:
-    """One statement: its own tokens, and its groups in text order. The tokens include braces, but not their content."""
+    """One statement: its tokens, which include braces but not the content of braces, and its brace groups in text order."""
 
     tokens: list[ScannedToken] = field(default_factory=list)
     groups: list[BraceGroup] = field(default_factory=list)
@@ -67,7 +67,7 @@ class MappedText:
         return Span(self.source, first, max(first, offset + min(end - self.part_starts[part], length)))
 
     def find_position(self, offset: int) -> int:
-        """Return the first position in the text that maps to this source offset or a later one."""
+        """Return the first position in the text that maps to the source offset `offset` or a later one."""
         for (text, start, length), begin in zip(self.parts, self.part_starts, strict=True):
             if offset < start:
                 return begin
@@ -82,7 +82,7 @@ class MappedText:
         return MappedText(self.source, [*previous_parts, (text, span.start, span.end - span.start), *next_parts])
 
     def _cut_pieces(self, start: int, end: int) -> list[tuple[str, int, int]]:
-        """Return the parts between two positions, each as its text, its source offset and its length in the source."""
+        """Return the parts between two positions. Each part is its text, its source offset and its length in the source."""
         cut = []
         for (text, offset, length), begin in zip(self.parts, self.part_starts, strict=True):
             low, high = max(start, begin) - begin, min(end, begin + len(text)) - begin
@@ -92,7 +92,7 @@ class MappedText:
 
 
 def map_text(scan: TokenScan, line: SourceLine) -> MappedText:
-    """Return the text of a line without the content of its braces."""
+    """Return the text of a line without the content of its braces, as the parser reads it."""
     opens = {group.opening.start for group in line.groups}
     parts: list[tuple[str, int, int]] = []
     begin: int | None = None
@@ -122,7 +122,7 @@ def _make_brace_fix(scan: TokenScan, line_end: int, brace: ScannedToken) -> Fix 
 
 
 def cut_lines(scan: TokenScan, tokens: list[ScannedToken]) -> list[SourceLine]:
-    """Return the lines of a complete text. Its braces must be paired."""
+    """Return the lines of a complete text. All braces must already be paired."""
     top: list[SourceLine] = [SourceLine()]
     stack: list[
         tuple[list[SourceLine], ScannedToken, bool]

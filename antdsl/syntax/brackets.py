@@ -1,5 +1,5 @@
 """Pairs the brackets of tokens. A missing closing bracket is inserted, and reported at its opening bracket. A surplus bracket is
-left out. Line ends inside parentheses are removed."""
+omitted. Line ends inside parentheses are removed."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def pair_brackets(scan: TokenScan) -> list[ScannedToken] | None:
 
 
 def get_token_text(scan: TokenScan, token: ScannedToken) -> str:
-    """Return the text of a token. For an inserted bracket, this is the bracket."""
+    """Return the text of a token. For an inserted bracket, which is not in the source, this is the bracket sign."""
     return token.inserted_text or "".join(scan.clean_characters[token.start : token.end])
 
 
 class _ParenthesisPairer:
-    """Pairs `( )` and `[ ]`. A brace or a `;` closes all open parentheses, because neither is allowed inside them."""
+    """Pairs `( )` and `[ ]`. Braces and `;` are not allowed inside them, so each of these closes all open parentheses."""
 
     def __init__(self, scan: TokenScan) -> None:
         self.scan = scan
@@ -64,14 +64,14 @@ class _ParenthesisPairer:
         return [token for token in self.out if token.kind != "soft"]
 
     def is_line_start(self, index: int, text: str) -> bool:
-        """Return whether a line starts here that cannot be part of a value, such as `let x`, `when x` or `state x`."""
+        """Return whether the token begins a line that cannot be part of a value, such as `let x`, `when x` or `state x`."""
         tokens = self.scan.tokens
         if tokens[index].indent < 0 or text not in _LINE_WORDS or index + 1 == len(tokens):
             return False
         return tokens[index + 1].kind == "word" and get_token_text(self.scan, tokens[index + 1]) not in _JOINING_WORDS
 
     def pair_token(self, index: int, token: ScannedToken, text: str) -> None:
-        """Add the next token to the output, with the brackets that it closes or that are missing before it."""
+        """Add the next token to the output. Missing closing brackets are inserted before it, and a closing bracket is paired."""
         tokens = self.scan.tokens
         if text in ("(", "[") and not self.open and self.is_block_opening(index):
             first = get_token_text(self.scan, tokens[self.find_line_start(index)])
@@ -101,13 +101,14 @@ class _ParenthesisPairer:
         self.origin.append(index)
 
     def find_line_start(self, index: int) -> int:
-        """Return the index of the first token of a token's line."""
+        """Return the index of the first token on the line of a token."""
         while index and self.scan.tokens[index].indent < 0:
             index -= 1
         return index
 
     def is_block_opening(self, index: int) -> bool:
-        """Return whether a parenthesis ends the first line of a block without a brace. The next line is then indented more."""
+        """Return whether a parenthesis ends the first line of a block in place of a brace. The next line is then indented
+        more."""
         tokens = self.scan.tokens
         if index + 2 >= len(tokens) or tokens[index + 1].kind != "end":
             return False
@@ -124,7 +125,8 @@ class _ParenthesisPairer:
         return get_token_text(self.scan, next_line) in _LINE_WORDS
 
     def close_bracket(self, index: int, token: ScannedToken, text: str) -> bool:
-        """Pair a closing bracket with an open bracket of its kind. Brackets opened between them stay unclosed."""
+        """Pair a closing bracket with an open bracket. Brackets opened between them are reported as unclosed. Return False if
+        the closing bracket is surplus and must be omitted."""
         expected_signs = [_CLOSING_BY_OPENING[get_token_text(self.scan, self.out[place])] for place in self.open]
         if text not in expected_signs:
             if self.is_closed_later(index, expected_signs[-1]):
@@ -155,7 +157,7 @@ class _ParenthesisPairer:
         return True
 
     def is_closed_later(self, index: int, expected_sign: str) -> bool:
-        """Return whether the bracket that closes the open one follows on the same line."""
+        """Return whether the bracket that closes the innermost open bracket follows on the same line."""
         depth = 0
         for token in self.scan.tokens[index + 1 : index + 1 + _MAX_LOOK_AHEAD_TOKENS]:
             text = get_token_text(self.scan, token) if token.kind in ("open", "close") else ""
@@ -167,7 +169,7 @@ class _ParenthesisPairer:
         return False
 
     def close_unclosed(self, index: int) -> int:
-        """Report and close a bracket that is still open at the end of its line, or of the following lines that are indented more.
+        """Report and close a bracket that is still open at the end of its line and of the following lines with a larger indent.
 
         Returns the index of the token at which pairing continues."""
         first, last = self.open[0], self.out[self.open[-1]]
@@ -205,7 +207,7 @@ class _OpenBrace:
     """An open brace.
 
     `indent`: the indent of the line with the brace. `line`: the number of this line. `inner_indent`: the indent of the lines
-    inside."""
+    inside the braces."""
 
     token: ScannedToken
     indent: int
@@ -214,7 +216,7 @@ class _OpenBrace:
 
 
 class _BracePairer:
-    """Pairs `{ }`. If their numbers differ, the indents of the lines decide which one is missing."""
+    """Pairs `{ }`. If there are more braces of one kind, the indents of the lines decide where a brace is missing."""
 
     def __init__(self, scan: TokenScan, tokens: list[ScannedToken]) -> None:
         self.scan = scan
@@ -247,7 +249,7 @@ class _BracePairer:
         return self.out
 
     def pair_token(self, token: ScannedToken, indent: int) -> None:
-        """Add the next token to the output, preceded by any missing braces. `indent`: the indent of its line."""
+        """Add the next token to the output, after any missing braces. `indent`: the indent of the token's line."""
         sign = get_token_text(self.scan, token) if token.kind in ("open", "close") else ""
         self.line += token.kind == "end" and self.scan.source.text[token.start] == "\n"
         if token.kind != "end" and sign != "}":
@@ -261,7 +263,7 @@ class _BracePairer:
         self.out.append(token)
 
     def close_dedented_blocks(self, token: ScannedToken) -> None:
-        """End the block at a line that is not indented more than the line with the opening brace, if the block was indented."""
+        """Close an indented block at the first line that is not indented more than the line with the opening brace."""
         while self.open_braces and token.indent >= 0:
             top = self.open_braces[-1]
             own_line = self.uses_indents if top.inner_indent is None else top.inner_indent == -1 or top.inner_indent > top.indent
@@ -270,7 +272,7 @@ class _BracePairer:
             self.close_before_line()
 
     def close_brace(self, token: ScannedToken, indent: int) -> bool:
-        """Return whether a `}` pairs with an open brace. If not, report it and leave it out."""
+        """Return whether a `}` pairs with an open brace. If not, report it and omit it."""
         if token.indent >= 0:
             if any(entry.indent == token.indent for entry in self.open_braces) and not (
                 self.open_braces[-1].indent < token.indent
@@ -293,7 +295,7 @@ class _BracePairer:
         return True
 
     def drop_brace(self, token: ScannedToken) -> bool:
-        """Report a `}` without a `{`. Return False, because the caller must leave this token out."""
+        """Report a `}` without a `{`. Return False, because the caller must omit this token."""
         self.scan.report_error(
             "unopened-brace", "`}` without a `{`", token.start, token.end, "delete it, or write the `{` that it closes", ""
         )
@@ -301,8 +303,8 @@ class _BracePairer:
         return False
 
     def repair_opening(self, token: ScannedToken) -> bool:
-        """Insert a missing `{` at the end of the line that begins a block with the same indent as the `}`. Return whether there
-        is such a line."""
+        """Insert a missing `{` at the end of the line that begins a block and has the same indent as the `}`. Return whether
+        there is such a line."""
         nothing_left = -1 if len(self.scan.report.diagnostics) < _MAX_BRACE_REPAIRS else len(self.out)
         for place in range(len(self.out) - 1, nothing_left, -1):
             candidate = self.out[place]
@@ -322,7 +324,7 @@ class _BracePairer:
         return self.drop_brace(token)
 
     def close_before_line(self) -> None:
-        """Report the innermost open brace, and insert its `}` at the end of the last line read."""
+        """Report the innermost open brace as unclosed, and insert its `}` at the end of the last line read."""
         entry = self.open_braces.pop()
         place = len(self.out)
         while place and self.out[place - 1].kind == "end":
@@ -333,7 +335,7 @@ class _BracePairer:
 
 
 def _report_unclosed(scan: TokenScan, token: ScannedToken, sign: str, end: int) -> None:
-    """Report an open bracket that is never closed. Its end is assumed to be at `end`."""
+    """Report an open bracket that is never closed. `end`: the offset at which its end is assumed."""
     code, closing = ("unclosed-brace" if sign == "{" else "unclosed-bracket"), _CLOSING_BY_OPENING[sign]
     fix = closing if sign != "{" else f" {closing}"
     scan.report_error(code, f"`{sign}` is never closed", token.start, token.end, f"write the missing `{closing}`", fix, end)

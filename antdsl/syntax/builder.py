@@ -1,6 +1,5 @@
-"""Builds the tree: one method for each rule of the grammar, called by the parser from the leaves up.
-
-The parser sees a line with empty braces. Their content has been parsed before and is looked up by the brace's offset."""
+"""Builds the tree. There is one method for each rule of the grammar; the parser calls these methods from the leaves up. The
+parser sees a line with empty braces. Their content has already been parsed, and is found by the opening brace's offset."""
 
 from __future__ import annotations
 
@@ -60,7 +59,8 @@ class ActionBlock:
 
 
 class Builder:
-    """Stores the location of the parsed line (`span_maker`) and the bodies inside it (`body_by_offset`, by the offset of `{`)."""
+    """Builder of a line's nodes. `span_maker`: the line's location. `body_by_offset`: the bodies in the line, by the offset of
+    `{`."""
 
     def __init__(self) -> None:
         self.span_maker: SpanMaker
@@ -69,12 +69,12 @@ class Builder:
     # --- places and leaves ---
 
     def get_span(self, part: Any) -> Span:
-        """Return the span of a token, or of a node that is already built."""
+        """Return the span of a token or of a node."""
         span: Span = self.span_maker.make_source_span(part.start_pos, part.end_pos) if hasattr(part, "start_pos") else part.span
         return span
 
     def join_spans(self, parts: Sequence[Any]) -> Span:
-        """Return the span from the first to the last part that exists."""
+        """Return the span from the first to the last part that is not None."""
         present_parts = [part for part in parts if part is not None]
         return self.get_span(present_parts[0]).to(self.get_span(present_parts[-1]))
 
@@ -396,5 +396,5 @@ class Builder:
 
 
 def _drop_absent(parts: Sequence[Any]) -> tuple[Any, ...]:
-    """Return the parts that are not None. An empty pair of parentheses has none."""
+    """Return the nodes among the parts, without None and tokens."""
     return tuple(part for part in parts if part is not None and not hasattr(part, "start_pos"))

@@ -1,4 +1,4 @@
-"""Editions of the language. The first line of a file names its edition, which sets its defaults."""
+"""Editions of the language. The first line of a file names the file's edition, which determines the defaults."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Counts the elements of a file before it is parsed and checked. Also measures the depth of a tree without recursion, so that
-later code can safely walk the tree recursively."""
+"""Limits on the size of a file. Counts the elements of a file before it is parsed and checked. Also measures the depth of a tree
+without recursion, so that later code can walk the tree recursively."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def is_within_limits(sizes: FileElementCounts) -> bool:
 
 
 def report_too_many(scan: TokenScan, lines: list[SourceLine]) -> bool:
-    """Return whether a text has more words, statements or species than allowed; report an error if so.
+    """Return whether a text has more words, statements or species than allowed. If so, report an error.
 
-    Call this before parsing and checking, which cost more."""
+    Call this before parsing and checking, because they take longer."""
     species = _find_species_words(scan, lines)
     statements = [line.tokens[0] for line in _iterate_lines(lines)]
     counts = ((species, limits.MAX_FILE_SPECIES, "species"), (statements, limits.MAX_FILE_STATEMENTS, "statements"))
@@ -63,7 +63,7 @@ def _iterate_lines(lines: list[SourceLine]) -> Iterator[SourceLine]:
 
 
 def find_too_deep_nodes(node: Any) -> Iterator[Span]:
-    """Yield the spans of the nodes that are deeper than allowed."""
+    """Yield the spans of the nodes that are nested more deeply than allowed."""
     stack: list[tuple[Any, int]] = [(node, 0)]
     while stack:
         part, depth = stack.pop()

@@ -1,5 +1,5 @@
-"""Converts the grammar to parse tables. `python -m antdsl.syntax.grammar` adds the verbs to the grammar and writes the JSON file
-that is distributed. It needs `interegular` to find collisions."""
+"""Converts the grammar to parse tables. `python -m antdsl.syntax.grammar` adds the verbs to the grammar and writes the tables to
+the JSON file that is distributed. It needs the package `interegular` to find collisions of terminals."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _VERB_RULES_PATTERN = re.compile(r"(?<=\n)ask: .*?(?=// --- end of the verbs)", 
 
 
 def make_grammar_text() -> str:
-    """Return the text of the grammar. It has a form and a terminal for each verb in the table of verbs."""
+    """Return the text of the grammar, with a rule and a terminal for each verb in the table of verbs."""
     rows = [row for row in VERB_BY_WORD.values() if row.shape != "own"]
     forms = "\n    | ".join(f"{row.word.upper()} {SHAPE_PATTERNS[row.shape]}".rstrip() for row in rows)
     terminals = "\n".join(f"{row.word.upper()}.1: /{row.word}(?![a-z_0-9])/" for row in rows)
@@ -27,14 +27,15 @@ def make_grammar_text() -> str:
 
 
 def build_parser(starts: tuple[str, ...] = START_RULES, transformer: object | None = None) -> Lark:
-    """Build a parser directly from the grammar. Any conflict is an error. This takes half a second and needs `interegular`."""
+    """Return a parser that is built directly from the grammar. Raises an error if the grammar has a conflict. This takes half a
+    second and needs `interegular`."""
     from lark import Lark
 
     return Lark(make_grammar_text(), parser="lalr", lexer="contextual", strict=True, start=list(starts), transformer=transformer)
 
 
 def make_tables_text() -> str:
-    """Return the tables as JSON text, which is the same for every build."""
+    """Return the tables as JSON text. Every build gives the same text."""
     from lark.grammar import Rule
     from lark.lexer import TerminalDef
 
@@ -47,8 +48,8 @@ def make_tables_text() -> str:
 
 
 def number_tokens(table: dict[str, Any]) -> dict[str, Any]:
-    """Return a parse table with tokens numbered by name, and states by breadth-first order from the start states along token
-    names. Lark's own numbers depend on memory addresses and differ between builds."""
+    """Return a parse table in which tokens are numbered by name. States are numbered in breadth-first order from the start
+    states, along token names. Lark's own numbers depend on memory addresses and differ between builds."""
     names = sorted(table["tokens"].values())
     token = {old: names.index(name) for old, name in table["tokens"].items()}
     states = {

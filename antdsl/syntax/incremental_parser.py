@@ -38,10 +38,10 @@ class TextBlock:
 
 
 def cut_blocks(text: str) -> list[TextBlock] | None:
-    """Return the blocks of a text, in order. None if the text must be parsed as one block, for example because brackets are not
-    paired.
+    """Return the blocks of a text, in order. Return None if the text must be parsed as a whole, for example because brackets are
+    not paired.
 
-    Each item at the top of the file is a block. A species is several blocks: its first line, and its members."""
+    Each item at the top level of the file is a block. A species has several blocks: its first line, and each of its members."""
     tops, members = _find_bounds(text)
     if not tops or not _EDITION_PATTERN.match(text, 0, tops[0]):
         return None
@@ -54,10 +54,10 @@ def cut_blocks(text: str) -> list[TextBlock] | None:
 
 
 def _find_bounds(text: str) -> tuple[list[int] | None, dict[int, tuple[list[int], int]]]:
-    """Return the offsets at which the items at the top of a file begin, and the contents of their braces.
+    """Return the offsets at which the top-level items of a file begin, and the contents of their braces.
 
-    For the offset of each opening brace, the contents give the offsets of its lines and of the closing brace. The first result
-    is None if the brackets are not paired."""
+    The contents are stored by the offset of the opening brace. They are the offsets of the lines inside, and of the closing
+    brace. The first result is None if the brackets are not paired."""
     tops: list[int] = [0] if _find_first_word(text, 0) in _TOP_LEVEL_WORDS else []
     members: dict[int, tuple[list[int], int]] = {}
     stack: list[str] = []
@@ -113,7 +113,7 @@ def _cut_species(text: str, start: int, end: int, members: dict[int, tuple[list[
 
 @dataclass(slots=True)
 class IncrementalParser:
-    """The parsed blocks of one file. They are stored from one version of the file to the next."""
+    """Parser of one file that stores the parsed blocks from one version of the file to the next."""
 
     _cached_blocks: list[tuple[TextBlock, str, ParsedPart]] = field(default_factory=list)
     _parse_count: int = 0
@@ -121,8 +121,8 @@ class IncrementalParser:
     def parse(self, source: Source) -> tuple[n.File, Report]:
         """Return the parsed file and its errors, as `syntax.parse` does.
 
-        The nodes have locations in separately parsed parts of the file, which `File.file_span` converts to locations in the file.
-        Comments after the closing brace of a species are left out."""
+        Nodes have locations in separately parsed parts of the file. `File.file_span` converts them to locations in the file.
+        Comments after the closing brace of a species are omitted."""
         cut_list = cut_blocks(source.text)
         if cut_list is None or len(cut_list) < 3:
             return parse(source)
@@ -151,9 +151,9 @@ class IncrementalParser:
         return _join_parts(source, parts)
 
     def _count_unchanged(self, blocks: list[TextBlock], texts: list[str]) -> tuple[int, int]:
-        """Return how many blocks are unchanged at the beginning of the file, and how many at its end.
+        """Return how many blocks at the beginning of the file, and how many at its end, are unchanged.
 
-        Blocks with equal texts differ in their locations, so blocks are matched by their order."""
+        Blocks are matched by their order, because blocks with equal texts differ in their locations."""
         cached_blocks, limit = self._cached_blocks, min(len(self._cached_blocks), len(blocks))
         head_count = tail_count = 0
         while head_count < limit and self._is_unchanged(cached_blocks[head_count], blocks[head_count], texts[head_count]):
@@ -198,7 +198,7 @@ def _join_parts(source: Source, parts: list[tuple[TextBlock, ParsedPart]]) -> tu
 
 
 def move_diagnostic(diagnostic: Diagnostic, to_file_span: Callable[[Span], Span]) -> Diagnostic:
-    """Return a diagnostic with all its spans converted by `to_file_span`, from a part of a file to the complete file."""
+    """Return a diagnostic with all its spans converted by `to_file_span` from a part of a file to the complete file."""
     labels = tuple(Label(to_file_span(label.span), label.text) for label in diagnostic.labels)
     fix = Fix(to_file_span(diagnostic.fix.span), diagnostic.fix.text) if diagnostic.fix is not None else None
     return replace(

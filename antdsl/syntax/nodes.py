@@ -1,4 +1,4 @@
-"""The classes of the tree of a `.ant` file. It matches the source: names are not resolved and units are not interpreted.
+"""The classes of the syntax tree of a `.ant` file. It matches the source: names are not resolved and units are not interpreted.
 
 Every node has a `span`. A name is a `Name(text, span)`, never a bare string. Nodes are immutable and compare by identity."""
 
@@ -37,7 +37,7 @@ class Text:
 
 @make_node_class
 class Comment:
-    """A comment from `#` to the end of its line, with the `#`."""
+    """A comment from `#` to the end of its line. Its text includes the `#`."""
 
     text: str
     span: Span
@@ -54,8 +54,8 @@ class Number:
 
 @make_node_class
 class Quantity:
-    """A number with a unit. For example, `30 mm/s` has the value 30 and the unit `mm/s`. `unit_span`: the location of the unit
-    alone."""
+    """A number with a unit. For example, `30 mm/s` has the value 30 and the unit `mm/s`. `unit_span`: the location of only the
+    unit."""
 
     value: float
     unit: str
@@ -73,7 +73,7 @@ class NameRef:
 
 @make_node_class
 class Member:
-    """A name after a dot, such as `food.load` or `mine.wander`."""
+    """A name after a dot, such as `load` in `food.load` or `wander` in `mine.wander`."""
 
     owner: Expr
     name: Name
@@ -91,7 +91,8 @@ class Index:
 
 @make_node_class
 class IndexAll:
-    """`likes[n in SET]`: the values about all members of the set `over`, on the left of an assignment."""
+    """All values of a pair value about the members of the set `over`, as in `likes[n in SET]`. Only allowed on the left of an
+    assignment."""
 
     owner: Expr
     variable: Name
@@ -101,7 +102,7 @@ class IndexAll:
 
 @make_node_class
 class Argument:
-    """One argument of a call. `name`: the name, if it has the form `reach: 3`. The value may be a `RangeExpr`."""
+    """One argument of a call. `name`: the name, if the argument has the form `reach: 3`. The value may be a `RangeExpr`."""
 
     name: Name | None
     value: Expr
@@ -110,7 +111,7 @@ class Argument:
 
 @make_node_class
 class Comprehension:
-    """`n in SET: EXPR`, only as the single argument of a call such as `sum(…)`. `over`: the set. `body`: the expression."""
+    """The single argument of a call such as `sum(n in SET: EXPR)`. `over`: the set. `body`: the expression."""
 
     variable: Name
     over: Expr
@@ -120,7 +121,7 @@ class Comprehension:
 
 @make_node_class
 class Call:
-    """`function(arguments)`; `function` is a NameRef or a Member."""
+    """A call, as in `function(arguments)`. `function`: a NameRef or a Member."""
 
     function: Expr
     arguments: tuple[Argument | Comprehension, ...]
@@ -129,7 +130,7 @@ class Call:
 
 @make_node_class
 class Unary:
-    """An operation on one operand: `-x`, `not x`, `no x` (x is none, or a set is empty) or `chance x`. `op`: the word or sign."""
+    """An operation on one operand: `-x`, `not x`, `no x` (x is none, or an empty set) or `chance x`. `op`: the word or sign."""
 
     op: str
     operand: Expr
@@ -139,7 +140,7 @@ class Unary:
 
 @make_node_class
 class Binary:
-    """An operation on two operands: `+ - * / ^ < <= > >= == != and or`. `op`: the word or sign."""
+    """An operation on two operands. `op`: one of `+ - * / ^ < <= > >= == != and or`."""
 
     op: str
     left: Expr
@@ -159,7 +160,7 @@ class IsNone:
 
 @make_node_class
 class ClipTest:
-    """A test of the clip of the agent's state: `clip done` (`name` is `done`), or `clip at MARK` with `at` true."""
+    """A test of the clip that the agent's state plays: `clip done` (`name` is `done`), or `clip at MARK` with `at` true."""
 
     name: Name
     at: bool
@@ -231,7 +232,7 @@ Expr = (
 
 @make_node_class
 class TypeName:
-    """`length`, `push`, `item of food` (`of`); `field to …` is reserved."""
+    """The name of a type, such as `length`, `push`, or `item of food` (with `of`). `field to …` is reserved."""
 
     name: Name
     of: Name | None
@@ -267,9 +268,10 @@ class Assign:
 
 @make_node_class
 class VerbLine:
-    """A line that begins with a verb of `antdsl.syntax.verbs`: `die`, `spawn worker`, `carve hill(radius: 2 mm)` (`arguments`).
-    Others are `deposit trail 2 /s` and `channel jaw = load` (`amount`), `emit hit to other` (`to`), `wear load when load > 0`
-    (`when`)."""
+    """A line that begins with a verb of `antdsl.syntax.verbs`.
+    - `arguments`: as in `spawn worker` or `carve hill(radius: 2 mm)`. `die` has none.
+    - `amount`: as in `deposit trail 2 /s` or `channel jaw = load`.
+    - `to`: as in `emit hit to other`. `when`: as in `wear load when load > 0`."""
 
     verb: str
     name: Name | None
@@ -295,7 +297,7 @@ Action = Assign | VerbLine | Give
 
 @make_node_class
 class Take:
-    """A line that takes from an item or a field. `amount`: None means all. If there is no `attribute`, the item is removed."""
+    """A line that takes from an item or a field. `amount`: None means all. Without an `attribute`, the item is removed."""
 
     amount: Expr | None
     attribute: Name | None
@@ -314,7 +316,7 @@ class Weight:
 
 @make_node_class
 class Target:
-    """The state that a transition leads to: a named state, `previous`, or one of the `choices` of `choose { … }`."""
+    """The target of a transition: a named state, `previous`, or one of the `choices` of `choose { … }`."""
 
     name: Name | None
     is_previous: bool
@@ -324,11 +326,11 @@ class Target:
 
 @make_node_class
 class Change:
-    """A transition.
+    """A transition from one state to another.
 
     - `interrupt`: whether the line begins with `interrupt`.
     - `delay`: the time of `when after 0.5 s`, which has no `condition`.
-    - `held`: the time for which the condition must have held.
+    - `held`: how long the condition must have held.
     - `over`: the time in which the previous clip fades out.
     - `any_except`: the states a, b of `from any except a, b when …`; None for a transition inside a state."""
 
@@ -359,7 +361,7 @@ class Measure(Let):
 
 @make_node_class
 class State:
-    """`state NAME "label" colour { … }`. `at_least`: the shortest time for which an agent stays in the state."""
+    """A state, as in `state NAME "label" colour { … }`. `at_least`: the shortest time that an agent stays in the state."""
 
     name: Name
     label: Text | None
@@ -376,7 +378,7 @@ class State:
 
 @make_node_class
 class Relax:
-    """`relax to V over T`, in the declaration of an attribute."""
+    """The clause `relax to V over T` in the declaration of an attribute."""
 
     to: Expr
     over: Expr
@@ -385,7 +387,7 @@ class Relax:
 
 @make_node_class
 class ForEach:
-    """`for each S, strongest N`: declares a pair value about agents of the species S, for at most N of them."""
+    """The clause `for each S, strongest N`, which declares a pair value about at most N agents of the species S."""
 
     species: Name
     strongest: Expr | None
@@ -394,7 +396,8 @@ class ForEach:
 
 @make_node_class
 class Declaration:
-    """`NAME: TYPE = V in LOW .. HIGH relax to V over T for each S, strongest N "help"`, also as an item's attribute."""
+    """A declaration of an attribute, a param or an item's attribute. The full form is `NAME: TYPE = V in LOW .. HIGH relax to V
+    over T for each S, strongest N "help"`."""
 
     name: Name
     type: TypeName | None
@@ -414,7 +417,7 @@ class ParamDecl:
 
 @make_node_class
 class AnimalProperty:
-    """A property of the animal that is declared without `=`, such as `size 4 mm`."""
+    """A property of an agent that is set without `=`, such as `size 4 mm`."""
 
     name: Name
     value: Expr
@@ -424,7 +427,7 @@ class AnimalProperty:
 
 @make_node_class
 class Latch:
-    """`latch NAME = ON until UNTIL`: a bool that is on from one condition until another."""
+    """A bool with memory: `latch NAME = ON until UNTIL` turns on when `ON` holds, and off when `UNTIL` holds."""
 
     name: Name
     on: Expr
@@ -456,7 +459,7 @@ class Start:
 
 @make_node_class
 class On:
-    """`on EVENT { … }`, `on collision(other) { … }`, `on collision(other: SPECIES) { … }`."""
+    """A handler: `on EVENT { … }`, `on collision(other) { … }` or `on collision(other: SPECIES) { … }`."""
 
     event: Name
     variable: Name | None
@@ -467,7 +470,7 @@ class On:
 
 @make_node_class
 class Layer:
-    """A line of `layers`. `is_face_line`: whether it begins with `face`, so that it only turns the body."""
+    """A line of `layers`. `is_face_line`: whether it begins with `face`; such a line only turns the body."""
 
     push: Expr
     condition: Expr | None
@@ -477,7 +480,7 @@ class Layer:
 
 @make_node_class
 class Layers:
-    """`layers { … }`. `mode`: the word that says how the layers are combined; None for the default."""
+    """The block `layers { … }`. `mode`: the word that says how the layers are combined; None for the default."""
 
     mode: Name | None  # `sum`, `first`; None is the budget
     layers: tuple[Layer, ...]
@@ -510,7 +513,8 @@ class Use:
 
 @make_node_class
 class WorldItem:
-    """`surface ground "help"`, `items food { load = 0 }`: `kind` is the first word."""
+    """The declaration of a thing in `world`, such as `surface ground "help"` or `items food { load = 0 }`. `kind`: the first
+    word."""
 
     kind: Name
     name: Name
@@ -527,7 +531,7 @@ class World:
 
 @make_node_class
 class Setting:
-    """A line of a field: `cell 4 mm`."""
+    """A line with a setting of a field, such as `cell 4 mm`."""
 
     name: Name
     value: Expr
@@ -536,7 +540,8 @@ class Setting:
 
 @make_node_class
 class FieldDecl:
-    """`field way: push on floor { … }`. `value_type`: what a cell holds; None for a number."""
+    """The declaration of a field, such as `field way: push on floor { … }`. `value_type`: the type of its cells; None for
+    numbers."""
 
     name: Name
     surfaces: tuple[Name, ...]
@@ -598,8 +603,8 @@ class SpecLine:
     - `target`: what `set` sets, the species of `each` (a NameRef), or the scene of `against` (a Text).
     - `time`: the time of `for` and `within`, or the tolerance of `goal`. A `for` without a condition sets the length of the run.
     - `condition`: the condition of an expectation, or the value of `seeds` (a number or a range), `pass` or `set`.
-    - `lines`: the lines inside `each` or `against`. `held`: the time for which the condition must have held.
-    - `since`: the condition of a `when`, at which the time starts."""
+    - `lines`: the lines inside `each` or `against`. `held`: how long the condition must have held.
+    - `since`: the condition of `when`. The time starts when it becomes true."""
 
     kind: str
     target: Expr | Text | None
@@ -642,7 +647,7 @@ class File:
 
     @property
     def edition_number(self) -> int:
-        """Return the edition that the file names. Return the newest edition if it names none or an unknown one."""
+        """Return the edition that the file names, or the newest edition if it names none or an unknown one."""
         exists = self.edition is not None and self.edition.value in EDITIONS
         return int(self.edition.value) if self.edition is not None and exists else NEWEST_EDITION
 

@@ -1,4 +1,4 @@
-"""Loads the parser from JSON tables that were made from the grammar. It does not build any tables."""
+"""Loads the parser from JSON tables that were made from the grammar, so that no tables are built at run time."""
 
 from __future__ import annotations
 
@@ -33,12 +33,13 @@ TABLES_FILE = "tables.json"
 
 
 def compute_grammar_hash() -> str:
-    """Return the SHA-256 of the grammar's text. It is stored in the tables, so that outdated tables are detected."""
+    """Return the SHA-256 digest of the grammar's text. The tables contain this digest, so that outdated tables are detected."""
     return hashlib.sha256(resources.grammar_file(GRAMMAR_FILE).read_bytes()).hexdigest()
 
 
 def load_parser(transformer: object) -> Lark:
-    """Return the parser that is distributed with antdsl. It calls the methods of `transformer` when it recognises rules."""
+    """Return the parser that is distributed with antdsl. When it recognises a rule, it calls the method of `transformer` with
+    the rule's name."""
     from lark import Lark
 
     tables = json.loads(resources.grammar_file(TABLES_FILE).read_text(encoding="utf-8"))
@@ -51,5 +52,5 @@ def load_parser(transformer: object) -> Lark:
 
 
 def _convert_keys_to_int(table: dict[str, Any]) -> dict[int, Any]:
-    """Convert keys to integers. JSON keys are texts, but lark numbers its states, tokens and rules."""
+    """Return a table with integer keys. JSON keys are texts, but lark numbers its states, tokens and rules."""
     return {int(key): value for key, value in table.items()}

@@ -1,5 +1,5 @@
 """Parses source text to a File. The text is divided into lines, and each line is parsed separately, so that an error affects
-only its line. The unreadable part of a line becomes an unreadable expression, and the rest is preserved."""
+only its line. The unreadable part of a line becomes a BadExpr, and the rest of the line remains."""
 
 from __future__ import annotations
 
@@ -68,9 +68,9 @@ def _load_parser_and_builder() -> tuple[Lark, Builder]:
 
 
 def parse(source: Source) -> tuple[n.File, Report]:
-    """Parse a text. Return a file with all parts that could be read, and a report with an error for each part that could not.
+    """Return a file with all parts of a text that could be read, and a report with an error for each part that could not.
 
-    Never raises."""
+    Never raises an exception."""
     report = Report()
     other = _detect_other_language(source.text)
     if other is not None:
@@ -96,10 +96,10 @@ def parse(source: Source) -> tuple[n.File, Report]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParsedPart:
-    """The result of parsing complete lines of a file separately from the rest.
+    """The result of parsing some complete lines of a file separately.
 
-    `edition`, `help`: those of the file, if the part begins the file; otherwise None. `sizes`: its numbers of words, statements
-    and species."""
+    `edition`, `help`: the file's edition and help, if the part is the beginning of the file; otherwise None. `sizes`: its
+    numbers of words, statements and species."""
 
     source: Source
     nodes: tuple[Any, ...]
@@ -112,10 +112,10 @@ class ParsedPart:
 
 
 def parse_part(source: Source, rule: str, *, is_file_start: bool = False) -> ParsedPart:
-    """Parse some complete lines of a file by the rule of their context: `top`, or `member` inside a species.
+    """Parse some complete lines of a file with a rule that depends on their context: `top`, or `member` inside a species.
 
-    Its braces must be paired. A part that exceeds the limits of a file is not read. `is_file_start`: whether it is the beginning
-    of the file. Never raises."""
+    Braces in the lines must be paired. Lines that exceed the limits of a file are not read. `is_file_start`: whether they are
+    the beginning of the file. Never raises an exception."""
     report = Report()
     scanned = scan_tokens(source, report)
     tokens = pair_brackets(scanned)
@@ -134,7 +134,7 @@ def parse_part(source: Source, rule: str, *, is_file_start: bool = False) -> Par
 
 
 def _detect_other_language(text: str) -> str | None:
-    """Return the language of a JSON or YAML file that has the wrong extension, or None. It is detected from the first line."""
+    """Return the language of a JSON or YAML file that has the wrong extension, or None. The first line determines the result."""
     first = text.lstrip("\ufeff \t\r\n")[:200]
     if re.match(r"""[\[{]\s*["{\[\]}]""", first):
         return "JSON"
@@ -163,7 +163,7 @@ class _FileParser:
         return n.File(self.source, edition, help, items, comments, self.list_recovered_spans(), broken)
 
     def parse_beginning(self, lines: list[SourceLine]) -> tuple[n.Number | None, n.Text | None, list[SourceLine]]:
-        """Return the edition and the help of a file, and the lines that follow."""
+        """Return the edition and the help of a file, and the lines that follow them."""
         edition, lines = self.parse_header(lines)
         help: n.Text | None = None
         if lines and [token.kind for token in lines[0].tokens] == ["text"]:
@@ -175,7 +175,7 @@ class _FileParser:
         return tuple(d.span for d in self.report.diagnostics if d.code in _UNCERTAIN_CODES and d.span is not None)
 
     def parse_header(self, lines: list[SourceLine]) -> tuple[n.Number | None, list[SourceLine]]:
-        """Return the edition, and the lines after it. If there is no edition, use the current one and add a warning."""
+        """Return the edition, and the lines after it. If no edition is given, use the current one and add a warning."""
         if lines and [token.kind for token in lines[0].tokens] == ["number"]:
             span = Span(self.source, lines[0].start, lines[0].end)
             self.report.error("unexpected-text", f"file begins with `{span.text}`", span, FIRST_LINE_ADVICE)
@@ -202,7 +202,7 @@ class _FileParser:
         return tuple(node for line in lines for node in self.parse_line(line, rule))
 
     def parse_line(self, line: SourceLine, rule: str) -> list[Any]:
-        """Return the nodes of a line: one node, none if the line is invalid, or two if a line end is missing."""
+        """Return the nodes of a line: one node, no node for an invalid line, or two nodes if a line end is missing."""
         first = get_token_text(self.scan, line.tokens[0])
         if line.groups and first not in LINE_WORDS_BY_RULE[rule] and not self.has_reached_error_limit():
             first = find_nearest_name(first, LINE_WORDS_BY_RULE[rule]) or first
@@ -224,14 +224,14 @@ class _FileParser:
             return [] if at_error_limit else self.recover_line(line, text, rule, unexpected)
 
     def suppress_block_errors(self, group: BraceGroup) -> None:
-        """Suppress errors in a block without `}`. Its end is unknown, so its last line may be outside the block."""
+        """Suppress errors in a block without `}`. Because its end is unknown, its last lines may belong outside of it."""
         if group.closing_brace.inserted_text and group.lines:
             one_line = "\n" not in self.source.text[group.opening.start : group.closing_brace.end]
             for line in group.lines if one_line else group.lines[-1:]:
                 insort(self.scan.fault_offsets, line.start)
 
     def has_reached_error_limit(self) -> bool:
-        """Return whether there are so many errors that reporting more would not help."""
+        """Return whether so many errors were reported that more would not help the author."""
         return len(self.report.diagnostics) > _MAX_REPAIRED_LINES
 
     def try_parse(self, text: MappedText, rule: str) -> Any:
@@ -239,7 +239,7 @@ class _FileParser:
         return self.parser.parse(text.text, start=rule)
 
     def has_diagnostic(self, line: SourceLine, text: MappedText) -> bool:
-        """Return whether an error about this line is already reported."""
+        """Return whether an error about this line has already been reported."""
         for _, offset, length in text.parts[:-1]:
             if self.scan.has_fault(offset, offset + length - 1):
                 return True
@@ -248,7 +248,8 @@ class _FileParser:
         return self.scan.has_fault(offset, len(self.source.text) if stop < 0 else stop)
 
     def check_node(self, node: Any, line: SourceLine) -> list[Any]:
-        """Check rules that the grammar does not express: depth, results of behaviours, words that are not properties."""
+        """Return the nodes of a line after checks that the grammar does not express: depth, results of behaviours, and unknown
+        properties."""
         if len(line.tokens) > limits.MAX_EXPRESSION_DEPTH:
             for span in find_too_deep_nodes(node):
                 message = f"expression more than {limits.MAX_EXPRESSION_DEPTH} operations deep"
@@ -309,7 +310,7 @@ class _FileParser:
         )
 
     def recover_line(self, line: SourceLine, text: MappedText, rule: str, unexpected: UnexpectedToken) -> list[Any]:
-        """Return the nodes of a line that can still be understood, although the line has a reported error."""
+        """Return the nodes that can be read from a line with an error. The error is already reported."""
         position = text.find_position(unexpected.span.start)
         if unexpected.token_text and is_line_start(unexpected):
             halves = [text.replace_range(position, len(text.text), ""), text.replace_range(0, position, "")]
@@ -352,10 +353,10 @@ class _FileParser:
         yield from self.iterate_bare_blocks(line, text, rule)
 
     def find_gap(self, line: SourceLine, text: MappedText, position: int) -> tuple[list[int], list[int], int]:
-        """Return possible start positions of the unreadable part of a line, possible end positions, and a third position.
+        """Return possible start positions of the unreadable part of a line, possible end positions, and the start of its clause.
 
-        The unreadable part may begin and end next to the separators around it, and at the ends of the line. The third position
-        is the beginning of the previous separator. It serves a repair without the clause after this separator."""
+        The unreadable part may begin or end at the separators around it, and at the ends of the line. The third result is the
+        beginning of the previous separator. One repair removes the clause from there on."""
         marks: list[tuple[int, int]] = []
         depth = 0
         for token in line.tokens:
@@ -373,7 +374,8 @@ class _FileParser:
         return [*lefts, *reversed(word_ends), 0], [*rights, len(text.text)], clause
 
     def iterate_bare_blocks(self, line: SourceLine, text: MappedText, rule: str) -> Iterator[MappedText]:
-        """Yield shortened texts for the unreadable first line of a block. They have only the word, the name and the braces."""
+        """Yield simplified texts for the first line of a block if this line is unreadable. They have only its first word, its
+        name and the braces."""
         words = [token for token in line.tokens if token.kind in ("word", "text")][:2]
         first = get_token_text(self.scan, line.tokens[0])
         if not line.groups or BODY_RULE_BY_LINE.get((rule, first)) is None or len(words) < 2:

@@ -1,6 +1,6 @@
-"""Scans source text. It makes tokens, which are used to divide the text, and a clean text for the parser. Characters and words
-that no `.ant` text may contain are reported here. They are corrected if the meaning is clear, so that one mistake gives one
-message. The clean text is as long as the source, so offsets are valid in both."""
+"""Scans source text. It makes tokens, by which the text is divided, and a clean text for the parser. Characters and words that
+are not allowed in any `.ant` text are reported here. They are corrected if the meaning is clear, so that one mistake gives
+one message. The clean text is as long as the source, so offsets are valid in both."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ UNREADABLE_CHARACTER = "\ufffd"
 
 @dataclass(frozen=True, slots=True)
 class ScannedToken:
-    """`kind`: word number text sign open close end. `indent`: the indent of its line if it is the first token there, else -1.
-    `inserted_text`: the text of a bracket that the author forgot; it has no length in the source."""
+    """A token. `kind`: word, number, text, sign, open, close or end. `indent`: the indent of the line for its first token, else
+    -1. `inserted_text`: the text of a missing bracket, which has no length in the source."""
 
     kind: str
     start: int
@@ -48,7 +48,7 @@ class ScannedToken:
 
 @dataclass(slots=True)
 class TokenScan:
-    """The result of scanning. `clean_characters` is a list of single characters until `text()` is called."""
+    """The result of scanning. `clean_characters`: a list of single characters until `text()` is called."""
 
     source: Source
     report: Report
@@ -67,7 +67,7 @@ class TokenScan:
         fix: str | None = None,
         insert_offset: int | None = None,
     ) -> None:
-        """Report an error. `fix`: the text that replaces the span, or that is inserted at the offset `insert_offset`."""
+        """Report an error. `fix`: the text that replaces the span or, if `insert_offset` is set, is inserted at this offset."""
         span = Span(self.source, start, end)
         place = span if insert_offset is None else Span(self.source, insert_offset, insert_offset)
         self.report.error(code, message, span, help, fix=None if fix is None else Fix(place, fix))
@@ -80,7 +80,7 @@ class TokenScan:
         self.clean_characters[start : start + len(text)] = text
 
     def has_fault(self, start: int, end: int) -> bool:
-        """Return whether an error was reported between two offsets; `fault_offsets` must be sorted."""
+        """Return whether an error was reported between two offsets. `fault_offsets` must already be sorted."""
         index = bisect_left(self.fault_offsets, start)
         return index < len(self.fault_offsets) and self.fault_offsets[index] <= end
 
@@ -115,7 +115,7 @@ _NON_NUMBER_WORDS = ("nan", "inf", "infinity")
 
 
 def scan_tokens(source: Source, report: Report) -> TokenScan:
-    """Return the tokens of a text. Errors go to `report`; no text raises an exception."""
+    """Return the tokens of a text. Errors are added to `report`. No text raises an exception."""
     text_scan = TokenScan(source, report, list(source.text))
     check_stray_text(text_scan)
     _Scanner(text_scan).scan_all()
@@ -124,7 +124,7 @@ def scan_tokens(source: Source, report: Report) -> TokenScan:
 
 
 class _Scanner:
-    """One pass over the text. Each kind of token has a method. Faulty tokens are corrected or replaced by blanks."""
+    """One pass over the text, with a method for each kind of token. Faulty tokens are corrected or replaced by blanks."""
 
     def __init__(self, text_scan: TokenScan) -> None:
         self.token_scan = text_scan
@@ -211,7 +211,7 @@ class _Scanner:
         return self.add_token("word", start, end)
 
     def repair_hyphens(self, start: int, end: int, piece: str) -> int:
-        """Correct hyphens in a name, such as `turn-home`, where the name is declared or names a state."""
+        """Correct hyphens in a name, such as `turn-home`, at the declaration of the name or the name of a state."""
         suggestion = piece.replace("-", "_").lower()
         if piece not in self.reported_texts:
             self.reported_texts.add(piece)
@@ -277,7 +277,7 @@ class _Scanner:
         return self.add_token("number", start, end)
 
     def repair_commas(self, start: int, end: int) -> int:
-        """Report a number with a comma where a comma cannot separate two numbers. Read a decimal comma as a dot."""
+        """Report a number with a comma where a comma cannot separate two numbers. A decimal comma is read as a dot."""
         diagnostic = make_comma_diagnostic(Span(self.token_scan.source, start, end))
         self.token_scan.report.add(diagnostic)
         self.token_scan.fault_offsets.append(start)
@@ -287,7 +287,7 @@ class _Scanner:
         return self.add_token("number", start, self.find_quantity_end(end))
 
     def mark_unreadable(self, start: int, end: int) -> int:
-        """Add a token for a number with an unknown unit. Checks of units skip it."""
+        """Add a token for a number with an unknown unit. Checks of units ignore this token."""
         self.token_scan.replace_by_blanks(start, end)
         self.token_scan.replace_characters(start, UNREADABLE_CHARACTER)
         return self.add_token("number", start, end)
@@ -341,7 +341,7 @@ class _Scanner:
         return self.add_token("sign", start, end) if repair else end
 
     def repair_wide_sign(self, start: int, end: int, repair: str) -> int:
-        """Replace a sign such as `≤` by two characters. The second one takes the place of an adjacent blank."""
+        """Replace a sign such as `≤` by two characters. The second character takes the position of an adjacent blank."""
         if self.characters[end : end + 1] == " ":
             end += 1
         elif start > 0 and self.token_scan.clean_characters[start - 1] == " ":

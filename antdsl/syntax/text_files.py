@@ -1,5 +1,5 @@
-"""Opens untrusted files without waiting, exhausting memory or guessing the encoding. Writes files atomically. Writing follows
-links and preserves the permissions of an existing file."""
+"""Opens untrusted files without blocking, without exhausting memory and without guessing the encoding. Writes files atomically;
+writing follows links and preserves the permissions of an existing file."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ _OTHER_FILE_SIGNATURES = (
 
 
 def read_program_file(path: str | os.PathLike[str], handle: int | None = None) -> tuple[Source | None, Report]:
-    """Read a `.ant` file: regular, at most 256 KiB, UTF-8 (a byte order mark is dropped, line ends become LF). `handle`: the file
-    if it is already open; it is closed.
+    """Read a `.ant` file. It must be a regular file with at most 256 KiB of UTF-8; a byte order mark is dropped, and line ends
+    become LF. `handle`: the file descriptor if the file is already open. It is closed.
 
-    Returns None and a report with the reason if it cannot be read. Never raises, whatever the path names."""
+    Returns None, and a report with the reason, if the file cannot be read. Never raises an exception, whatever `path` names."""
     report = Report()
     name = os.fspath(path)
     data = _read_file(name, handle, report)
@@ -52,7 +52,7 @@ def read_program_file(path: str | os.PathLike[str], handle: int | None = None) -
 
 
 def decode_program(name: str, data: bytes) -> tuple[Source | None, Report]:
-    """Decode bytes from another source in the same way as `read_program_file` does for a file. `name`: the name in messages."""
+    """Decode bytes like the content of a file in `read_program_file`. `name`: the name for messages."""
     report = Report()
     if len(data) > limits.MAX_PROGRAM_BYTES:
         _report_too_large(name, report)
@@ -106,8 +106,8 @@ def _decode_text(name: str, data: bytes, report: Report) -> str | None:
 
 
 def write_program_file(path: Path, text: str) -> None:
-    """Replace an existing file with a text by an atomic write. Readers see either the old or the new text, even after a crash.
-    Raises OSError if writing fails; the old file is then unchanged."""
+    """Replace the content of an existing file by a text, with an atomic write. Readers see either the old or the new text, even
+    after a crash. Raises OSError if writing fails; the old file is then unchanged."""
     place = path.resolve(strict=True)
     if not os.access(place, os.W_OK):
         # the folder allows a replacement, but the file itself is read-only

@@ -1,8 +1,8 @@
-"""The verbs, which are words that begin a line in which an agent requests something of the world. The grammar, the list of words
-that begin a line, and the samples in messages are made from this table.
+"""The verbs: words that begin a line in which an agent requests something of the world. This table is the source of the grammar,
+of the list of words that may begin a line, and of the samples in messages.
 
-The meaning of such a line is in the row of the same word in `antdsl.program.tables.effects`. After a change here, run `python -m
-antdsl.syntax.grammar`, which regenerates the verbs in the grammar and the parse tables."""
+The meaning of such a line is defined in the row of the same word in `antdsl.program.tables.effects`. After a change here, run
+`python -m antdsl.syntax.grammar`, which regenerates the verbs in the grammar and the parse tables."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ SHAPE_PATTERNS: dict[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Verb:
-    """A verb. `shape`: a word of `SHAPE_PATTERNS`. `example_line`: an example line, displayed in help. `following_text`:
-    a description of what follows the verb."""
+    """A verb. `shape`: a key of `SHAPE_PATTERNS`. `example_line`: an example line for help texts. `following_text`: words for
+    what follows the verb."""
 
     word: str
     shape: str

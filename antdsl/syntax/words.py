@@ -1,4 +1,5 @@
-"""The words of the language: those that may begin a line in each context, and the units. Both have a list of common mistakes."""
+"""The words of the language: those that may begin a line in each context, and the units. For both, there is a list of common
+mistakes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Converts tokens to words, each with the blank before it, and to brackets with slots between their commas.
+"""Converts tokens to words, which record the blank before them, and to brackets, which have slots between their commas.
 
-A comment inside brackets is placed after a slot or on separate lines before it. A comment in the middle of a slot moves before
-the slot."""
+A comment inside brackets is placed after a slot, or on separate lines before the slot. A comment in the middle of a slot is
+moved to the lines before it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ _PRECEDENCE_LEVELS = (("..",), ("then", "else"), ("or",), ("and",), ("<", ">", "
 
 @dataclass(slots=True)
 class TokenLeaf:
-    """A token as in the source. It records whether a blank precedes it. `is_infix`: true for a sign between two values."""
+    """A token with its text in the source and whether a blank precedes it. `is_infix`: whether it is a sign between two
+    values."""
 
     text: str
     has_blank_before: bool
@@ -32,12 +33,12 @@ class TokenLeaf:
 
 @dataclass(slots=True)
 class BracketSlot:
-    """The content between two commas of a bracket, including the second comma.
+    """The content of a bracket between two commas. It includes the second comma.
 
     - `leading_comments`: the comments on the lines before the content. `trailing_comment`: the comment after the content.
     - `inner_comments`: for each comment in the middle, the index of the next node, the comment, and whether the previous token
       is on the same line.
-    - `operands`: the content split at its operators, if there are comments between them.
+    - `operands`: the content split at its operators, if there are comments between the operands.
     - `is_indented`: whether the content is indented one level more, as for the body after `n in SET:`."""
 
     nodes: list[LayoutNode] = field(default_factory=list)
@@ -76,7 +77,7 @@ LayoutNode = TokenLeaf | BracketGroup
 
 
 class BracketReader:
-    """Reads the words and brackets of one statement.
+    """Reader of the words and brackets of one statement.
 
     `pop_comment_before`: returns the next comment if it is before an offset, and marks it as used."""
 
@@ -96,11 +97,11 @@ class BracketReader:
         self.last: ScannedToken | None = None
 
     def skip_comments_before(self, token: ScannedToken) -> None:
-        """Continue reading comments after a block that ended with this token."""
+        """Record that the comments up to `token`, the last token of a block, have already been placed."""
         self.last = token
 
     def read_node(self, tokens: Sequence[ScannedToken], index: int) -> tuple[LayoutNode, int]:
-        """Return the node that begins with a token, and the index of the next one."""
+        """Return the node that begins with the token at `index`, and the index of the token after the node."""
         token = tokens[index]
         leaf = self.read_leaf(token)
         if token.kind != "open":
@@ -128,7 +129,8 @@ class BracketReader:
     def place_comment(
         self, comment: n.Comment, slots: list[BracketSlot], token: ScannedToken, remaining_comments: list[n.Comment]
     ) -> None:
-        """Assign a comment before `token` to the slots so far, or to `remaining_comments` if it comes after the last of them."""
+        """Assign a comment before `token` to one of the slots so far. If it comes after the last of them, add it to
+        `remaining_comments`."""
         slot = slots[-1]
         assert self.last is not None
         is_on_same_line = "\n" not in self.scan.source.text[self.last.end : comment.span.start] and not remaining_comments
@@ -177,13 +179,13 @@ class BracketReader:
 
 
 def _is_comprehension(slot: BracketSlot) -> bool:
-    """Return whether the nodes are `n in SET:`, with the colon as the last node."""
+    """Return whether the nodes of a slot are `n in SET:`, with the colon as the last node."""
     second = slot.nodes[1] if len(slot.nodes) > 3 else None
     return isinstance(second, TokenLeaf) and second.text == "in"
 
 
 def split_operands(slot: BracketSlot) -> list[BracketSlot]:
-    """Return a slot's content, split before its operators of lowest precedence. Without operators, the result has one part."""
+    """Return the content of a slot, split before its operators of lowest precedence. Without operators, this is a single part."""
     for level in _PRECEDENCE_LEVELS:
         cuts = [
             k for k, node in enumerate(slot.nodes) if k and isinstance(node, TokenLeaf) and node.is_infix and node.text in level
@@ -234,7 +236,7 @@ def _place_inner_comments(slot: BracketSlot) -> BracketSlot:
 
 
 def _collect_comments(nodes: Sequence[LayoutNode]) -> list[n.Comment]:
-    """Remove and return the comments inside brackets."""
+    """Return the comments inside brackets, and remove them from the nodes."""
     comments: list[n.Comment] = []
     for node in nodes:
         if isinstance(node, BracketGroup) and node.is_forced_open:
@@ -247,7 +249,7 @@ def _collect_comments(nodes: Sequence[LayoutNode]) -> list[n.Comment]:
 
 
 def _collect_slot_comments(slot: BracketSlot) -> list[n.Comment]:
-    """Remove and return the comments around a slot and between its operands."""
+    """Return the comments around a slot and between its operands, and remove them from the slot."""
     comments = [*slot.leading_comments, *([slot.trailing_comment] if slot.trailing_comment else [])]
     for operand in slot.operands:
         comments += _collect_slot_comments(operand)
@@ -256,7 +258,8 @@ def _collect_slot_comments(slot: BracketSlot) -> list[n.Comment]:
 
 
 def _set_flat_text(bracket: BracketGroup) -> BracketGroup:
-    """Store the text of a bracket on one line, and whether the bracket must be broken. Later calls then need not look inside."""
+    """Store in the bracket its text on one line and whether it must be broken, so that they are computed only once. Return the
+    bracket."""
     bracket.is_forced_open = bool(bracket.end_comments) or any(slot.is_broken for slot in bracket.slots)
     bracket.flat_text = (
         bracket.opening.flat_text + " ".join(slot.flat_text for slot in bracket.slots) + bracket.closing_leaf.flat_text

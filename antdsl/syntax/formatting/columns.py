@@ -1,6 +1,6 @@
-"""Aligns successive lines of one kind in columns: at `->`, `=`, values, help texts and comments.
+"""Aligns consecutive lines of one kind in columns: at `->`, `=`, values, help texts and comments.
 
-A mark is the word, sign or position at which a line is cut into cells."""
+An alignment mark is the word, sign or position at which a line is split into cells."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _MIN_COMMENT_BLANKS = 2  # minimum blanks before a comment
 class LayoutRow:
     """A statement or a comment before alignment.
 
-    - `kind`: successive rows of the same kind are aligned.
+    - `kind`: consecutive rows of the same kind are aligned with each other.
     - `cells`: the texts of the first line between its marks. `following_lines`: the other lines.
-    - `is_separate`: whether the row is left out of the alignment of its neighbours."""
+    - `is_separate`: whether the row is not aligned with its neighbours."""
 
     kind: str
     cells: list[str]
@@ -34,7 +34,7 @@ class LayoutRow:
 def split_cells(statement: LayoutStatement) -> tuple[str, list[Sequence[LayoutNode | LayoutBlock]]]:
     """Return the kind of a one-line statement, and its cells. The last cell is the help text.
 
-    Statements of one kind are aligned with each other. A statement without marks has one cell."""
+    Statements of the same kind are aligned with each other. A statement without alignment marks has one cell."""
     parts, words = statement.parts, statement.first_words
     kind, mark = _find_alignment(statement.rule, words)
     if mark is None:
@@ -52,7 +52,7 @@ AlignmentPointFinder = Callable[[Sequence[LayoutNode | LayoutBlock]], int | None
 
 
 def _find_sign(sign: str) -> AlignmentPointFinder:
-    """Return a function that finds the index of a sign outside all brackets."""
+    """Return a function that finds the index of the sign `sign` outside all brackets."""
 
     def find_sign_index(parts: Sequence[LayoutNode | LayoutBlock]) -> int | None:
         return next((k for k, part in enumerate(parts) if k and isinstance(part, TokenLeaf) and part.text == sign), None)
@@ -65,8 +65,8 @@ def _find_second_part(parts: Sequence[LayoutNode | LayoutBlock]) -> int | None:
 
 
 def _find_alignment(rule: str, words: Sequence[str]) -> tuple[str, AlignmentPointFinder | None]:
-    """Return the kind of a line and the function that finds its mark, from the line's rule and first words. The function is None
-    if there is no mark."""
+    """Return the kind of a line, and the function that finds its alignment mark, from the line's rule and first words. The
+    function is None if the line has no mark."""
     first = words[0] if words else ""
     if rule in ("world_item", "setting"):
         return rule, _find_second_part
@@ -85,7 +85,8 @@ def _find_alignment(rule: str, words: Sequence[str]) -> tuple[str, AlignmentPoin
 
 
 def _find_member_alignment(words: Sequence[str]) -> tuple[str, AlignmentPointFinder | None]:
-    """Return the kind and the mark finder of a species line that begins with a name: an attribute or a given property."""
+    """Return the kind and the mark finder of a line in a species that begins with a name. Such a line sets an attribute or a
+    built-in property."""
     if words[0] in ("start", "on", "layers", "machine", "state", "fuzzy") and words[1:2] not in (["="], [":"]):
         return "plain", None
     return ("declaration", _find_sign("=")) if words[1:2] in (["="], [":"]) else ("given", _find_second_part)
@@ -110,7 +111,7 @@ def align_rows(rows: Sequence[LayoutRow], indent: int) -> list[str]:
 
 
 def _iterate_row_runs(rows: Sequence[LayoutRow]) -> Iterator[list[LayoutRow]]:
-    """Yield groups of rows on consecutive lines. A comment line, or a statement of several lines, is a separate group."""
+    """Yield groups of rows on consecutive lines. A comment line is a separate group, and so is a statement of several lines."""
     run: list[LayoutRow] = []
     for row in rows:
         if run and (row.has_blank_before or row.is_separate or run[-1].is_separate):
@@ -135,7 +136,8 @@ def _align_row_run(rows: Sequence[LayoutRow]) -> list[str]:
 
 
 def _compute_next_column(texts: Sequence[str], gap: int) -> int:
-    """Return the column after the longest text and the gap. Texts longer than `MAX_ALIGNED_CHARACTERS` are ignored."""
+    """Return the column after the longest text and a gap of `gap` blanks. Texts longer than `MAX_ALIGNED_CHARACTERS` are
+    ignored."""
     return max((len(text) + gap for text in texts if len(text) <= MAX_ALIGNED_CHARACTERS), default=0)
 
 

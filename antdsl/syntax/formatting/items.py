@@ -1,7 +1,7 @@
 """Converts a parsed file to the items of its layout: statements with their blocks, and comments with their positions.
 
-Tokens and lines come from the parser. The tree is only used to find which brackets follow a function, and which minus signs have
-nothing on their left."""
+Tokens and lines come from the parser. The tree is used only to find which brackets follow a function, and which minus signs have
+no left operand."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class CommentItem:
 
 @dataclass(slots=True)
 class LayoutBlock:
-    """The content between two braces. `is_one_line`: true if all statements were on one line. `opening_comment`: the comment
+    """The content between two braces. `is_one_line`: whether all statements were on one line. `opening_comment`: the comment
     after `{`."""
 
     items: list[LayoutItem]
@@ -39,8 +39,8 @@ class LayoutBlock:
 
 @dataclass(slots=True)
 class LayoutStatement:
-    """A statement: its words and brackets, with a `LayoutBlock` in place of each pair of braces. `rule`: the grammar rule of its
-    block's lines. `comment`: the comment after the statement."""
+    """A statement: its words and brackets, with a `LayoutBlock` for each pair of braces. `rule`: the grammar rule for the lines
+    in its block. `comment`: the comment after the statement."""
 
     rule: str
     parts: list[LayoutNode | LayoutBlock]
@@ -77,7 +77,7 @@ def read_items(file: n.File) -> list[LayoutItem]:
 
 
 def _find_call_ends_and_minus_signs(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
-    """Return the end offsets of names of called functions, and the offsets of unary minus signs."""
+    """Return the offsets at which the names of called functions end, and the offsets of unary minus signs."""
     calls: set[int] = set()
     minus: set[int] = set()
     stack: list[Any] = [file.items]
@@ -97,7 +97,7 @@ def _find_call_ends_and_minus_signs(file: n.File) -> tuple[frozenset[int], froze
 
 
 def _find_called_name(part: object) -> n.Name | None:
-    """Return the function or verb that a node names, if arguments in brackets may follow it; otherwise None."""
+    """Return the function or verb that a node names if arguments in brackets may follow, else None."""
     if isinstance(part, n.VerbLine):
         return part.name if part.amount is None else None
     return part.event if isinstance(part, n.On) else part.name if isinstance(part, n.Behaviour) else None
@@ -105,11 +105,11 @@ def _find_called_name(part: object) -> n.Name | None:
 
 @dataclass(slots=True)
 class _ItemReader:
-    """Reads the lines and comments of a text, both in the order of the text.
+    """Reader of the lines and comments of a text, both in text order.
 
     - `function_ends`: the end offsets of the names of called functions.
     - `unary_minus_offsets`: the offsets of minus signs with one operand.
-    - `used_comment_count`: the number of comments that have been placed."""
+    - `used_comment_count`: the number of comments that already have a position."""
 
     scan: TokenScan
     function_ends: frozenset[int]
@@ -117,7 +117,7 @@ class _ItemReader:
     used_comment_count: int = field(default=0)  # number of comments already placed
 
     def pop_comment_before(self, offset: int) -> n.Comment | None:
-        """Return the next comment if it begins before an offset."""
+        """Return the next comment and mark it as used, if it begins before an offset. Otherwise return None."""
         comments = self.scan.comments
         if self.used_comment_count < len(comments) and comments[self.used_comment_count].span.start < offset:
             self.used_comment_count += 1
@@ -143,8 +143,8 @@ class _ItemReader:
         return bool(item_list) and self.count_line_ends(last, start) > 1
 
     def add_comments(self, item_list: list[LayoutItem], last: int, end: int) -> int:
-        """Add the comments before the offset `end` to the last statement, or as separate lines. Return the end offset of the
-        last comment."""
+        """Add the comments before the offset `end`: to the last statement if they are on its line, else as separate lines.
+        Return the end offset of the last comment."""
         while (comment := self.pop_comment_before(end)) is not None:
             text = comment.text.rstrip()
             previous_item = item_list[-1] if item_list else None
@@ -194,8 +194,8 @@ class _ItemReader:
         return LayoutBlock(item_list, self.is_one_line(group, item_list, head), head)
 
     def is_one_line(self, group: BraceGroup, item_list: list[LayoutItem], opening_comment: str | None) -> bool:
-        """Return whether a block may be on one line. It must have no line ends or comments, and no part that needs a separate
-        line."""
+        """Return whether a block may be on one line. Such a block has no line ends or comments, and no part that needs a
+        separate line."""
         if not item_list and opening_comment is None:
             return True
         for item in item_list:

@@ -16,15 +16,15 @@ from antdsl.syntax.parser import parse
 
 
 class LayoutError(RuntimeError):
-    """Error for a layout that changed the meaning of a text, or lost a comment. Only a bug in this package can cause it."""
+    """Error for a layout that has changed the meaning of a text or lost a comment. Its cause is always a bug in this package."""
 
 
 def format(source: Source) -> tuple[str | None, Report]:
     """Return the text in the standard layout, and the report of parsing.
 
-    Returns None if the text has errors, because text that was not understood is not moved. Also returns None if the result would
-    exceed the limits of a file. Formatting the result gives the same text again. Raises LayoutError if the result would have
-    another meaning."""
+    The text is None if the source has errors, because unreadable text must not be moved. It is also None if it would exceed the
+    limits of a file. Formatting the result again does not change it. Raises LayoutError if the result would have another
+    meaning."""
     file, report = parse(source)
     if not report.ok:
         return None, report
@@ -40,9 +40,9 @@ def format(source: Source) -> tuple[str | None, Report]:
 
 
 def report_too_long(source: Source, text: str, report: Report) -> bool:
-    """Return whether a formatted text exceeds the limits of a file; report an error if so.
+    """Return whether a formatted text exceeds the limits of a file. If so, report an error.
 
-    Joined lines and added blanks can make a text longer than its source."""
+    A text can become longer than its source through joined lines and added blanks."""
     line = max(text.split("\n"), key=len).strip()
     if len(line) > limits.MAX_LINE_CHARACTERS:
         message = f"line that begins with `{line[:40]}` would have more than {limits.MAX_LINE_CHARACTERS} characters"
@@ -71,8 +71,8 @@ def find_first_difference(first: n.File, second: n.File) -> str | None:
 
 
 def iterate_tree_texts(node: Any) -> Iterator[str]:
-    """Yield a tree as a flat sequence of texts: the kind of each node, and the content of its leaves. Locations and comments are
-    left out."""
+    """Yield the texts of a tree in a flat sequence: the kind of each node, and the content of its leaves. Locations and comments
+    are omitted."""
     stack = [node]
     while stack:
         part = stack.pop()

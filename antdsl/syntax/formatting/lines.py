@@ -1,5 +1,5 @@
-"""Converts the items of a text to lines. A line that is too long is broken inside its brackets. A block stays on one line if the
-author wrote it on one line and it fits."""
+"""Converts the items of a text to lines. A line that is too long is broken inside its brackets. A block stays on one line if it
+is on one line in the source and fits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LayoutPart = LayoutNode | LayoutBlock
 
 
 def format_items(items: Sequence[LayoutItem]) -> str:
-    """Return the text of a file from its items."""
+    """Return the text of the file that consists of `items`."""
     return "".join(f"{line}\n" for line in _format_block(items, 0))
 
 
@@ -70,14 +70,14 @@ def _format_statement(parts: Sequence[LayoutPart], indent: int) -> list[str]:
 
 
 def _format_piece(parts: Sequence[LayoutPart], start: int, end: int) -> str:
-    """Return the line between two blocks that are broken over lines, including the braces at its start and end."""
+    """Return the line from one broken block to the next, with the braces at its start and end."""
     text = _format_flat(parts[start + 1 : end])
     return ("}" if start >= 0 else "") + text + (" {" if end < len(parts) and isinstance(parts[end], LayoutBlock) else "")
 
 
 def _format_sequence(parts: Sequence[LayoutPart], indent: int, column: int, suffix: int = 0) -> list[str]:
-    """Lay out successive parts from a column on. A bracket is broken if it and the text up to the next bracket do not fit.
-    `suffix`: the number of characters after the last part."""
+    """Return the lines of successive parts. A bracket is broken if it does not fit on the line together with the text up to the
+    next bracket. `column`: the column of the first part. `suffix`: the number of characters after the last part."""
     lines = [""]
     for k, part in enumerate(parts):
         if isinstance(part, BracketGroup) and (
@@ -95,7 +95,8 @@ def _format_sequence(parts: Sequence[LayoutPart], indent: int, column: int, suff
 
 
 def _compute_required_width(parts: Sequence[LayoutPart], start: int, suffix: int) -> int:
-    """Return how many characters must fit on the line if a bracket is not broken. A help text at the end does not count."""
+    """Return how many characters must fit on the line if the bracket at `start` is not broken. A help text at the end does not
+    count."""
     count = len(_format_flat([parts[start]]))
     for part in parts[start + 1 :]:
         if isinstance(part, BracketGroup):
@@ -106,7 +107,7 @@ def _compute_required_width(parts: Sequence[LayoutPart], start: int, suffix: int
 
 
 def _format_bracket(bracket: BracketGroup, indent: int) -> list[str]:
-    """Return a bracket with each slot on separate lines."""
+    """Return the lines of a bracket, with each slot on separate lines."""
     if not bracket.slots and not bracket.end_comments:
         return [bracket.flat_text]
     lines = [bracket.opening.flat_text]

@@ -1,5 +1,5 @@
 """Explains mistakes in programs, and suggests the text to write instead.
 
-`number_slips` is about numbers and units. `stray_text` is about characters from other keyboards and pasted text, such as merge
-conflict markers or Markdown fences. `continued_lines` is about lines that continue without a bracket. `unexpected_tokens` makes
-one message from the token that the parser found and the tokens that it expected."""
+`number_slips` finds mistakes in numbers and units. `stray_text` finds characters from other keyboards and pasted text, such as
+merge conflict markers or Markdown fences. `continued_lines` finds statements that continue on the next line outside brackets.
+`unexpected_tokens` makes a message from the token that the parser found and the tokens that it expected."""

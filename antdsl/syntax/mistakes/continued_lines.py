@@ -1,5 +1,5 @@
 """Finds lines that continue the line above outside brackets, such as `and near -> approach` below `when meal`. They are
-reported, and read as one line."""
+reported, and both lines are read as one."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _LINE_WORDS = frozenset(word for words in LINE_WORDS_BY_RULE.values() for word i
 
 
 def join_continued_lines(scan: TokenScan) -> list[ScannedToken]:
-    """Return the tokens of a text, without line ends inside continued statements. Report each such statement."""
+    """Return the tokens of a text without the line ends inside continued statements. Report each such statement."""
     tokens, open, indent = list(scan.tokens), 0, 0
     joints: list[int] = []  # indices of line ends inside one statement
     left_out: set[int] = set()
@@ -65,7 +65,8 @@ def _get_token_text(scan: TokenScan, token: ScannedToken) -> str:
 
 
 def _is_continuation(scan: TokenScan, tokens: list[ScannedToken], index: int, indent: int) -> bool:
-    """Return whether the line after a line end continues the line before it. `indent`: the indent of the line before."""
+    """Return whether the line after a line end continues the line before it. `index`: of the line end. `indent`: of the line
+    before."""
     if index + 1 >= len(tokens) or index == 0 or scan.source.text[tokens[index].start] != "\n":
         return False
     previous_token, following = tokens[index - 1], tokens[index + 1]

@@ -1,4 +1,4 @@
-"""Makes messages about numbers and units that are not in the language's notation: commas, needless signs, wrong units."""
+"""Makes messages about numbers and units that are not in the language's notation: commas, unnecessary signs, wrong units."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _MAX_QUOTED_CHARACTERS = 60  # longer numbers are shortened in messages
 
 
 def find_comma_number(source: Source, comma: int) -> Span | None:
-    """Return the span of the number around a comma with no blank on either side. Return None if the comma can only separate two
-    values."""
+    """Return the span of the number around a comma without blanks. Return None if the comma can only separate two values."""
     left = _DIGITS_BEFORE_PATTERN.search(source.text, max(0, comma - _MAX_QUOTED_CHARACTERS), comma)
     right = _DIGITS_AFTER_PATTERN.match(source.text, comma + 1)
     return Span(source, left.start(), right.end()) if left and right and source.text[comma : comma + 1] == "," else None
 
 
 def make_comma_diagnostic(span: Span, *, is_single_number: bool = True) -> Diagnostic:
-    """Return the error about a number with commas. `is_single_number`: whether it cannot be two numbers separated by a comma."""
+    """Return the error about a number with commas. `is_single_number`: whether it cannot be two numbers that a comma
+    separates."""
     text = span.text
     plain_number, dotted = text.replace(",", ""), text.replace(",", ".")
     thousands, is_single = _THOUSANDS_PATTERN.fullmatch(text), text.count(",") == 1 and "." not in text
@@ -51,8 +51,8 @@ def make_comma_diagnostic(span: Span, *, is_single_number: bool = True) -> Diagn
 
 
 def find_number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str] | None:
-    """Return the message, the corrected end and the help for an invalid number that ends at offset `end`. Return None if it is
-    valid."""
+    """Return the message, the correct end and the help for an invalid number that ends at the offset `end`. Return None for a
+    valid number."""
     glued = _GLUED_TEXT_PATTERN.match(characters, end)
     rest = glued.group() if glued else ""
     complete_text = f"{piece}{rest}"[:80]

@@ -1,7 +1,8 @@
-"""Checks a complete text for invisible characters, merge conflict markers, Markdown fences and lines without end.
+"""Checks a complete text for invisible and control characters, merge conflict markers, Markdown fences, and lines that are too
+long.
 
-Each is reported and replaced by blanks, so that the words around it can be read. The module also lists letters, digits, quotes
-and signs that people type or paste in place of those of the language."""
+Each of these is reported and replaced by blanks, so that the words around it can be read. The module also lists letters, digits,
+quotes and signs that people type or paste instead of the language's own characters."""
 
 from __future__ import annotations
 
@@ -65,7 +66,7 @@ _CODE_FENCE_PATTERN = re.compile(r"^[ \t]*(```|~~~).*$", re.MULTILINE)
 
 
 def check_stray_text(scan: TokenScan) -> None:
-    """Report characters that are not allowed anywhere in a text."""
+    """Report text that is not allowed anywhere in a program, such as control characters or merge conflict markers."""
     _report_forbidden(scan)
     _report_invisible(scan)
     _report_conflicts_and_fences(scan)
@@ -85,7 +86,8 @@ def _report_forbidden(scan: TokenScan) -> None:
 
 
 def _report_invisible(scan: TokenScan) -> None:
-    """Report invisible characters in comments and texts, except those that join or separate letters in some languages."""
+    """Report invisible characters in comments and quoted texts. Characters that join or separate letters in some languages are
+    allowed."""
     text = scan.source.text
     for passage in _TEXT_OR_COMMENT_PATTERN.finditer(text) if not text.isascii() else ():
         for match in _INVISIBLE_CHARACTERS.finditer(text, passage.start(), passage.end()):
@@ -95,9 +97,9 @@ def _report_invisible(scan: TokenScan) -> None:
 
 
 def _report_conflicts_and_fences(scan: TokenScan) -> None:
-    """Report lines of merge conflicts and Markdown fences, and replace them by blanks.
+    """Report the lines of merge conflicts and Markdown fences, and replace them by blanks.
 
-    The first version in a conflict remains and the second is replaced by blanks, so that the rest of the file can be checked."""
+    The first version in a conflict remains. The second one is replaced by blanks, so that the rest of the file can be checked."""
     if "<<<<<<<" in scan.source.text or ">>>>>>>" in scan.source.text:
         drop_from = -1
         for match in _MERGE_CONFLICT_PATTERN.finditer(scan.source.text):
@@ -140,8 +142,8 @@ def _report_long_lines(scan: TokenScan) -> None:
 
 
 def find_ascii_lookalike(character: str) -> str | None:
-    """Return the ASCII letter, digit or `_` that a character looks like, or None. Accented letters do not count, because authors
-    use them on purpose."""
+    """Return the ASCII letter, digit or `_` that a character looks like, or None. The result is None for accented letters,
+    because authors use them on purpose."""
     if character < "\x80":
         return character
     digit = unicodedata.decimal(character, None)
@@ -158,7 +160,7 @@ _SUGGESTED_WORD_PATTERN = re.compile("write `([a-z]+)`")
 
 
 def make_replacement_word(help: str, previous_character: str, next_character: str) -> str | None:
-    """Return the word to write instead of a sign. It has a blank on each side where the adjacent character is part of a word."""
+    """Return the word that replaces a sign. It has a blank on each side on which the adjacent character is part of a word."""
     match = _SUGGESTED_WORD_PATTERN.fullmatch(help)
     if match is None:
         return None

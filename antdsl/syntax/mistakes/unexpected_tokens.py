@@ -26,8 +26,8 @@ from antdsl.syntax.words import (
 @dataclass(frozen=True, slots=True)
 class UnexpectedToken:
     """The token at which the parser could not continue to read a line. `rule`: the grammar rule that reads the line.
-    - `previous_text`, `token_text`: the text of the token before it, and its own text ("" at the end of the line).
-    - `expected_terminals`: the names of the terminals that were possible in its place."""
+    - `previous_text`: the text of the previous token. `token_text`: the text of the token; "" at the end of the line.
+    - `expected_terminals`: the names of the terminals that were possible in place of the token."""
 
     rule: str
     first_word: str
@@ -102,7 +102,7 @@ def make_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
 
 
 def _explain_inner_after(unexpected: UnexpectedToken) -> Diagnostic | None:
-    """Return the error about `after` inside a condition, as in `when meal and after 1 s`; None for another mistake."""
+    """Return the error about `after` inside a condition, as in `when meal and after 1 s`. Return None for any other mistake."""
     if unexpected.previous_text != "after" or unexpected.earlier_text not in ("and", "or") or unexpected.token_kind != "number":
         return None
     source = unexpected.span.source
@@ -114,7 +114,7 @@ def _explain_inner_after(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _explain_quoted_library(unexpected: UnexpectedToken) -> Diagnostic | None:
-    """Return the error about a library in quotes, as in `use "steering"`; None for another mistake."""
+    """Return the error about a library in quotes, as in `use "steering"`. Return None for any other mistake."""
     name = unexpected.previous_text.strip('"')
     if unexpected.first_word != "use" or "AS" not in unexpected.expected_terminals or not name.isidentifier():
         return None
@@ -130,7 +130,7 @@ def _explain_quoted_library(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _find_misspelt_word(unexpected: UnexpectedToken) -> str | None:
-    """Return the allowed word of which the unexpected token is a misspelling. Return None if there is none."""
+    """Return the allowed word that was probably meant by the unexpected token. Return None if no allowed word is similar."""
     if unexpected.token_kind != "word" or len(unexpected.token_text) < 3 or "NAME" in unexpected.expected_terminals:
         return None
     words = [
@@ -146,7 +146,7 @@ def _has_missing_arrow(unexpected: UnexpectedToken) -> bool:
 
 
 def has_missing_brackets(unexpected: UnexpectedToken) -> bool:
-    """Return whether brackets are missing, as in `touching nest`: two names in a row, of which the first may be a function."""
+    """Return whether brackets are missing, as in `touching nest`: two names in a row, the first of which may be a function."""
     names = unexpected.previous_kind == unexpected.token_kind == "word" and unexpected.following_text not in ("(", ".", "[", ":")
     return (
         names
@@ -171,7 +171,7 @@ def make_plain_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
 
 
 def suggest_first_word(unexpected: UnexpectedToken) -> str | None:
-    """Return the correct spelling of a line's first word if it is misspelt and the line has no other valid meaning; else None."""
+    """Return the correct spelling of a line's first word. None if it is not misspelt, or the line has another valid meaning."""
     words = LINE_WORDS_BY_RULE[unexpected.rule]
     other = FOREIGN_FIRST_WORDS.get(unexpected.first_word)
     if other in words and unexpected.token_text not in _ASSIGNMENT_OPERATORS:
@@ -223,7 +223,7 @@ def _explain_no_line(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _explain_label(unexpected: UnexpectedToken) -> Diagnostic | None:
-    """Return the error about an argument name that follows a value without a comma, as in `f(a b: 1)`; None otherwise."""
+    """Return the error about a missing comma before an argument name, as in `f(a b: 1)`. Return None for any other mistake."""
     names = (
         unexpected.previous_kind == "word"
         and unexpected.token_text == ":"
@@ -239,7 +239,7 @@ def _explain_label(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _explain_comma(unexpected: UnexpectedToken) -> Diagnostic | None:
-    """Return the error about a decimal comma, as in `(0,15)`, where there cannot be two arguments; None for another mistake."""
+    """Return the error about a decimal comma, as in `(0,15)` where one argument is needed. Return None for any other mistake."""
     token_span, source = unexpected.span, unexpected.span.source
     comma = token_span.start if unexpected.token_text == "," else token_span.start - 1 if unexpected.previous_text == "," else -1
     span = find_comma_number(source, comma) if comma > 0 else None
@@ -316,19 +316,19 @@ def _explain_line_end(unexpected: UnexpectedToken) -> Diagnostic:
 
 
 def _make_fix_before_token(unexpected: UnexpectedToken, text: str) -> Fix:
-    """Return a fix that inserts text directly before the unexpected token."""
+    """Return a fix that inserts `text` directly before the unexpected token."""
     return Fix(Span(unexpected.span.source, unexpected.span.start, unexpected.span.start), text)
 
 
 def _make_fix_after_previous(unexpected: UnexpectedToken, text: str) -> Fix:
-    """Return a fix that inserts text directly after the previous token, before the blanks."""
+    """Return a fix that inserts `text` directly after the previous token, before the blanks that follow it."""
     source, start = unexpected.span.source, unexpected.span.start
     end = len(source.text[:start].rstrip())
     return Fix(Span(source, end, end), text)
 
 
 def is_line_start(unexpected: UnexpectedToken) -> bool:
-    """Return whether the unexpected token is a word that begins a line, following something that may end a line."""
+    """Return whether the unexpected token is a word that may begin a line, and the previous token may end one."""
     words = LINE_WORDS_BY_RULE[unexpected.rule]
     assigns = bool(words) and unexpected.token_kind == "word" and unexpected.following_text in _SIGNS_AFTER_TARGET
     return (unexpected.token_text in words or assigns) and "$END" in unexpected.expected_terminals
