@@ -1,11 +1,11 @@
-"""A scene adds real geometry and numbers to a program. `load` reads one.
+"""A scene adds real geometry and numbers to a program. `load` reads a scene.
 
 `document` reads YAML and stores the location of every value.
-`inheritance` merges the scenes that a scene extends.
-`scene_model` gives the scene types.
+`inheritance` merges a scene with the scenes that it extends.
+`scene_model` defines the keys of a scene and their types.
 `crowds` and `notes` contain the models of crowd lines and of notes.
 `checks` checks a scene against a program.
-`staging` reads its files (with `geometry`) and returns the `Setting`.
+`staging` reads the scene's files (with `geometry`) and returns the `Setting`.
 `paths` opens all files that a scene or a program names.
 
 The `Setting` is the complete input of the run time, in mm, seconds and the scene's own axes."""

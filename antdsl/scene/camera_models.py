@@ -1,4 +1,4 @@
-"""The forms that a camera can have in a `scene.yaml`, each as a pydantic model."""
+"""The forms in which a `scene.yaml` can define a camera, each as a pydantic model."""
 
 from __future__ import annotations
 

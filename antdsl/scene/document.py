@@ -22,7 +22,7 @@ PathKey = str | int
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScalarNode:
-    """A scalar as text. `is_quoted`: whether the source has quotes around it."""
+    """A scalar as text. `is_quoted`: whether it is in quotes in the source."""
 
     text: str
     is_quoted: bool
@@ -50,7 +50,7 @@ DocumentNode = ScalarNode | SequenceNode | MappingNode
 
 
 def to_plain_tree(node: DocumentNode) -> Any:
-    """Return the tree as dicts, lists and str, for the schema."""
+    """Return the tree as dicts, lists and str, the form that the schema reads."""
     if isinstance(node, MappingNode):
         return {key: to_plain_tree(value) for key, value in node.entries.items()}
     if isinstance(node, SequenceNode):
@@ -61,8 +61,8 @@ def to_plain_tree(node: DocumentNode) -> Any:
 def find_span(node: DocumentNode, path: Sequence[PathKey], *, key: bool = False) -> tuple[Span, tuple[PathKey, ...]]:
     """Return the location of the value at a path of keys, and the part of the path that exists.
 
-    With `key`, return the location of the last key instead. If the value does not exist, return the location of its nearest
-    existing ancestor. Parts of the path that only the schema has, such as its tags, are skipped."""
+    If `key` is true, return the location of the last key instead. If the value does not exist, return the location of its
+    nearest existing ancestor. Parts of the path that are only in the schema, such as its tags, are skipped."""
     span, walked = node.span, ()  # type: tuple[Span, tuple[PathKey, ...]]
     for part in path:
         if isinstance(node, MappingNode) and isinstance(part, str) and part in node.entries:
@@ -78,7 +78,7 @@ def find_span(node: DocumentNode, path: Sequence[PathKey], *, key: bool = False)
 
 
 class _DocumentError(Exception):
-    """Error that ends reading. It has already been added to the report."""
+    """Error that ends the reading of a document. It has already been added to the report."""
 
 
 # Invisible characters and characters that look like a blank. YAML reads them as letters. Joiners belong to the spelling of words.
@@ -92,9 +92,10 @@ _FORBIDDEN_CHARACTERS = re.compile(
 
 
 def decode_source(data: bytes, name: str, file_kind: str = "a scene") -> tuple[Source, Report]:
-    """Return the bytes of a text file as a Source, and a report. A byte order mark is dropped; anything but UTF-8 is an error.
+    """Return the bytes of a text file as a Source, and a report. A byte order mark is dropped. Any encoding except UTF-8 is an
+    error.
 
-    `file_kind`: the kind of file, for messages."""
+    `file_kind`: words for the kind of file, for messages."""
     report = Report()
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         source = Source(name, "")
@@ -121,9 +122,9 @@ def decode_source(data: bytes, name: str, file_kind: str = "a scene") -> tuple[S
 def read_document(
     source: Source, subject: str = "the scene", example: str = "begin with `antdsl: 1`"
 ) -> tuple[MappingNode | None, Report]:
-    """Return the tree of a text and a report. The tree is None if the text cannot be used.
+    """Return the tree of a text, and a report. The tree is None if the text is unusable.
 
-    `subject`: a name for the text, and `example`: advice if the text is empty."""
+    `subject`: words for the text, for messages. `example`: advice if the text is empty."""
     reader = _DocumentReader(source, subject, example)
     try:
         root = reader.read_root()
@@ -162,7 +163,7 @@ class _DocumentReader:
         return Span(self.source, start, max(end, start))
 
     def make_error(self, code: str, message: str, span: Span, help: str | None = None, *labels: Label) -> _DocumentError:
-        """Report an error, and return the exception to raise."""
+        """Report an error. Return the exception, which the caller raises."""
         self.report.error(code, message, span, help, labels=labels)
         return _DocumentError()
 
@@ -183,11 +184,11 @@ class _DocumentReader:
         return root
 
     def reject_depth(self, span: Span) -> _DocumentError:
-        """Report nesting that is too deep, and return the exception to raise."""
+        """Report nesting that is too deep. Return the exception, which the caller raises."""
         return self.make_error("too-large", f"values are nested more than {limits.MAX_YAML_DEPTH} levels deep", span)
 
     def report_odd_blank(self, match: re.Match[str]) -> None:
-        """Report the first character that looks like a blank but is not one."""
+        """Report the first character that looks like a blank but is another character."""
         import unicodedata
 
         character = match[0]
@@ -202,7 +203,7 @@ class _DocumentReader:
         self.report.error("odd-blank", words, place, help)
 
     def reject_syntax(self, problem: Any) -> _DocumentError:
-        """Report a syntax error of YAML, and return the exception to raise."""
+        """Report a syntax error of YAML. Return the exception, which the caller raises."""
         mark = getattr(problem, "problem_mark", None) or getattr(problem, "context_mark", None)
         start = self.find_offset(mark) if mark is not None else 0
         words = (getattr(problem, "problem", None) or "this is not YAML").replace("'\\t'", "a tab")
@@ -238,14 +239,15 @@ class _DocumentReader:
         return self.make_error("scene-syntax", f"cannot read the scene here: {words}", place, help, *labels)
 
     def find_call_help(self, position: int) -> str | None:
-        """Return what to write instead of the call around a position, such as `all(ant, within: 9 mm)`; None without one."""
+        """Return what to write instead of the call at a position, such as `all(ant, within: 9 mm)`. Return None if there is no
+        call."""
         line = self.source.text[max(0, position - _MAX_QUOTED_LINE_CHARACTERS) : position + _MAX_QUOTED_LINE_CHARACTERS]
         calls = _CALL_PATTERN.finditer(line)
         at = min(position, _MAX_QUOTED_LINE_CHARACTERS)
         return next((suggest_flow_mapping(call[0]) for call in calls if call.start() <= at < call.end()), None)
 
     def explain_problem(self, problem: Any, start: int) -> Diagnostic | None:
-        """Return a more precise message for a YAML error in a line, or None. `start`: the offset of the error."""
+        """Return a message that is more precise than YAML's own, or None. `start`: the offset of the error."""
         if str(getattr(problem, "context", "")).startswith("while parsing a flow"):
             return None
         start_mark = getattr(problem, "context_mark", None)
@@ -256,9 +258,9 @@ class _DocumentReader:
         return explain_indentation(self.source, start) or explain_missing_colon(self.source, start)
 
     def build_tree(self, yaml: Any, events: Any) -> DocumentNode | None:
-        """Return the tree built from YAML's stream of events.
+        """Return the tree built from YAML's stream of events. The result is None if the text contains no document.
 
-        The stack is explicit, so that depth and size are checked before they become expensive."""
+        The stack is explicit, so that limits on depth and size are checked before memory is used."""
         stack: list[_UnfinishedNode] = []
         root: DocumentNode | None = None
         count = documents = 0
@@ -318,7 +320,7 @@ class _DocumentReader:
         return root
 
     def report_call_with_comma(self, open_node: _UnfinishedNode) -> None:
-        """Report a comma in parentheses, which ends a value in `{…}` and `[…]`: `{kill: all(ant, within: 9 mm)}`."""
+        """Report a comma in parentheses that ends a value of `{…}` or `[…]`, as in `{kill: all(ant, within: 9 mm)}`."""
         for item in open_node.items:
             if not isinstance(item, ScalarNode) or item.is_quoted or item.text.count("(") <= item.text.count(")"):
                 continue
@@ -332,7 +334,7 @@ class _DocumentReader:
             raise _DocumentError
 
     def finish_node(self, open_node: _UnfinishedNode, end: int) -> DocumentNode:
-        """Return the node of a finished mapping or sequence. `end`: the offset of its end."""
+        """Return the node of a mapping or sequence that has been read completely. `end`: the offset of its end."""
         text = self.source.text
         while end > open_node.start + 1 and text[end - 1 : end].isspace():
             end -= 1

@@ -1,7 +1,6 @@
-"""Settings of fields that the scene, or the user at the command line, changes (`set: {trail.half_life: 4 s}`).
+"""Settings of fields that are changed by the scene or by the user on the command line (`set: {trail.half_life: 4 s}`).
 
-This module also checks that fields work at the scene's frame rate: cells must be large enough for the speed at which scent
-spreads."""
+This module also checks that fields work at the scene's frame rate: the cells must be large enough for the diffusion per step."""
 
 from __future__ import annotations
 
@@ -28,18 +27,18 @@ _SETTING_DIMENSIONS = {
 
 
 def find_setting_dimension(program: Program, name: str) -> Dimension | None:
-    """Return the dimension of a field's setting; None if there is no setting of this name."""
+    """Return the dimension of a field setting such as `trail.half_life`, or None if there is no setting of this name."""
     field, _, word = name.partition(".")
     return _SETTING_DIMENSIONS.get(word) if field in program.fields and name not in program.params else None
 
 
 def list_settable_names(program: Program) -> list[str]:
-    """Return the names of all field settings that can be set to another value."""
+    """Return the names of all field settings that a scene or a user can change."""
     return [f"{field}.{word}" for field in program.fields for word in _SETTING_DIMENSIONS]
 
 
 def format_suggested_setting(name: str, value: Quantity) -> str:
-    """Return what to write instead of an invalid value of a setting, as help text. Return an empty text if the value is valid."""
+    """Return help text with a value to write instead of an invalid value of a setting. It is empty if the value is valid."""
     word = name.partition(".")[2]
     if word == "keeps" and (value.step != -1 or not 0 <= value.number <= 1):
         return "write a share from `0 %/step` to `100 %/step`"
@@ -50,7 +49,7 @@ def format_suggested_setting(name: str, value: Quantity) -> str:
 
 
 def replace_field_settings(program: Program, scene: Scene, values: Mapping[str, Quantity]) -> Program:
-    """Return the program with these settings of its fields. Unknown names are ignored."""
+    """Return the program with these values for field settings. Unknown names are ignored."""
     fields = dict(program.fields)
     for name, value in values.items():
         dim = find_setting_dimension(program, name)
@@ -71,20 +70,20 @@ def replace_field_settings(program: Program, scene: Scene, values: Mapping[str, 
 
 
 def replace_field_setting(field: Field, setting_name: str, value: Expr) -> Field:
-    """Return a field with another value for one setting. A new setting for fading replaces all earlier settings for fading."""
+    """Return a field with a new value for one setting. A new setting for fading replaces all earlier settings for fading."""
     values: dict[str, Any] = dict.fromkeys(DECAY_SETTING_NAMES) if setting_name in DECAY_SETTING_NAMES else {}
     return replace(field, **{**values, setting_name: value})
 
 
 def compute_max_diffusion(cell: float, dt: float) -> float:
-    """Return the largest stable diffusion (mm²/s) for cells of `cell` mm and steps of `dt` s.
+    """Return the largest diffusion (mm²/s) that is stable for cells of `cell` mm and steps of `dt` s.
 
-    Above it, values oscillate or become negative."""
+    Above it, the values of cells oscillate or become negative."""
     return cell * cell / (4.0 * dt)
 
 
 def check_field_dynamics(scene: Scene, program: Program, report: Report) -> None:
-    """Report fields that spread too fast for their cells, and warn about fields that nothing fills."""
+    """Report fields that diffuse too fast for the size of their cells, and warn about fields that are never filled."""
     dt = float(1 / scene.model.fps)
     for field in replace_field_settings(program, scene, scene.model.set).fields.values():
         cell, diffuse = _convert_constant(scene, field.cell), _convert_constant(scene, field.diffuse)
@@ -116,7 +115,7 @@ def check_field_dynamics(scene: Scene, program: Program, report: Report) -> None
 
 
 def _convert_constant(scene: Scene, value: Expr | None) -> float | None:
-    """Return a constant setting in base units; None if there is none, or if it depends on params."""
+    """Return a constant setting in base units. Return None if the setting is absent or depends on params."""
     constant = find_constant(value) if value is not None else None
     if constant is None:
         return None

@@ -1,5 +1,5 @@
-"""Explains mistakes in YAML's flow style, and suggests what to write instead. Examples are calls with commas, such as `{kill:
-all(ant, within: 9 mm)}`, and keys without a value, such as `{kill:guards}`."""
+"""Explains mistakes in YAML's flow style (`{…}` and `[…]`), and suggests what to write instead. Examples are calls with commas,
+such as `{kill: all(ant, within: 9 mm)}`, and keys without a value, such as `{kill:guards}`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _MAX_CALL_CHARACTERS = 1000
 
 
 def find_closing_parenthesis(text: str, start: int, end: int) -> int | None:
-    """Return the position behind the parenthesis that closes the first one after `start`; None if a brace ends first."""
+    """Return the index after the parenthesis that closes the first one after `start`, or None if a brace ends before it."""
     depth = 0
     for position in range(start, min(end, start + _MAX_CALL_CHARACTERS)):
         character = text[position]
@@ -27,13 +27,14 @@ def find_closing_parenthesis(text: str, start: int, end: int) -> int | None:
 
 
 def suggest_flow_mapping(call: str) -> str:
-    """Return what to write instead of a call such as `all(ant, within: 9 mm)`: a selector if it fits, else the text in quotes."""
+    """Return what to write instead of a call such as `all(ant, within: 9 mm)`: a selector if one fits, else the call in
+    quotes."""
     quote = "'" if '"' in call else '"'
     return suggest_selector(call) or f"put it in quotes: `{quote}{call}{quote}`"
 
 
 def suggest_selector(call: str) -> str | None:
-    """Return the selector to write instead of a call such as `all(ant, within: 9 mm)`, or None if no selector fits."""
+    """Return the selector that replaces a call such as `all(ant, within: 9 mm)`, or None if no selector fits."""
     match = _CALL_PATTERN.fullmatch(call)
     parts = [part.strip() for part in match[2].split(",")] if match is not None else []
     conditions = [part for part in parts[1:] if _CONDITION_PATTERN.fullmatch(part)]
@@ -47,8 +48,8 @@ def suggest_selector(call: str) -> str | None:
 
 
 def explain_joined_entry(text: str) -> tuple[str, str] | None:
-    """Return the message and the advice for a text such as `kill:guards` or `kill guards`, where an entry `kill: guards` is
-    expected. None for other texts."""
+    """Return the message and the advice for a text such as `kill:guards` or `kill guards` in place of an entry `kill: guards`.
+    Return None for other texts."""
     for pattern, message in ((_NO_SPACE_PATTERN, "a space is missing after `:`"), (_NO_COLON_PATTERN, "a `:` is missing here")):
         match = pattern.fullmatch(text)
         if match is not None:
@@ -57,7 +58,8 @@ def explain_joined_entry(text: str) -> tuple[str, str] | None:
 
 
 def explain_key_without_value(text: str, previous: tuple[str, str] | None) -> tuple[str, str]:
-    """Return the message and the advice for an entry of `{…}` that is only a text. `previous`: the entry before it."""
+    """Return the message and the advice for an entry of `{…}` that has no value. `previous`: the key and the value of the entry
+    before it."""
     joined = explain_joined_entry(text)
     if joined is not None:
         return joined

@@ -1,6 +1,6 @@
-"""Explains why a scene's text is not YAML: a line with a wrong indent or without its colon, and what to write instead.
+"""Explains why a scene's text is not YAML: it finds a line with a wrong indent or without a colon, and suggests what to write.
 
-YAML itself only reports where it stopped reading, which is often a line or a word later."""
+YAML itself only reports where it stopped reading, which is often a line or a word after the mistake."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _DISPLAY_WIDTH = 40
 
 @dataclass(slots=True)
 class _IndentedLine:
-    """A line of a block: its indent, its text without comment, and the location of the text."""
+    """A line of a block: its indent, its text without a comment, and the location of the text."""
 
     start: int
     indent: int
@@ -35,7 +35,7 @@ class _IndentedLine:
 
 @dataclass(slots=True)
 class _IndentLevel:
-    """A level of indentation: its indent, whether its lines are items of a list, its last line, and the remaining text of that
+    """A level of indentation: its indent, whether its lines are list items, its last line, and the rest of the text of that
     line."""
 
     indent: int
@@ -46,7 +46,7 @@ class _IndentLevel:
 
 @dataclass(slots=True)
 class _MisindentedLine:
-    """A line with an indent that fits no level, and the nearest level."""
+    """A line with an indent that matches no level, and the nearest level."""
 
     line: _IndentedLine
     level: _IndentLevel
@@ -55,7 +55,7 @@ class _MisindentedLine:
 def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
     """Return the error about the first line with a wrong indent, or None. Lines after the offset `stop` are ignored.
 
-    If shifting the previous line solves the problem, the error is about that line."""
+    If a shift of the previous line solves the problem, the error is about that line."""
     odd = _find_misindented_line(source.text, stop)
     if odd is None:
         return None
@@ -103,7 +103,7 @@ def _find_misindented_line(text: str, stop: int | None = None) -> _MisindentedLi
 
 
 def _enter_line(levels: list[_IndentLevel], line: _IndentedLine) -> bool:
-    """Add a line to the levels. Return whether its last key has no value, so that a block may follow."""
+    """Add a line to the levels. Return whether its last key has no value, which means that a block may follow."""
     indent, text = line.indent, line.text
     while True:
         dash = text == "-" or text.startswith("- ")
@@ -123,7 +123,7 @@ def _enter_line(levels: list[_IndentLevel], line: _IndentedLine) -> bool:
 
 
 def _find_level(levels: list[_IndentLevel], line: _IndentedLine, can_nest: bool) -> _IndentLevel | None:
-    """Return the level to which a line with a wrong indent should belong. None if its indent is right."""
+    """Return the level to which a line with a wrong indent should belong, or None if its indent is correct."""
     if not levels:
         return _IndentLevel(0, line.is_item, None) if line.indent else None
     last = levels[-1]
@@ -136,9 +136,9 @@ def _find_level(levels: list[_IndentLevel], line: _IndentedLine, can_nest: bool)
 
 
 def _shift_line(text: str, line: _IndentedLine, shift: int, *, only_line: bool = False) -> tuple[int, int, str]:
-    """Return how to shift a line by `shift` blanks: start and end of the text to replace, and the replacement.
+    """Return the change that shifts a line by `shift` blanks: the start and end of the text to replace, and the replacement.
 
-    Lines that belong to it are shifted too, unless `only_line`."""
+    Lines below it with a larger indent are also shifted, unless `only_line` is true."""
     start = line.start - line.indent
     hangs = not only_line and (shift < 0 or line.is_item or line.text.endswith(":"))
     end = _find_block_end(text, line) if hangs else _find_line_end(text, line.start)
@@ -171,8 +171,8 @@ def _find_line_end(text: str, start: int) -> int:
 
 
 def _iterate_lines(text: str, stop: int) -> Iterator[_IndentedLine]:
-    """Yield the non-empty lines up to the offset `stop`, without lines that continue a bracket, a quoted text or a block of
-    text."""
+    """Yield the non-empty lines up to the offset `stop`. Lines inside brackets, quoted texts or text blocks that began earlier
+    are omitted."""
     position, depth, quote, block = 0, 0, "", -1
     while position < len(text) and position <= stop:
         end = _find_line_end(text, position)
@@ -192,7 +192,8 @@ def _iterate_lines(text: str, stop: int) -> Iterator[_IndentedLine]:
 
 
 def _strip_comment(line: str, depth: int, quote: str) -> tuple[str, int, str]:
-    """Return a line without its comment, the number of brackets open at its end, and the quote open at its end."""
+    """Return a line without its comment, the number of brackets that are open at its end, and the quote that is open at its
+    end."""
     previous_character = " "
     for place, character in enumerate(line):
         if quote:
@@ -210,9 +211,9 @@ def _strip_comment(line: str, depth: int, quote: str) -> tuple[str, int, str]:
 
 
 def explain_missing_colon(source: Source, start: int) -> Diagnostic | None:
-    """Return the error about a line with a key but no colon before the value, such as `fps 24`; None if there is none.
+    """Return the error about a line without a colon between key and value, such as `fps 24`. Return None if there is none.
 
-    YAML reads such a line as continuing in the next line. `start`: only lines at or above this offset count."""
+    YAML joins such a line with the next line. `start`: an offset; its line and the line above are examined."""
     line, _ = source.find_line_column(start)
     for number in (line, line - 1):
         text = source.line_text(number)
@@ -231,7 +232,7 @@ def explain_missing_colon(source: Source, start: int) -> Diagnostic | None:
 
 
 def _find_line_start(source: Source, line: int) -> int:
-    """Return the offset at which a line begins. Lines count from 1."""
+    """Return the offset at which a line begins. `line`: the number of the line, from 1."""
     low, high = 0, len(source.text)
     while low < high:
         middle = (low + high) // 2

@@ -1,4 +1,4 @@
-"""Merges a scene with the scenes that it `extends`. Its own values override theirs, mapping by mapping.
+"""Merges a scene with the scenes that it `extends`. The scene's own values override theirs, separately in each mapping.
 
 Every value retains its location in its source file."""
 
@@ -20,9 +20,9 @@ _UNINHERITED_KEYS = frozenset((EXTENDS_KEY, "antdsl"))  # keys that are not inhe
 def merge_parents(
     document: MappingNode, name: str, roots: Roots, report: Report, unsaved_texts: Mapping[Path, bytes] | None = None
 ) -> MappingNode | None:
-    """Return a scene's tree merged with all scenes that it extends, nearest first. Return None if the report has errors.
+    """Return the tree of a scene, merged with all scenes that it extends, nearest first. Return None if the report has errors.
 
-    A parent scene is searched next to the scene that names it, so that relative paths agree.
+    A parent scene is looked up relative to the scene that names it.
     `unsaved_texts`: contents that override files on disk, for scenes that are open in an editor."""
     scene_names = [name.replace("\\", "/").rsplit("/", 1)[-1]]
     behind = document
@@ -77,7 +77,7 @@ def _read_parent(
 
 
 def _merge_mappings(child: MappingNode, parent: MappingNode, excluded_keys: frozenset[str] = frozenset()) -> MappingNode:
-    """Return two mappings merged key by key. Other values in `child` replace those in `parent`.
+    """Return two mappings merged key by key. Values that are not mappings are taken from `child` if it has them.
 
     Keys in `excluded_keys` are not merged."""
     entries: dict[str, DocumentNode] = {key: value for key, value in parent.entries.items() if key not in excluded_keys}

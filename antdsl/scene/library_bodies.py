@@ -1,6 +1,6 @@
 """The bodies that come with antdsl: their names and sizes, and the species that each body fits.
 
-They are data: `NAME.json` and `NAME.glb` in `antdsl/bodies/data`, with a row for each body in `bodies.json`."""
+They are stored as data: `NAME.json` and `NAME.glb` in `antdsl/bodies/data`, with a row for each body in `bodies.json`."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from antdsl import resources
 
 @dataclass(frozen=True, slots=True)
 class TrunkCapsule:
-    """The capsule of a trunk, without legs and feelers, in body lengths.
+    """The capsule around a trunk, without legs and feelers, in body lengths.
 
     `length`, `width`: the size along and across the heading.
     `height`: the height of its centre above the feet.
-    `forward_offset`: the distance of its centre ahead of the feet."""
+    `forward_offset`: how far its centre is ahead of the feet."""
 
     length: float
     width: float
@@ -36,5 +36,5 @@ _BODY_BY_SPECIES = [(word, name) for name, row in _BODY_ROWS.items() for word in
 
 
 def find_body_for_species(species: str) -> str:
-    """Return the name of the body that fits a species, by the name of the species. The default is an ant."""
+    """Return the name of the body that fits a species with the name `species`. The default is an ant."""
     return next((name for word, name in _BODY_BY_SPECIES if word in species.lower()), "ant")

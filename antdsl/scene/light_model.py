@@ -18,7 +18,7 @@ _Degrees = Annotated[float, Field(allow_inf_nan=False)]
 
 @dataclass(frozen=True, slots=True)
 class LightSettings:
-    """The light of a picture, as caches store it: strengths of sun, sky, haze and lamps, and the direction to the sun in
+    """The light of a picture, as caches store it: the strengths of sun, sky, haze and lamps, and the direction to the sun in
     degrees."""
 
     sun: _LightFactor = 1.0
@@ -33,7 +33,7 @@ DEFAULT_LIGHT = LightSettings()
 
 
 def _parse_strength(value: Any) -> float:
-    """Return a strength such as `50 %` or `300 %` as a factor."""
+    """Return the factor for a strength such as `50 %` or `300 %`."""
     quantity = parse_any_quantity(value)
     if quantity.dim != Dimension() or not 0 <= quantity.number <= MAX_LIGHT_STRENGTH:
         raise make_value_error(f"`{quantity.text}` is not a strength", f"write `50 %`, at most `{MAX_LIGHT_STRENGTH * 100:g} %`")

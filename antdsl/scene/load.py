@@ -1,4 +1,5 @@
-"""Reads a scene: from bytes to a tree to models. Every error has its location in the text, and says what to write instead."""
+"""Reads a scene: converts bytes to a tree, and the tree to models. Each error has a location in the text, and says what to write
+instead."""
 
 from __future__ import annotations
 
@@ -46,9 +47,9 @@ _UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here", "-selector", "-region", "-e
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A scene as in the source, with types. It has not been matched with a program.
+    """A scene with typed values, as in the source. It has not been checked against a program.
 
-    `added_notes`: how many notes at its end do not come from its files."""
+    `added_notes`: how many notes at its end come from elsewhere than its files."""
 
     model: SceneModel
     document: MappingNode
@@ -57,24 +58,24 @@ class Scene:
     added_notes: int = 0
 
     def find_span(self, *path: PathKey, key: bool = False) -> Span:
-        """Return the location in the text of a value, or of its nearest existing ancestor. With `key`, return the location of its
-        key."""
+        """Return the location of a value in the text, or of its nearest existing ancestor. If `key` is true, return the location
+        of its key."""
         return find_span(self.document, path, key=key)[0]
 
     def replace_values(self, **values: object) -> Scene:
-        """Return the same scene with other values for some keys. None leaves a key unchanged."""
+        """Return the same scene with new values for some keys. None leaves a key unchanged."""
         changes = {name: value for name, value in values.items() if value is not None}
         return replace(self, model=self.model.model_copy(update=changes)) if changes else self
 
     def hash_camera(self, name: str) -> str:
-        """Return a hash of a camera as in the source."""
+        """Return a hash of the definition of a camera in the source."""
         return hashlib.blake2b(repr(self.model.named_cameras[name]).encode(), digest_size=16).hexdigest()
 
     def compute_digest(self) -> str:
-        """Return a digest of everything in the files of the scene that affects results.
+        """Return a digest of everything in the scene's files that affects results.
 
-        It leaves out the output, and cameras that no level of detail uses: `hash_camera` is for those that agents sense. It also
-        leaves out the last frame and `until`, so that a cache can be continued past its end."""
+        It excludes the output, and cameras that no level of detail uses. For cameras that agents sense, use `hash_camera`. It
+        also excludes the last frame and `until`, so that a cache can be continued past its end."""
         without = {"output", "frames", "until", "extends", "cameras"} | ({"camera"} if self.model.lod is None else set())
         relevant_keys = sorted(set(type(self.model).model_fields) - without)
         values = [(name, getattr(self.model, name)) for name in relevant_keys if name not in ("crowd", "notes")]
@@ -89,11 +90,10 @@ class Scene:
 def load_scene(
     path: Path, grants: Mapping[str, Path] | None = None, notes: Sequence[str] = (), values: Mapping[str, str] | None = None
 ) -> tuple[Scene | None, Report]:
-    """Read a scene's file and return the typed scene and a report. The scene is None if there are errors.
+    """Return the typed scene in a file, and a report. The scene is None if there are errors.
 
-    Files that the scene names are not accessed. They may only be in the scene's own folder and in `grants`.
-    `notes`: lines of notes in addition to those of the file. `values`: texts that replace values of the file
-    (`scene_values.replace_entries`)."""
+    Files that the scene names are not accessed. They must be in the scene's own folder or in `grants`.
+    `notes`: lines with further notes. `values`: texts that replace values of the file (`scene_values.replace_entries`)."""
     try:
         data = read_user_file(path, limits.MAX_SCENE_BYTES)
     except PathRefused as error:
@@ -111,10 +111,9 @@ def load_scene_text(
     notes: Sequence[str] = (),
     values: Mapping[str, str] | None = None,
 ) -> tuple[Scene | None, Report]:
-    """Return the typed scene of a file's bytes, and a report, as `load_scene` does. The scene is None if there are errors.
+    """Return the typed scene in the bytes of a file, and a report, like `load_scene`. The scene is None if there are errors.
 
-    `unsaved_texts`: contents that override the files of scenes that this scene extends. `notes`, `values`: as in
-    `load_scene`."""
+    `unsaved_texts`: contents that override the files of scenes that this scene extends. `notes`, `values`: as in `load_scene`."""
     source, report = decode_source(data, name)
     if not report.ok:
         return None, report
@@ -150,9 +149,8 @@ _KEYS_WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "cam
 
 
 def _find_lines_at_wrong_level(document: MappingNode) -> dict[PathKey, Diagnostic]:
-    """Return the error about lines at the left edge that belong below the previous key, which has no value.
-
-    The error for the first of these lines is listed under every key without another error."""
+    """Return errors about lines at the left edge that belong below an earlier key, which has no value. They are stored by key.
+    The earlier key and the keys of all of these lines have the same error, about the first line."""
     from antdsl.scene.scene_model import SceneModel
 
     known = {field.alias or name for name, field in SceneModel.model_fields.items()}
@@ -176,10 +174,10 @@ def _find_lines_at_wrong_level(document: MappingNode) -> dict[PathKey, Diagnosti
 
 
 def drop_cascading_errors(errors: list[Any]) -> list[Any]:
-    """Return the errors, without errors that only follow from a misspelled key.
+    """Return the errors without those that only follow from a misspelled key.
 
-    A misspelled key is unknown, and the intended key is missing. Where any key is allowed, the misspelled key's value has the
-    wrong type."""
+    A misspelled key is unknown, and the intended key is missing. In a mapping that allows any key, the value of the misspelled
+    key has the wrong type."""
     missing = {tuple(error["loc"]) for error in errors if error["type"] == "missing"}
     errors_by_path: dict[tuple[PathKey, ...], Any] = {}
     meant: set[tuple[PathKey, ...]] = set()
@@ -200,8 +198,8 @@ def drop_cascading_errors(errors: list[Any]) -> list[Any]:
 def report_model_error(
     report: Report, document: MappingNode, error: Any, models: Mapping[str, type[ScenePart]] | None = None
 ) -> None:
-    """Add an error of pydantic to a report, at its location in the text. `models`: further models, by the last word of the path
-    to their keys."""
+    """Add a pydantic error to a report, at its location in the text. `models`: further models, by the last word of the path to
+    their keys."""
     kind, path = error["type"], tuple(error["loc"])
     if kind == "extra_forbidden":
         _report_unknown_key(report, document, path, error.get("meant"), models or {})
@@ -288,7 +286,7 @@ def _format_path(path: tuple[PathKey, ...]) -> str:
 
 
 def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, type[ScenePart]]) -> list[str]:
-    """Return the keys that the model at a path knows."""
+    """Return the keys that are allowed by the model at a path."""
     from antdsl.scene import scene_model
     from antdsl.scene.camera_models import CAMERA_MODEL_BY_TYPE_TAG, CameraKey
     from antdsl.scene.crowds.casting_model import RANDOM_VALUE_MODELS

@@ -1,7 +1,7 @@
-"""The looks of surfaces: the words for `look` in scenes, and the materials in pictures, USD and glTF. There is one row for each
+"""The looks of surfaces: the words for `look` in scenes, and the materials in pictures, USD and glTF, with one row for each
 kind.
 
-The module also has the shapes of items, by words in their names."""
+The module also chooses the shapes of items from words in their names."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from typing import NamedTuple
 class SurfaceLook(NamedTuple):
     """A kind of surface.
 
-    `colour`: the mean colour, sRGB display values 0..1, for files without the pattern of pictures.
-    `roughness`, `metalness`: 0..1, as in glTF 2.0.
-    `bumps`: the height of its grain, relative to that of soil.
-    `shows_fields`: whether the colour of a pheromone may lie on it.
-    `look`: the word that selects it; None if only pictures select it.
-    `words`: parts of the names of meshes that have this look by themselves."""
+    `colour`: the mean colour (sRGB display values, 0 to 1), for files without the pattern that pictures show.
+    `roughness`, `metalness`: 0 to 1, as in glTF 2.0.
+    `bumps`: the height of the surface grain, relative to that of soil.
+    `shows_fields`: whether pictures may show the colour of a pheromone on it.
+    `look`: the word in scenes that selects it; None if only pictures select it.
+    `words`: parts of mesh names; a mesh with such a name has this look by default."""
 
     colour: tuple[float, float, float]
     roughness: float
@@ -53,25 +53,26 @@ LOOK_WORDS = (*KIND_BY_LOOK, INVISIBLE_LOOK)
 
 
 def is_lamp_look(look: str | None) -> bool:
-    """Return whether items with a look emit light."""
+    """Return whether items with the look `look` emit light."""
     return look == LAMP_LOOK_WORD
 
 
 def compute_remaining_share(amounts: Iterable[tuple[float, float]]) -> float:
-    """Return the fraction (0 to 1) of its initial amount that an item still has. It is 1 for an item that started with nothing.
+    """Return the fraction (0 to 1) of its initial amount that an item still has. It is 1 for an item that had nothing initially.
 
-    `amounts`: for each attribute, the initial and the current amount. The first attribute with an initial amount counts."""
+    `amounts`: the initial and the current amount of each attribute. Only the first attribute with an initial amount is used."""
     return next((min(max(now / first, 0.0), 1.0) for first, now in amounts if first > 0), 1.0)
 
 
 def compute_drawn_radius(radius: float, remaining_share: float) -> float:
-    """Return the radius at which to draw an item, so that its volume is this fraction of the full volume."""
+    """Return the radius at which an item is drawn, so that its drawn volume is the fraction `remaining_share` of the full
+    volume."""
     return float(radius * min(max(remaining_share, 0.0), 1.0) ** (1 / 3))
 
 
 def find_kind_by_name(mesh: str) -> str | None:
-    """Return the kind of surface that has a word in the name of a mesh; None without such a word. The first kind in the table
-    counts."""
+    """Return the kind of surface of which a word occurs in the name of a mesh, or None. The first such kind in the table is
+    used."""
     name = mesh.lower()
     return next((kind for kind, row in SURFACE_KINDS.items() if any(word in name for word in row.words)), None)
 
@@ -118,12 +119,12 @@ _SHAPE_WORDS: tuple[tuple[str, str], ...] = (
 
 
 def choose_item_shape(kind: str, name: str) -> str:
-    """Return the shape that suits items of a `kind` (`food`, `nest`) with this `name` (`apple`)."""
+    """Return the shape that fits items of the kind `kind` (such as `food`) with the name `name` (such as `apple`)."""
     return next((shape for text in (name, kind) for word, shape in _SHAPE_WORDS if word in text.lower()), "sphere")
 
 
 def choose_drawn_shape(kind: str, name: str, look: str | None) -> str:
-    """Return the shape in which an item is drawn; `none` if it is not drawn. An item with a look but no shape is a sphere."""
+    """Return the shape in which an item is drawn, or `none` if it is not drawn. An item with a look but no shape is a sphere."""
     if look == INVISIBLE_LOOK:
         return "none"
     shape = choose_item_shape(kind, name)

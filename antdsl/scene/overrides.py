@@ -1,4 +1,4 @@
-"""Values that override those of a scene: params that the user sets for a run, and settings of specs."""
+"""Values that override those of a scene: params that the user sets for a run, and settings in specs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def read_overrides(scene: Scene, program: Program, params: Mapping[str, str], report: Report) -> Mapping[str, Quantity]:
-    """Return the values of `--set NAME=TEXT` by name, each checked against the scene and the program."""
+    """Return the values of `--set NAME=TEXT` by name. Each value is checked against the scene and the program."""
     quantities = {}
     for name, text in params.items():
         try:

@@ -1,4 +1,4 @@
-"""The only interface to files that a scene or a program names. Files must be below the scene's own folder or a granted root.
+"""The only interface to the files that a scene or a program names. Files must be below the scene's own folder or a granted root.
 
 A path is checked as text before the disk is accessed. Then it is opened component by component, without following links."""
 
@@ -33,9 +33,9 @@ _SEQUENCE_PATTERN = re.compile("([^#]*?)(#{1,9})([^#/]*)")
 
 
 class PathRefused(Exception):
-    """Error for a path that may not be opened. The text of the exception is the diagnostic's message.
+    """Error for a path that may not be opened. The exception's text is the message of the diagnostic.
 
-    `code`: the diagnostic's code. `help`: what to write instead."""
+    `code`: the code of the diagnostic. `help`: what to write instead."""
 
     def __init__(self, code: str, message: str, help: str | None = None) -> None:
         super().__init__(message)
@@ -44,7 +44,7 @@ class PathRefused(Exception):
 
 @contextmanager
 def record_requested_paths() -> Iterator[RequestedPaths]:
-    """Collect all files requested through this module while the context is active, in order, whether they exist or not.
+    """Record all files that are requested through this module within the context, in order, whether they exist or not.
 
     The result maps each path to the root below which no link is followed. The root is None for a file that the user named."""
     sought_files: RequestedPaths = {}
@@ -59,7 +59,8 @@ def record_requested_paths() -> Iterator[RequestedPaths]:
 
 @dataclass(frozen=True, slots=True)
 class Roots:
-    """The folders from which files may be read: the scene's folder, and folders granted by name (`--root assets=PATH`)."""
+    """The folders from which files may be read: the scene's folder, and folders that the user grants by name (`--root
+    assets=PATH`)."""
 
     folder: Path
     folder_by_name: Mapping[str, Path] = field(default_factory=dict)
@@ -67,7 +68,7 @@ class Roots:
     def split_path(self, text: str) -> tuple[Path, tuple[str, ...]]:
         """Return the root of a path, and its components below the root. The disk is not accessed.
 
-        Raises PathRefused if the text names anything else."""
+        Raises PathRefused unless the text is a path below one of the roots."""
         named = GRANTED_PATH_PATTERN.fullmatch(text)
         if named and len(named[1]) > 1:
             name, rest = named[1], named[2]
@@ -82,7 +83,7 @@ class Roots:
         return self.folder, _split_path(text, text)
 
     def resolve_path(self, text: str) -> Path:
-        """Return the full path of a file. Only the text is checked."""
+        """Return the full path of a file. Only the text is checked; the disk is not accessed."""
         root, parts = self.split_path(text)
         return root.joinpath(*parts)
 
@@ -91,13 +92,13 @@ class Roots:
         return _read_all(self.open_file(text), text, max_bytes)
 
     def open_file(self, text: str) -> int:
-        """Return a handle to a regular file, which the caller must close. Raises PathRefused with the reason."""
+        """Return a file descriptor of a regular file, which the caller must close. Raises PathRefused with the reason."""
         root, parts = self.split_path(text)
         record_request(root.joinpath(*parts), root)
         return _open_below(root, parts, text)
 
     def find_folder(self, text: str) -> Path:
-        """Return the full path of a folder that no link leads to. Raises PathRefused with the reason."""
+        """Return the full path of a folder. No component may be a link. Raises PathRefused with the reason."""
         root, parts = self.split_path(text)
         _list_names_below(root, parts, text)
         return root.joinpath(*parts)
@@ -111,7 +112,7 @@ class Roots:
             os.close(handle)
 
     def is_sequence(self, text: str) -> bool:
-        """Return whether `#` in a path stands for frame numbers. It does not if a file has exactly this name."""
+        """Return whether the `#` in a path stand for frame numbers. They do not if a file has exactly this name."""
         if "#" not in text:
             return False
         try:
@@ -121,9 +122,9 @@ class Roots:
         return False
 
     def find_sequence(self, text: str) -> dict[int, str]:
-        """Return, by frame, the files of a path such as `walls.####.ply`. `#` stands for the frame number, padded with zeros.
+        """Return, by frame, the files of a path such as `walls.####.ply`. The `#` stand for the frame number, padded with zeros.
 
-        Raises PathRefused if there is no such file, or if the path is rejected."""
+        Raises PathRefused if there is no such file, or if the path is not allowed."""
         named = _SEQUENCE_PATTERN.fullmatch(text)
         if named is None:
             raise _make_refusal(text, "has `#` outside its file name, or in two places", "write `walls.####.ply`")
@@ -141,7 +142,8 @@ class Roots:
 
 
 def read_user_file(path: Path, max_bytes: int) -> bytes:
-    """Return the bytes of a file that the user named on the command line, of at most `max_bytes` bytes. Links are followed.
+    """Return the bytes of a file that the user named on the command line, which may have at most `max_bytes` bytes. Links are
+    followed.
 
     Anything but a regular file is an error."""
     display_path = str(path)
@@ -156,9 +158,10 @@ def read_user_file(path: Path, max_bytes: int) -> bytes:
 
 
 def reopen_file(path: Path, root: Path | None) -> int:
-    """Open a regular file that was requested before, to check whether it has changed. Return a handle, which the caller closes.
+    """Return a file descriptor of a regular file that was requested before, to check whether it has changed. The caller closes
+    it.
 
-    Below its root, no link is followed. Raises OSError if the file cannot be opened."""
+    Below `root`, no link is followed. Raises OSError if the file cannot be opened."""
     if root is None:
         return open_regular_file(path)
     try:
@@ -168,17 +171,17 @@ def reopen_file(path: Path, root: Path | None) -> int:
 
 
 def record_request(path: Path, root: Path | None) -> None:
-    """Record a request for a file in an active `record_requested_paths`. Callers with a cached result for the file also call
-    this."""
+    """Record a request for a file if `record_requested_paths` is active. Code that has a cached result for the file calls this
+    too."""
     sought_files = _requested_paths.get()
     if sought_files is not None:
         sought_files[path] = root
 
 
 def _read_all(handle: int, display_path: str, max_bytes: int) -> bytes:
-    """Return all bytes of an open regular file, and close the handle.
+    """Return all bytes of an open regular file, and close it. `handle`: the file descriptor.
 
-    More than `max_bytes` bytes are an error, even if the file grows while it is read."""
+    More than `max_bytes` bytes are an error, even if the file grows while it is being read."""
     try:
         return read_handle(handle, max_bytes)
     except OSError as problem:
@@ -252,9 +255,9 @@ def _make_read_refusal(problem: OSError, display_path: str) -> PathRefused:
 
 
 def _open_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
-    """Open a file below a root, with no link along the path. Return a handle.
+    """Return a file descriptor of a file below a root. No component of the path may be a link.
 
-    Without `dir_fd` (Windows), the resolved path is compared instead."""
+    Without `dir_fd` (Windows), the resolved path is compared with the root instead."""
     if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
         full_path = root.joinpath(*parts)
         if not full_path.resolve().is_relative_to(root.resolve()):
@@ -274,7 +277,7 @@ def _open_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
 
 
 def _open_folder_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
-    """Return a handle to a folder below a root, opened component by component."""
+    """Return a file descriptor of a folder below a root, which is opened component by component."""
     try:
         opened = [os.open(root, os.O_RDONLY | os.O_DIRECTORY)]
     except OSError:
@@ -306,8 +309,8 @@ def _list_names_below(root: Path, parts: tuple[str, ...], display_path: str) -> 
 
 
 def _check_exact_name(folder: int, component: str, display_path: str) -> None:
-    """Raise PathRefused for a name that differs from the file's own name by case. Only a case-insensitive file system would find
-    it."""
+    """Raise PathRefused for a name that differs in case from the file's real name. Only a case-insensitive file system would
+    find it."""
     if _is_exact_name(folder, component):
         return
     names = os.listdir(folder)
@@ -323,7 +326,7 @@ def _is_exact_name(folder: int, component: str) -> bool:
     """Return whether a file is known to have exactly this name. The folder is not listed, because it may contain thousands of
     files.
 
-    False also covers uncertain cases: the file does not exist, or the name exists in another case, too."""
+    False also means that this is uncertain: the file does not exist, or the name also exists in another case."""
     other = "".join(c.swapcase() if c.isascii() else c for c in component)
     if other == component:
         return False

@@ -1,6 +1,6 @@
 """Numbers with units in scenes, such as `50 mm`, `20 %/s` and `12`, and ranges, such as `-0.25..0.25` and `1001..1240`.
 
-Scenes, flags and sweeps parse them here, with the language's own table of units."""
+Texts in scenes, command-line options and sweeps are parsed here, with the language's own table of units."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _INTEGER_RANGE_PATTERN = re.compile(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))
 
 
 class QuantityError(ValueError):
-    """Error for a text that is not a quantity. The message gives the reason, worded to follow the text. `help`: what to write,
-    if known."""
+    """Error for a text that is not a quantity. The message is a reason that fits after the text. `help`: what to write, if
+    known."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -32,7 +32,7 @@ class Quantity:
     """A number with a dimension.
 
     `number`: the value in base units (mm, s, g, rad) is `number` · (mm per scene unit) ** `length_exponent` · dt ** `step`.
-    `unit`: the unit as in the source. States contain a hash of the text of notes, and so the names of these fields."""
+    `unit`: the unit as in the source. States contain a hash of the text of notes, which includes the names of these fields."""
 
     number: float
     dim: Dimension
@@ -47,18 +47,18 @@ class Quantity:
         return not self.unit
 
     def to_base_units(self, unit_mm: float, dt: float) -> float:
-        """Return the value in base units."""
+        """Return the value in base units. `unit_mm`: mm per scene unit. `dt`: seconds per step."""
         return float(self.number * unit_mm**self.length_exponent * dt**self.step)
 
     def to_millimetres(self, unit_mm: float) -> float:
-        """Return the length in millimetres. A number without a unit is in scene units.
+        """Return the length in millimetres. `unit_mm`: mm per scene unit. A number without a unit is in scene units.
 
-        The dimension is not checked: the value must be a length."""
+        The value must be a length; its dimension is not checked."""
         return float(self.number * unit_mm if self.has_no_unit else self.number * unit_mm**self.length_exponent)
 
 
 def parse_number(text: str) -> float:
-    """Return a decimal number. Raises QuantityError with the reason if the text is not a number."""
+    """Return the value of a decimal number. Raises QuantityError with the reason if the text is not a number."""
     text = text.strip()
     _reject_comma(text)
     if not _NUMBER_PATTERN.fullmatch(text):
@@ -72,7 +72,7 @@ def parse_number(text: str) -> float:
 
 
 def split_quantity(text: str) -> tuple[str, str]:
-    """Return the number and the unit of a text such as `30 mm/s`. The unit is not checked. Raises QuantityError with the
+    """Return the number and the unit in a text such as `30 mm/s`. The unit is not checked. Raises QuantityError with the
     reason."""
     text = text.strip()
     _reject_comma(text)
@@ -83,7 +83,7 @@ def split_quantity(text: str) -> tuple[str, str]:
 
 
 def parse_number_range(text: str) -> tuple[float, float]:
-    """Return the two numbers of a text `A..B`. Raises QuantityError with the reason."""
+    """Return the two numbers in a text `A..B`. Raises QuantityError with the reason."""
     first, dots, last = text.partition("..")
     if not dots:
         raise QuantityError("is not a range")
@@ -91,7 +91,7 @@ def parse_number_range(text: str) -> tuple[float, float]:
 
 
 def parse_integer_range(text: str) -> tuple[int, int]:
-    """Return the two integers of a text `A..B`; for a text `A`, return A twice. Raises QuantityError with the reason."""
+    """Return the two integers in a text `A..B`. For a text `A`, return A twice. Raises QuantityError with the reason."""
     match = _INTEGER_RANGE_PATTERN.fullmatch(text.strip())
     if match is None:
         raise QuantityError("is not a range of whole numbers")
@@ -99,7 +99,7 @@ def parse_integer_range(text: str) -> tuple[int, int]:
 
 
 def parse_quantity(text: str) -> Quantity:
-    """Return a number with its unit, `30 mm/s`. Raises QuantityError with the reason."""
+    """Return the quantity that a text such as `30 mm/s` stands for. Raises QuantityError with the reason."""
     text = text.strip()
     digits, unit = split_quantity(text)
     number = parse_number(digits)
@@ -115,7 +115,7 @@ def parse_quantity(text: str) -> Quantity:
 
 
 def _reject_comma(text: str) -> None:
-    """Raise QuantityError for a decimal comma, as in `0,4mm`, with the same message as for a program."""
+    """Raise QuantityError for a decimal comma, as in `0,4mm`. The message is the same as in programs."""
     match = COMMA_NUMBER_PATTERN.match(text.lstrip("+-"))
     if match is not None:
         start = len(text) - len(text.lstrip("+-"))

@@ -1,7 +1,7 @@
-"""The kinds of things of the world in scenes: one class for each row of `antdsl.program.tables.things`.
+"""The kinds of things of the world in scenes, with one class for each row of `antdsl.program.tables.things`.
 
-A class lists the forms that a thing may have in the file. It checks an entry against the program, and names
-the mapping for the entry's data. No file is read here: `staging` reads files, with NumPy."""
+A class lists the forms in which a scene may define such a thing. It checks an entry against the program, and names the mapping
+that stores the entry's data. No file is read here; `staging` reads files, with NumPy."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _FLOW_TARGET_KEYS = ("tangent", "toward", "away", "solved")  # keys that name th
 class SceneThingKind:
     """A kind of thing in scenes.
 
-    `models`: the forms that a thing may have.
-    `group`: the mapping of the staging and the setting that contains its data.
-    `missing_data`: a noun for the missing data of a thing without an entry in the scene, for messages.
-    `forbidden_picture_keys`: keys about pictures that are errors for this kind."""
+    `models`: the forms in which a scene may define such a thing.
+    `group`: the mapping in the staging and in the setting that stores its data.
+    `missing_data`: a noun for what a thing without an entry in the scene lacks, for messages.
+    `forbidden_picture_keys`: keys about pictures that this kind must not have."""
 
     models: tuple[type, ...]
     group: str
@@ -40,7 +40,7 @@ class SceneThingKind:
     forbidden_picture_keys: tuple[str, ...] = ()
 
     def check(self, entry: WorldEntryCheck, value: Any) -> None:
-        """Report everything in an entry that does not match the program. Files are not read; they only have to exist."""
+        """Report everything in an entry that does not match the program. Files must exist, but are not read."""
         if isinstance(value, forms.ThingModel) and value.names_file:
             entry.check_file(getattr(value, value.find_form_key()), value.find_form_key())
         if isinstance(value, forms.UsdThing):
@@ -50,7 +50,7 @@ class SceneThingKind:
             _check_scale(entry, value)
 
     def check_item_keys(self, entry: WorldEntryCheck, value: forms.UsdThing) -> None:
-        """Report keys of a thing from a USD file that are only allowed for items."""
+        """Report keys of a thing from a USD file that are allowed only for items."""
         for key in ("each", "kind", "turn", *self.forbidden_picture_keys):
             if key in value.model_fields_set:
                 users = "what is seen" if key in self.forbidden_picture_keys else "items"
@@ -64,7 +64,7 @@ class SceneThingKind:
             entry.report.error("wrong-value", words, entry.find_span("voxel"), f"leave it out, or declare `solid {entry.name}`")
 
     def stage_thing(self, staging: SceneStaging, name: str, value: Any) -> Any:
-        """Return the data of a thing, in mm and the scene's axes; or report an error and return None."""
+        """Return the data of a thing, in mm and the scene's axes. On failure, report an error and return None."""
         return staging.read_group_entry(self.group, name, value)
 
 
@@ -78,7 +78,7 @@ def _check_scale(entry: WorldEntryCheck, value: forms.ScaledThing) -> None:
 
 
 class SolidKind(SceneThingKind):
-    """Closed meshes that become voxels. They are static."""
+    """The kind of closed meshes that become voxels. They are static."""
 
     def check(self, entry: WorldEntryCheck, value: Any) -> None:
         if value.keys or (isinstance(value, forms.MeshThing) and entry.scene.roots.is_sequence(value.mesh)):
@@ -93,7 +93,7 @@ class SolidKind(SceneThingKind):
 
 
 class ItemsKind(SceneThingKind):
-    """Items with separate entries, or points and empties of a USD file."""
+    """The kind of items, which have separate entries or come from points and empties in a USD file."""
 
     def check(self, entry: WorldEntryCheck, value: Any) -> None:
         if not isinstance(value, dict):
@@ -125,7 +125,8 @@ class ItemsKind(SceneThingKind):
 
 
 class CameraKind(SceneThingKind):
-    """Cameras, which are below `cameras` and not below `world`. Agents sense those that do not depend on agents."""
+    """The kind of cameras, which are under `cameras` instead of `world`. Agents sense the cameras that do not depend on
+    agents."""
 
     def check(self, entry: WorldEntryCheck, value: Any) -> None:
         if isinstance(value, FollowCamera | str):
@@ -137,18 +138,18 @@ class CameraKind(SceneThingKind):
 
 
 def is_file_path(text: str) -> bool:
-    """Return whether a target is the path of a file and not the name of a thing."""
+    """Return whether a target is the path of a file rather than the name of a thing."""
     return any(sign in text for sign in "./:")
 
 
 def find_flow_target(thing: forms.FlowThing | forms.PaintedThing) -> tuple[str, forms.FlowTargetValue] | None:
-    """Return the key and the value of a flow's target."""
+    """Return the key and the value of a flow's target, or None if the flow has none."""
     key = next((key for key in _FLOW_TARGET_KEYS if hasattr(thing, key)), None)
     return None if key is None else (key, getattr(thing, key))
 
 
 class FlowKind(SceneThingKind):
-    """Flows and maps."""
+    """The kind of flows and maps."""
 
     def check(self, entry: WorldEntryCheck, value: Any) -> None:
         surfaces = entry.program.list_things_of_kind("surface")
@@ -191,7 +192,7 @@ def _check_solved_flow(entry: WorldEntryCheck, thing: forms.SolvedFlow) -> None:
 
 
 def _may_geometry_move(scene: Scene) -> bool:
-    """Return whether any thing of the world may move. Files are not opened, so the result may be True for a static thing."""
+    """Return whether any thing of the world may move. Files are not opened, so the result may be True if everything is static."""
     things = [each for value in scene.model.world.values() for each in (value.values() if isinstance(value, dict) else (value,))]
     paths = (getattr(each, key, None) for each in things for key in ("mesh", "curve"))
     return any(getattr(each, "keys", None) or hasattr(each, "usd") for each in things) or any("#" in p for p in paths if p)
@@ -206,7 +207,8 @@ def _list_target_names(entry: WorldEntryCheck, lines_only: bool) -> list[str]:
 
 
 def find_painted_surface(scene: Scene, surfaces: list[str], thing: forms.PaintedThing) -> str | None:
-    """Return the surface that has the paint in its own file. None if there is no such surface, or more than one."""
+    """Return the surface that has the painted values in its own file. Return None if there is no such surface, or more than
+    one."""
     meshes = {n: scene.model.world.get(n) for n in surfaces}
     own = [n for n, m in meshes.items() if thing.painted in (getattr(m, "mesh", None), getattr(m, "usd", None))]
     return own[0] if len(own) == 1 else None

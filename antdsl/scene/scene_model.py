@@ -1,4 +1,4 @@
-"""The contents of a `scene.yaml`: one pydantic model for each mapping in it. Scalars are text until these models type them."""
+"""The models of a `scene.yaml`: one pydantic model for each mapping in it. Scalars are texts until these models convert them."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _find_thing_type_tag(value: Any) -> str:
 
 
 def _check_items(value: Any) -> Any:
-    """Return a mapping of items unchanged. Raises an error for a value that is no mapping of items or has a misspelled key."""
+    """Return a mapping of items unchanged. Raises an error for a value that is not such a mapping or has a misspelled key."""
     if not isinstance(value, dict):
         raise make_value_error(
             "a thing of the world is a mapping", "write `{mesh: ground.ply}`, `{curve: way.json}` or `{apple: {at: [0, 0, 0]}}`"
@@ -179,14 +179,14 @@ class SceneModel(ScenePart):
 
     @property
     def named_cameras(self) -> Mapping[str, CameraValue]:
-        """Return all cameras by name. That of the key `camera` is the default one."""
+        """Return all cameras by name. The camera of the key `camera` is the default one."""
         return self.cameras if self.camera is None else {DEFAULT_CAMERA_NAME: self.camera, **self.cameras}
 
     def find_camera_path(self, name: str) -> tuple[str, ...]:
-        """Return the keys that lead to a camera."""
+        """Return the keys that lead to the camera `name` in the scene."""
         return ("cameras", name) if name in self.cameras else ("camera",)
 
     @property
     def has_usd_items(self) -> bool:
-        """Return whether names of items may come from a USD file, which is read only when the scene is staged."""
+        """Return whether names of items may come from a USD file. Such files are read only when the scene is staged."""
         return any(isinstance(value, UsdThing) for value in self.world.values())

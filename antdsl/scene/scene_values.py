@@ -1,6 +1,6 @@
 """Values that a command sets for keys of a scene, such as `crowd.walker.count` or `world.ground.mesh`.
 
-They replace the values in the file before the scene is checked, so they give the same errors as values in the file."""
+They replace values of the file before the scene is checked, so they cause the same errors as values in the file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LINE_NAME_KEYS = ("name", "species")  # keys of a line of the crowd that identi
 
 
 def is_scene_value(name: str) -> bool:
-    """Return whether a name is a key of a scene, and not a param of a program."""
+    """Return whether a name is a key of a scene rather than a param of a program."""
     return name.partition(".")[0] in _SETTABLE_KEYS
 
 
@@ -31,10 +31,10 @@ def select_params(values: Mapping[str, str]) -> dict[str, str]:
 
 
 def replace_entries(document: MappingNode, values: Mapping[str, str], report: Report) -> MappingNode | None:
-    """Return the tree of a scene with other values for keys; None if there are errors, which are added to the report.
+    """Return the tree of a scene with new values for some keys. Return None after errors, which are added to the report.
 
-    `values`: texts as in a scene, by the names of keys with `.` between them. A line of the crowd is found by its `name`, its
-    species or its number from 0. Names of params are ignored."""
+    `values`: texts as in a scene, by key names joined with `.`. A crowd line is identified by its `name`, its species or its
+    number from 0. Names of params are ignored."""
     for name, text in values.items():
         if is_scene_value(name):
             source, findings = decode_source(f"value: {text}".encode("utf-8", "replace"), f"<{name}>", "a value")
@@ -48,7 +48,7 @@ def replace_entries(document: MappingNode, values: Mapping[str, str], report: Re
 
 
 def _replace_entry(node: MappingNode, path: list[str], name: str, value: DocumentNode, report: Report) -> MappingNode:
-    """Return a mapping with another value at a path of keys below it."""
+    """Return a mapping with a new value at a path of keys below it."""
     key, *rest = path
     if not rest:
         span: Span = node.keys.get(key, node.span)
@@ -72,7 +72,7 @@ def _replace_entry(node: MappingNode, path: list[str], name: str, value: Documen
 
 
 def _find_line(lines: SequenceNode, word: str, name: str, report: Report) -> int | None:
-    """Return the number of the line that a word identifies; None after an error."""
+    """Return the index of the crowd line that a word identifies, or None after an error."""
     if word.isdecimal() and int(word) < len(lines.items):
         return int(word)
     names = [

@@ -1,4 +1,5 @@
-"""The inputs of the run time from a scene: geometry, things, crowds and numbers, in mm, seconds and the scene's own axes.
+"""The inputs that the run time receives from a scene: geometry, things, crowds and numbers, in mm, seconds and the scene's own
+axes.
 
 They are plain immutable values. They do not depend on file readers, so tests can create them directly."""
 
@@ -34,7 +35,7 @@ ContactMode = Literal["off", "soft", "hard"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshData:
-    """A triangle mesh: vertices float64 (n, 3) in mm, faces int32 (m, 3) counter-clockwise from outside."""
+    """A triangle mesh: vertices float64 (n, 3) in mm, and faces int32 (m, 3), counter-clockwise as seen from outside."""
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
@@ -42,7 +43,7 @@ class MeshData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolidData:
-    """A closed mesh that is solid inside. `voxel`: the edge (mm) of the voxels that it becomes."""
+    """A closed mesh with a solid interior, which is converted to voxels. `voxel`: the edge length of a voxel (mm)."""
 
     mesh: MeshData
     voxel: float
@@ -50,7 +51,7 @@ class SolidData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaintedValues:
-    """Numbers (n,) or vectors (n, 3) without unit, on the vertices or on the faces of a surface."""
+    """Numbers (n,) or vectors (n, 3) without a unit, painted on the vertices or on the faces of a surface."""
 
     surface: str
     values: NDArray[np.float64]
@@ -59,12 +60,12 @@ class PaintedValues:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlowTarget:
-    """The target of a flow. It may move.
+    """The target of a flow, which may move.
 
     `positions` (n, 3): in mm; `radii` (n,): in mm.
     `is_line`: whether the target is the polyline through the positions.
     `name`: the name of the curve or items.
-    `item_index`: the index of a single item; None for all."""
+    `item_index`: the index of a single item; None for all items."""
 
     positions: NDArray[np.float64]
     radii: NDArray[np.float64]
@@ -75,14 +76,14 @@ class FlowTarget:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpreadFlowData:
-    """A flow around a target. It decreases with the distance.
+    """A flow around a target that decreases with the distance.
 
     `direction`: along the target (a line), towards it, or away from it.
     `radius`: the distance in mm beyond which the flow is 0; None for no limit.
-    `gather`: above 0, a flow along a line also leads onto it. At the radius, this is the ratio of the part onto the line to the
-    part along it.
-    `cell`: the distance (mm) between its sample points; None for a fraction of the radius.
-    `surfaces`: the surfaces; empty for all."""
+    `gather`: if above 0, a flow along a line also leads towards the line. It is the ratio of the part towards the line to the
+    part along it, at the radius.
+    `cell`: the distance between sample points (mm); None for a fraction of the radius.
+    `surfaces`: the surfaces with the flow; empty for all."""
 
     direction: Literal["tangent", "toward", "away"]
     target: FlowTarget
@@ -96,7 +97,7 @@ class SpreadFlowData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BorderFlowData:
-    """A flow inward from the open borders of the surfaces `surfaces`, up to a distance of `max_distance` mm."""
+    """A flow inward from the open borders of the surfaces `surfaces`, within a distance of `max_distance` mm."""
 
     surfaces: tuple[str, ...]
     max_distance: float
@@ -112,8 +113,8 @@ class SolvedFlowData:
     - 1
     - slope · sine of the ground's slope
     - 8 (1 - d / clearance)², at a distance of d mm from an obstacle
-    - the values of the maps, each times its factor in `maps`
-    - crowding · share of the ground covered by agents
+    - the value of each map, times its factor in `maps`
+    - crowding · fraction of the ground that agents cover
 
     Crowds and moving things are measured again every `interval` s."""
 
@@ -133,9 +134,9 @@ FlowData = PaintedValues | SpreadFlowData | BorderFlowData | SolvedFlowData
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ItemData:
-    """One item. `attributes`: in base units; absent attributes have the declared default. `look`: its look in pictures.
+    """One item. `attributes`: in base units; absent attributes have the declared default. `look`: the material in pictures.
 
-    `power`: the strength of a lamp; None for other items. `colour`: that of its light, display values; None for warm white."""
+    `power`: the strength of a lamp; None for other items. `colour`: of the lamp's light (display values); None for warm white."""
 
     name: str
     position: PointMm
@@ -148,11 +149,11 @@ class ItemData:
 
 @dataclass(frozen=True, slots=True)
 class ClipData:
-    """A clip of a body. A phase of 1 is a complete cycle of the clip.
+    """A clip of a body. A phase of 1 is one complete cycle of the clip.
 
-    `seconds`: its duration.
-    `stride`: the distance covered in one cycle, in body lengths; 0 if the clip stays in place.
-    `loop`: whether it loops.
+    `seconds`: the duration of a cycle.
+    `stride`: the distance covered in one cycle, in body lengths; 0 if the body stays in place.
+    `loop`: whether the clip loops.
     `marks`: the phases of events in the clip, by name."""
 
     seconds: float = 1.0
@@ -163,11 +164,11 @@ class ClipData:
 
 @dataclass(frozen=True, slots=True)
 class BodyCapsuleData:
-    """The space that a body takes, as a capsule, in body lengths.
+    """The capsule that represents the space of a body, in body lengths.
 
     `length`, `width`: the size along and across the heading.
     `height`: the height of its centre above the feet.
-    `forward_offset`: the distance of its centre ahead of the feet."""
+    `forward_offset`: how far its centre is ahead of the feet."""
 
     length: float
     width: float
@@ -177,7 +178,7 @@ class BodyCapsuleData:
 
 @dataclass(frozen=True, slots=True)
 class GaitData:
-    """A gait in body lengths and seconds, as `bodies.agents.legs.Gait`. `phases`: the phase of each leg."""
+    """A gait in body lengths and seconds, with the fields of `bodies.agents.legs.Gait`. `phases`: the phase of each leg."""
 
     speed: float
     stride: float
@@ -191,7 +192,7 @@ class LegsData:
     """The L legs of a body in its standing pose, in body lengths.
 
     Axes: x along the heading, y up from the ground, z to the side (x × y). `foot` float64[L, 3]: the foot joints. `hip`
-    float64[L, 3]: the start of each leg. `length` float64[L]: the reach of a straight leg from hip to foot joint.
+    float64[L, 3]: the start of each leg. `length` float64[L]: the distance from hip to foot joint for a straight leg.
     `gaits`: from slow to fast, at least one. `has_flat_soles`: whether the feet lie flat on the ground."""
 
     foot: NDArray[np.float64]
@@ -203,7 +204,7 @@ class LegsData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldStartData:
-    """The value of a field at the first frame: everywhere, or only within `radius` mm of `around`."""
+    """The value of a field at the first frame: in all cells, or only within `radius` mm of `around`."""
 
     value: float
     around: PointMm | None = None
@@ -212,11 +213,11 @@ class FieldStartData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraData:
-    """A camera over the written frames: one row per frame, or a single row for a static camera.
+    """A camera over the written frames, with one row per frame, or a single row for a static camera.
 
     Positions are in mm, directions in the scene's axes.
-    `focal`: the focal length in mm for a sensor of `SENSOR_WIDTH_MM`; 0 for `DEFAULT_FOCAL_MM`.
-    `first`: the frame of the first row. Before the first and after the last row, the values stay constant."""
+    `focal`: the focal length in mm for a sensor with the width `SENSOR_WIDTH_MM`; 0 stands for `DEFAULT_FOCAL_MM`.
+    `first`: the frame of the first row. The values are constant before the first and after the last row."""
 
     at: NDArray[np.float64]
     look_at: NDArray[np.float64]
@@ -226,11 +227,11 @@ class CameraData:
 
     @property
     def is_moving(self) -> bool:
-        """Return whether the camera has a row for each frame."""
+        """Return whether the camera has one row for each frame rather than a single row."""
         return len(self.at) > 1
 
     def find_row(self, frame: int) -> int:
-        """Return the row of a frame of the scene."""
+        """Return the row index for a frame of the scene."""
         return min(max(frame - self.first, 0), len(self.at) - 1)
 
 
@@ -253,27 +254,27 @@ class DetailLevelData:
 class WorldSetting:
     """Everything that binding a plan needs. Meshes, items and curves are at their positions of the first simulated frame.
 
-    `unit_mm`: the length of `u` in mm.
+    `unit_mm`: the length of one scene unit in mm.
     `up`: a unit vector.
     `params`: by qualified name (`forager.smell`); absent params have their default.
     `first_frame`: the number of the first simulated frame.
     `motion`: the motion of meshes, items and curves.
     `cameras`: the cameras that do not depend on agents, by name.
-    `uses_rays`: agents find meshes by two rays per step and do not walk over triangles.
-    `orient`: bodies stand perpendicular to the ground's smooth `normal`, to the last two directions of motion (`turns`), or to
-    the directions to two `probes`.
-    `deviations`: the largest distance (mm) of the triangles of height surfaces from bilinear patches.
+    `uses_rays`: whether agents find meshes by two rays per step instead of walking over triangles.
+    `orient`: how bodies stand: perpendicular to the smooth `normal` of the ground, to the last two directions of motion
+    (`turns`), or to the directions to two `probes`.
+    `deviations`: the largest distance (mm) between the triangles of height surfaces and bilinear patches.
     `contacts`: how bodies are separated.
-    `body_weights`: of species with several bodies, the weight of each.
-    `clips`: the clips of bodies, by name. Here and below, bodies have the keys of `scene.body_choice`.
-    `body_capsules`: the sizes of bodies from files, and of all bodies of species with several.
+    `body_weights`: for species with several bodies, the weight of each body.
+    `clips`: the clips of bodies, by name. Here and below, bodies have the keys of `crowds.body_choice`.
+    `body_capsules`: the capsules of bodies from files, and of all bodies of species with several bodies.
     `legs`: the legs of bodies with gaits.
-    `undrawn_things`: things that are not drawn, on which no foot stands.
-    `imports`: by mesh, the import report of its file.
+    `undrawn_things`: things that are not drawn; feet do not stand on them.
+    `imports`: the import report of each mesh file, by mesh.
     `spans`: where the scene defines each thing of the world.
     `notes`: what agents do in some frames.
     `lamp_strength`: a factor for the light of all lamps.
-    `period`: the box of a periodic world, in the scene's coordinates; None for other worlds."""
+    `period`: the box of a periodic world, in the scene's coordinates; None if the world does not wrap."""
 
     fps: Fraction = Fraction(24)
     substeps: int = 1
@@ -310,7 +311,7 @@ class WorldSetting:
     period: PeriodicBox | None = None
 
     def list_body_keys(self, species: str) -> tuple[str, ...]:
-        """Return the keys of all bodies of a species (`scene.body_choice`); at least one."""
+        """Return the keys of all bodies of a species (`crowds.body_choice`). There is at least one."""
         return list_body_keys(species, len(self.body_weights.get(species, ())))
 
     @property
@@ -321,7 +322,7 @@ class WorldSetting:
 
     @property
     def initial_attributes(self) -> dict[str, frozenset[str]]:
-        """Return, by species, the attributes that its crowd lines set at birth, and `MACHINE.state` for machines."""
+        """Return, by species, the attributes that its crowd lines set at birth. Initial states are listed as `MACHINE.state`."""
         attributes: dict[str, frozenset[str]] = {}
         for crowd in self.crowds:
             names = crowd.place.values.keys() | crowd.initial_values.keys()

@@ -1,4 +1,4 @@
-"""The forms that a thing of the world can have in a `scene.yaml`, each as a pydantic model."""
+"""The forms in which a `scene.yaml` can define a thing of the world, each as a pydantic model."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ class MeshThing(ThingModel):
 
     @property
     def own_units(self) -> str | None:
-        """Return the unit of length that the file format specifies; None if it specifies none."""
+        """Return the unit of length that the file format specifies, or None if it specifies none."""
         return "m" if self.mesh.lower().endswith((".gltf", ".glb")) else None
 
     @property
     def own_up(self) -> str | None:
-        """Return the file's up axis, as the scene or the format defines it; None if neither does."""
+        """Return the file's up axis as the scene or the format defines it, or None if neither does."""
         return self.up or ("y" if self.own_units else None)
 
 
@@ -140,7 +140,7 @@ class UsdThing(ThingModel):
 
     @property
     def prim_path(self) -> str:
-        """Return the path of the prim, or `/`, the complete file, if the scene names none."""
+        """Return the path of the prim. It is `/`, the complete file, if the scene names none."""
         return "/" if self.prim is None else self.prim
 
 
@@ -281,17 +281,17 @@ class LampThing(ThingModel):
 
     @property
     def at(self) -> PointValue:
-        """Return the position before the first key."""
+        """Return the lamp's position before the first key."""
         return self.lamp
 
 
 def convert_rotation(thing: PlacedThing) -> tuple[float, float, float]:
-    """Return the rotation of a thing about x, then y, then z, in radians."""
+    """Return the rotation of a thing in radians, about x, then y, then z."""
     x, y, z = (angle.number for angle in thing.rotate) if thing.rotate else (0.0, 0.0, 0.0)
     return x, y, z
 
 
 def convert_point(point: PointValue | None, unit_mm: float) -> tuple[float, float, float]:
-    """Return a point of the scene in millimetres; the origin for None."""
+    """Return a point of the scene in millimetres. For None, this is the origin."""
     x, y, z = (part.to_millimetres(unit_mm) for part in point) if point else (0.0, 0.0, 0.0)
     return x, y, z

@@ -1,7 +1,7 @@
 """The kinds of scalars in a scene, as pydantic types over text: integers, quantities, lengths, frame rates, names.
 
-It also has the mappings that several models share: points, and positions at frames. Each type converts a text to a value exactly,
-or raises an error with a code, a message, and the text to write instead."""
+The module also has the mappings that several models share: points, and positions at frames. Each type converts a text to a value
+exactly, or raises an error with a code, a message, and the text to write instead."""
 
 from __future__ import annotations
 
@@ -37,19 +37,20 @@ BASE_UNIT_BY_DIMENSION = {LENGTH_DIMENSION: "mm", ANGLE_DIMENSION: "rad", TIME_D
 
 
 def make_value_error(message: str, help: str = "", **context: Any) -> PydanticCustomError:
-    """Return an error with its message unchanged, including braces. `context`: further data for its report."""
+    """Return an error with exactly this message, even if it contains braces. `context`: further data for the report of the
+    error."""
     return PydanticCustomError("worded", "{words}", {"words": message, "help": help, **context})
 
 
 def describe_value(value: Any) -> str:
-    """Return a value of a scene for a message: its text, shortened, or its kind."""
+    """Return words for a value of a scene, for a message: its text, shortened, or its kind."""
     if isinstance(value, str):
         return f"`{value if len(value) <= 60 else value[:57] + '…'}`"
     return "a list" if isinstance(value, list) else "a mapping"
 
 
 def require_text(value: Any, expected_text: str) -> str:
-    """Return a text without blanks at its ends. Raises an error for other values and empty texts."""
+    """Return a text without blanks at its ends. Raises an error for an empty text, or a value that is not a text."""
     if not isinstance(value, str):
         raise make_value_error(f"expected {expected_text} here, not {describe_value(value)}")
     if not value.strip():
@@ -58,7 +59,7 @@ def require_text(value: Any, expected_text: str) -> str:
 
 
 def parse_integer_between(low: int, high: int) -> Callable[[Any], int]:
-    """Return a parser for an integer in decimal digits, from `low` to `high`."""
+    """Return a parser for decimal integers from `low` to `high`."""
 
     def read_integer(value: Any) -> int:
         text = require_text(value, "a whole number")
@@ -72,7 +73,7 @@ def parse_integer_between(low: int, high: int) -> Callable[[Any], int]:
 
 
 def parse_any_quantity(value: Any) -> Quantity:
-    """Return a number with any unit or none. Raises an error that pydantic reports."""
+    """Return the number with any unit, or without a unit, that a value stands for. Raises an error, which pydantic reports."""
     text = require_text(value, "a number")
     try:
         quantity = parse_quantity(text)
@@ -92,7 +93,8 @@ def _limit_quantity(quantity: Quantity, largest: float, unit: str = "") -> Quant
 
 
 def parse_quantity_of(dim: Dimension) -> Callable[[Any], Quantity]:
-    """Return a parser for quantities of one dimension. A bare number is in the scene's own unit (degrees for an angle)."""
+    """Return a parser for quantities of one dimension. A number without a unit is in the scene's own unit (degrees for an
+    angle)."""
 
     def read_quantity(value: Any) -> Quantity:
         quantity = parse_any_quantity(value)
@@ -123,7 +125,7 @@ def parse_positive_quantity(dim: Dimension) -> Callable[[Any], Quantity]:
 
 
 def parse_number_between(low: float, high: float) -> Callable[[Any], float]:
-    """Return a parser for a plain decimal number from `low` to `high`."""
+    """Return a parser for decimal numbers without a unit, from `low` to `high`."""
 
     def read_number(value: Any) -> float:
         text = require_text(value, "a number")
@@ -141,7 +143,7 @@ def parse_number_between(low: float, high: float) -> Callable[[Any], float]:
 
 
 def parse_share(value: Any) -> float:
-    """Return a share from 0 to 1 of a text such as `30 %` or `0.3`."""
+    """Return the fraction, 0 to 1, that a text such as `30 %` or `0.3` stands for."""
     quantity = parse_any_quantity(value)
     if quantity.dim != Dimension() or not 0 <= quantity.number <= 1:
         raise make_value_error(f"`{quantity.text}` is not a share", "write a share from `0 %` to `100 %`")
@@ -158,7 +160,7 @@ def _check_name(value: Any) -> str:
 
 
 def parse_condition(value: Any) -> str:
-    """Return the text of a condition in one line. The program checks it later."""
+    """Return the text of a condition on one line. The condition is checked later, with the program."""
     text = " ".join(require_text(value, "a condition").split())
     if not text or len(text) > limits.MAX_LINE_CHARACTERS:
         raise make_value_error("this is not a condition", "write one such as `total(food.load) == 0`")
@@ -166,7 +168,7 @@ def parse_condition(value: Any) -> str:
 
 
 def parse_one_of(*words: str) -> Callable[[Any], str]:
-    """Return a parser for one of `words`."""
+    """Return a parser that accepts one of `words`."""
 
     def read_word(value: Any) -> str:
         from antdsl.diagnostics.suggestion import find_nearest_name
@@ -215,7 +217,8 @@ _OTHER_RANGE_PATTERN = re.compile(r"\[?\s*(-?[0-9]{1,9})\s*(?:-|–|—|…|\.{3
 
 
 def parse_frame_range(text: str) -> FrameRange:
-    """Return the frames of a text such as `1001..1720`, or of one frame. Raises QuantityError with the reason."""
+    """Return the frames that a text stands for: a range such as `1001..1720`, or a single frame. Raises QuantityError with the
+    reason."""
     try:
         first, last = parse_integer_range(text)
     except QuantityError:
@@ -247,7 +250,7 @@ def _check_path(value: Any) -> str:
 
 
 def parse_word_or_file(*words: str) -> Callable[[Any], str]:
-    """Return a parser for one of `words`, or for the path of a file, which has a dot or a slash."""
+    """Return a parser that accepts one of `words`, or the path of a file, which contains a dot or a slash."""
 
     def read_word_or_file(value: Any) -> str:
         text = require_text(value, "a word, or the path of a file,")
@@ -279,12 +282,12 @@ Length = Annotated[Quantity, BeforeValidator(parse_quantity_of(LENGTH_DIMENSION)
 
 
 def parse_word_or_quantity(word: str, parse_other: Callable[[Any], Quantity]) -> Callable[[Any], Quantity | str]:
-    """Return a parser for `word`, or for a quantity."""
+    """Return a parser that accepts `word`, or a quantity that `parse_other` parses."""
     return lambda value: word if str(value) == word else parse_other(value)
 
 
 def _parse_length_range(value: Any) -> tuple[Quantity, Quantity]:
-    """Return the two ends of a text such as `-35 mm .. 35 mm`. The second must be above the first."""
+    """Return the two ends of a range such as `-35 mm .. 35 mm`. The second must be above the first."""
     text = require_text(value, "a range of lengths")
     first, dots, last = text.partition("..")
     if not dots:

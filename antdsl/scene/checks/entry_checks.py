@@ -1,4 +1,4 @@
-"""Checks of single entries of a scene: names are declared, files exist, values have the right dimension."""
+"""Checks of single entries of a scene: names must be declared, files must exist, and values must have the right dimension."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class WorldEntryCheck(NamedTuple):
-    """A scene's entry for a thing of the world, together with the program's declaration of this thing."""
+    """A scene's entry for a thing of the world, and the program's declaration of this thing."""
 
     scene: Scene
     program: Program
@@ -34,11 +34,11 @@ class WorldEntryCheck(NamedTuple):
         return self.scene.find_span("world", self.name, *path, key=key)
 
     def check_file(self, text: str, *path: PathKey) -> None:
-        """Report an error if a file that the entry names does not exist."""
+        """Report an error if the file `text`, which the entry names, does not exist."""
         check_file(self.scene, self.report, text, "world", self.name, *path)
 
     def report_unknown_name(self, noun: str, known_names: Iterable[str], *path: PathKey) -> None:
-        """Report a value of the entry that is not in `known_names`. `noun`: what the value stands for, in the message."""
+        """Report a value of the entry that is not in `known_names`. `noun`: words for the value, for the message."""
         report_unknown_name(self.report, self.scene, ("world", self.name, *path), noun, known_names, key=False)
 
 
@@ -47,7 +47,7 @@ def report_unknown_name(
 ) -> None:
     """Report a name that is not in `known_names`.
 
-    `path`: the location of the name. If `key` is true, the name is the last key of the path, else its value."""
+    `path`: the location of the name. `key`: whether the name is the last key of the path; if not, it is the value at the path."""
     names = sorted(known_names)
     name = str(path[-1]) if key else scene.find_span(*path).text.strip("\"'")
     near = find_nearest_name(name, names)
@@ -56,7 +56,7 @@ def report_unknown_name(
 
 
 def check_map_name(scene: Scene, report: Report, program: Program, name: str, *path: PathKey) -> bool:
-    """Return whether a map of the program has this name. If not, report it at its key."""
+    """Return whether the program has a map with this name. If not, report the name at its key."""
     maps = program.list_things_of_kind("map")
     if name in maps:
         return True
@@ -65,7 +65,7 @@ def check_map_name(scene: Scene, report: Report, program: Program, name: str, *p
 
 
 def check_file(scene: Scene, report: Report, text: str, *path: PathKey) -> None:
-    """Report an error if a file, or a file of a sequence, does not exist."""
+    """Report an error if a file does not exist. For a sequence, all of its files must exist."""
     try:
         files = scene.roots.find_sequence(text).values() if scene.roots.is_sequence(text) else (text,)
         size = max(scene.roots.measure_file_size(file) for file in files)
@@ -77,7 +77,7 @@ def check_file(scene: Scene, report: Report, text: str, *path: PathKey) -> None:
 
 
 def check_attributes(entry: WorldEntryCheck, quantities: Mapping[str, Quantity], known_names: list[str], *path: PathKey) -> None:
-    """Report values of items' attributes that do not match the program's declarations."""
+    """Report attribute values of items that do not match the program's declarations."""
     declared = {a.name: a for a in entry.thing.attributes}
     for key, quantity in quantities.items():
         place = ("world", entry.name, *path, key)
@@ -88,7 +88,7 @@ def check_attributes(entry: WorldEntryCheck, quantities: Mapping[str, Quantity],
 
 
 def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dimension, name: str, *path: PathKey) -> bool:
-    """Return whether a value has the dimension `dim`; report an error if not."""
+    """Return whether a value has the dimension `dim`. If not, report an error."""
     if value.dim == dim:
         return True
     words, unit = f"`{name}` is {describe_dimension(dim)}", choose_default_unit(dim)
@@ -104,7 +104,7 @@ def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dimensio
 def check_attribute_value(
     scene: Scene, report: Report, value: Quantity, attribute: AttributeDecl, *path: PathKey, deviation: float = 0.0
 ) -> bool:
-    """Return whether an attribute allows `value` minus `deviation` (both in base units); report an error otherwise."""
+    """Return whether an attribute may have the value `value` minus `deviation` (both in base units). If not, report an error."""
     if not check_dimension(scene, report, value, attribute.type.dimension, attribute.name, *path):
         return False
     help = explain_range(attribute.name, value.to_base_units(scene.model.unit_mm, float(1 / scene.model.fps)) - deviation)

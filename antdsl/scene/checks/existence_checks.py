@@ -1,6 +1,6 @@
-"""Checks that the names in a scene and its program refer to existing things.
+"""Checks that the things to which a scene and its program refer exist.
 
-They cover the species of a crowd, the files of bodies, and the scenes of specs."""
+These are the species of a crowd, the files of bodies, and the scenes of specs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SUGGESTION_PATTERN = re.compile(r"did you mean `([^`]+)`\?")
 
 
 def check_body_files(scene: Scene, program: Program, report: Report) -> None:
-    """Report each crowd line with a body that cannot be used."""
+    """Report each crowd line that names a body that cannot be used."""
     first: dict[str, int] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.body is None:
@@ -46,7 +46,7 @@ def check_body_files(scene: Scene, program: Program, report: Report) -> None:
 
 
 def find_body_span(scene: Scene, number: int, text: str) -> Span:
-    """Return the location at which a crowd line names a body. It is the key in a mapping of bodies, or else the value of `body`.
+    """Return the location of a body's name in a crowd line. It is the key in a mapping of bodies, or else the value of `body`.
 
     `number`: the index of the line. `text`: the name of the body."""
     if isinstance(scene.model.crowd[number].body, dict):
@@ -55,7 +55,7 @@ def find_body_span(scene: Scene, number: int, text: str) -> Span:
 
 
 def _check_body_file(scene: Scene, text: str, place: Span, report: Report) -> None:
-    """Report a body's file that does not exist or is too large."""
+    """Report the file of a body if it does not exist or is too large."""
     try:
         size = scene.roots.measure_file_size(text)
     except PathRefused as error:
@@ -84,7 +84,7 @@ def check_absent_species(scene: Scene, program: Program, report: Report) -> None
 
 
 def check_dark_lamps(scene: Scene, program: Program, report: Report) -> None:
-    """Report `light(THING)` if the thing has no light source, and lamps that are off because their strength is 0."""
+    """Report `light(THING)` for a thing without a light source, and lamps that are off because their strength is 0."""
     lamps = [name for name, thing in scene.model.world.items() if _has_lamp(thing)]
     if scene.model.light.lamps == 0 and lamps:
         message = f"`lamps: 0` makes `{lamps[0]}` dark, in pictures and for `light({lamps[0]})`"
@@ -109,15 +109,15 @@ def check_dark_lamps(scene: Scene, program: Program, report: Report) -> None:
 
 
 def _has_lamp(thing: Any) -> bool:
-    """Return whether a thing of a scene has an item that emits light."""
+    """Return whether a scene's thing has an item that emits light."""
     looks = [item.look for item in thing.values()] if isinstance(thing, dict) else [getattr(thing, "look", None)]
     return isinstance(thing, LampThing) or (not isinstance(thing, MeshThing) and any(map(is_lamp_look, looks)))
 
 
 def check_spec_scenes(program: Program | None, grants: Mapping[str, Path] | None = None) -> Report:
-    """Report scenes that specs name but that do not exist. Each scene is reported once, with all its locations.
+    """Report scenes that specs name but that do not exist. Each scene is reported once, with all of its locations.
 
-    The files are not read."""
+    No scene is read."""
     report = Report()
     specs = program.specs if program else ()
     named = (text for spec in specs for text in (spec.scene, spec.reference_run.scene if spec.reference_run else None))

@@ -1,4 +1,4 @@
-"""Checks of a scene against a program. Each name must refer to a thing of the right kind, each value must have the right
+"""Checks of a scene against a program. Each name must refer to a thing of the right kind, and each value must have the right
 dimension and range.
 
 No mesh is read here; only the existence of files is checked. `SCENE_CHECKS` lists the checks."""
@@ -31,7 +31,7 @@ from antdsl.scene.scene_kinds import SCENE_KINDS
 
 
 def match_scene(scene: Scene, program: Program) -> Report:
-    """Return a report of everything in the scene that does not match the program, with locations."""
+    """Return a report with everything in the scene that does not match the program, with locations."""
     report = Report()
     for check in SCENE_CHECKS:
         check(scene, program, report)
@@ -39,7 +39,7 @@ def match_scene(scene: Scene, program: Program) -> Report:
 
 
 def _check_world_entries(scene: Scene, program: Program, report: Report) -> None:
-    """Report entries of `world` without a declared thing, declared things without an entry, and wrong entries."""
+    """Report entries of `world` without a declared thing, declared things without an entry, and invalid entries."""
     program_things = {name: thing for name, thing in program.world.items() if thing.kind in SCENE_KINDS}
     placed_things = [name for name, thing in program_things.items() if KIND_BY_WORD[thing.kind].section == "world"]
     misspelt = set()
@@ -90,7 +90,7 @@ def _check_params(scene: Scene, program: Program, report: Report) -> None:
 
 
 def check_param(scene: Scene, program: Program, report: Report, name: str, value: Quantity, *path: PathKey) -> None:
-    """Report a value of a param or of a field's setting that does not match its declaration: name, dimension, range."""
+    """Report a value of a param or a field setting with a name, dimension or range that does not match its declaration."""
     dim = field_settings.find_setting_dimension(program, name)
     if dim is not None:
         advice = field_settings.format_suggested_setting(name, value)
@@ -138,9 +138,9 @@ def _check_fields(scene: Scene, program: Program, report: Report) -> None:
 
 
 def resolve_layer_order(scene: Scene, program: Program, species: str) -> tuple[list[str] | None, list[int]]:
-    """Return a species' layers in the order of the scene, and the indices of wrong lines.
+    """Return the layers of a species in the order that the scene requests, and the indices of invalid lines.
 
-    A line is wrong if it matches no layer, or several. With wrong lines or missing layers, the texts are None."""
+    A line is invalid if it matches no layer, or several. If lines are invalid or layers are missing, the first result is None."""
     layers = list(program.species[species].layers.layers)
     order: list[str] = []
     wrong: list[int] = []
@@ -180,7 +180,7 @@ def _check_layers(scene: Scene, program: Program, report: Report) -> None:
 
 
 def _check_cameras(scene: Scene, program: Program, report: Report) -> None:
-    """Report camera names that have another meaning for `render --camera`, and files and agents that do not exist."""
+    """Report camera names that already mean something else for `render --camera`, and cameras with missing files or agents."""
     for name, camera in scene.model.named_cameras.items():
         path = scene.model.find_camera_path(name)
         if isinstance(camera, UsdCamera):
@@ -217,7 +217,7 @@ def _check_level_of_detail(scene: Scene, program: Program, report: Report) -> No
 
 
 def _check_output_attributes(scene: Scene, program: Program, report: Report) -> None:
-    """Report names below `output` that are not attributes of the program."""
+    """Report names under `output` that are not attributes of the program."""
     known = set(COLUMN_BY_ATTRIBUTE)
     for species in program.species.values():
         known |= {attribute.name for attribute in species.attributes if attribute.type.kind is TypeKind.NUMBER}

@@ -17,7 +17,7 @@ _SHAPE_FIELDS = ("points", "inside", "along", "edge", "volume", "ranks")  # of w
 
 
 def list_item_names(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Return the names that `around` accepts. The value of each is a pair: the name of the group of items, and the name of one
+    """Return the names that `around` accepts. Each name maps to a pair: the name of the group of items, and the name of one
     item.
 
     The name of a group stands for its first item."""
@@ -33,7 +33,7 @@ def list_item_names(scene: Scene) -> dict[str, tuple[str, str]]:
 
 
 def check_placement_shapes(scene: Scene, program: Program, report: Report, place: Placement, *path: PathKey) -> None:
-    """Report shapes of a placement that exclude each other, unknown names in them, and directions that it cannot have."""
+    """Report placement shapes that exclude each other, unknown names in them, and directions that do not fit the shape."""
     shapes = [name for name in _SHAPE_FIELDS if getattr(place, name) is not None]
     disc = ["around"] if place.around is not None and place.ranks is None else []
     disc += ["radius"] if place.radius is not None and place.along is None and place.edge is None else []
@@ -76,6 +76,6 @@ def _check_facing(scene: Scene, report: Report, place: Placement, items: dict[st
 
 
 def _has_placement_centre(place: Placement) -> bool:
-    """Return whether a placement has a centre or a line from which directions lead outward."""
+    """Return whether a placement has a centre or a line, so that `facing` may lead outward from it."""
     keys = ("around", "radius", "inside", "along", "edge", "volume")
     return any(getattr(place, key) is not None for key in keys)

@@ -1,4 +1,4 @@
-"""Warns about time steps that are too long: agents walk past each other in one step, or avoid each other too late."""
+"""Warns about time steps that are too long: agents would pass through each other in one step, or avoid each other too late."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MAX_AVOIDANCE_SHARE = 0.7  # of an agent's collision radius in a step; above it
 
 
 def check_avoidance_steps(scene: Scene, program: Program, report: Report) -> None:
-    """Warn once for each species that avoids others by `clear_velocity` and walks too far from one decision to the next.
+    """Warn once for each species that avoids others by `clear_velocity` and covers too much ground between two decisions.
 
     Substeps do not help, because agents decide once per frame."""
     for number, species in find_first_lines(scene, program):
@@ -40,7 +40,7 @@ def check_avoidance_steps(scene: Scene, program: Program, report: Report) -> Non
 
 
 def find_first_lines(scene: Scene, program: Program) -> Iterator[tuple[int, Species]]:
-    """Yield each species of the crowd with the number of its first line."""
+    """Yield the number of a species' first crowd line, and the species, for each species in the crowd."""
     seen: set[str] = set()
     for number, line in enumerate(scene.model.crowd):
         if line.species not in seen and line.species in program.species:
@@ -49,10 +49,11 @@ def find_first_lines(scene: Scene, program: Program) -> Iterator[tuple[int, Spec
 
 
 def check_step_lengths(scene: Scene, program: Program, report: Report) -> None:
-    """Warn once for each species with steps longer than the body, if contacts are on; suggest the number of substeps.
+    """Warn once for each species that moves more than a body length per step, if contacts are on. Suggest the number of
+    substeps.
 
-    Steps follow from `fps`, `substeps` and `max_speed`, body lengths from `size` and a body of the library. Species with other
-    bodies are not checked, nor values that depend on more than params and draws."""
+    The distance per step depends on `fps`, `substeps` and `max_speed`. The body length depends on `size` and on the library's
+    body. Species with other bodies are not checked. Values that depend on more than params and draws are not checked either."""
     model = scene.model
     if model.contacts == "off":
         return
@@ -76,12 +77,13 @@ def check_step_lengths(scene: Scene, program: Program, report: Report) -> None:
 
 
 def _format_limit(length: float, scene: Scene) -> str:
-    """Return, as text, the speed at which a step is `length` mm long with the maximum number of substeps."""
+    """Return the text of the speed at which agents move `length` mm per substep with the maximum number of substeps."""
     return f"{length * float(scene.model.fps) * limits.MAX_SUBSTEPS / 1000:.3g} m/s"
 
 
 def compute_typical_value(attribute: AttributeDecl | None, scene: Scene, program: Program) -> float | None:
-    """Return the mean value of an attribute at birth in base units. Return None if it depends on more than params and draws."""
+    """Return the mean value that an attribute has at birth, in base units. Return None if it depends on more than params and
+    draws."""
     part: Expr | None = attribute.default if attribute is not None else None
     if isinstance(part, OperationExpr) and part.name in ("uniform", "normal"):
         values = [_find_constant_value(each, scene, program) for each in part.args[:2]]
@@ -92,7 +94,7 @@ def compute_typical_value(attribute: AttributeDecl | None, scene: Scene, program
 
 
 def _find_constant_value(part: Expr | None, scene: Scene, program: Program) -> float | None:
-    """Return a constant, or the value of a param in this scene, in base units; None for other expressions."""
+    """Return the value of a constant, or the value of a param in this scene, in base units. Return None for other expressions."""
     if isinstance(part, ParamRef):
         value = scene.model.set.get(part.name)
         if value is not None:

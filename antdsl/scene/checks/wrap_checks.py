@@ -1,4 +1,4 @@
-"""Checks of `wrap`, which makes a world periodic: the axes, and the things that cannot cross a seam."""
+"""Checks of `wrap`, which makes a world periodic: the axes that wrap, and the things that cannot cross a seam."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ WRAP_AXES = ("x", "y", "z")
 
 
 def make_periodic_box(scene: Scene) -> PeriodicBox | None:
-    """Return the box of a scene's periodic world in mm, or None. An axis without a range has the width 0."""
+    """Return the box of a scene's periodic world in mm, or None if the world is not periodic. Its width is 0 along axes that do
+    not wrap."""
     wrap = scene.model.wrap
     if wrap is None:
         return None
@@ -34,7 +35,7 @@ def make_periodic_box(scene: Scene) -> PeriodicBox | None:
 
 
 def check_wrap(scene: Scene, program: Program, report: Report) -> None:
-    """Report axes that cannot wrap, and things that a periodic world cannot have."""
+    """Report axes that cannot wrap, and things that cannot be in a periodic world."""
     wrap, model = scene.model.wrap, scene.model
     if wrap is None:
         return
@@ -76,7 +77,7 @@ _Unsupported = tuple[tuple[PathKey, ...], str, str]
 
 
 def _list_unsupported_keys(scene: Scene) -> list[_Unsupported]:
-    """Return the keys of a scene that a periodic world cannot have: path, what it is, and what to write instead."""
+    """Return the keys of a scene that are not allowed in a periodic world: the path, a description, and what to write instead."""
     model = scene.model
     findings: list[_Unsupported] = []
     if model.notes:
@@ -87,7 +88,7 @@ def _list_unsupported_keys(scene: Scene) -> list[_Unsupported]:
 
 
 def _list_unsupported_things(scene: Scene, program: Program) -> list[_Unsupported]:
-    """Return the things of a scene that a periodic world cannot have, in the form of `_list_unsupported_keys`."""
+    """Return the things of a scene that are not allowed in a periodic world, in the form of `_list_unsupported_keys`."""
     findings: list[_Unsupported] = []
     for name, value in scene.model.world.items():
         kind = KIND_BY_WORD[program.world[name].kind] if name in program.world else None

@@ -1,1 +1,1 @@
-"""The crowd lines of a scene: how many agents they create, when, where, and with which values the agents start."""
+"""The crowd lines of a scene: how many agents they create, when and where, and the values with which agents start."""

@@ -1,8 +1,8 @@
-"""The choice of a body for each agent, for species that have several bodies.
+"""The choice of a body for each agent, for species with several bodies.
 
-A body is drawn for each agent by its id and the scene's seed, in proportion to weights, for the agent's lifetime. So the choice
-does not depend on rows, or on births and deaths of other agents. A species with one body has the body key `SPECIES`. A species
-with several bodies has a key for each: `SPECIES#0` and so on."""
+Each agent gets one body for its lifetime, drawn in proportion to the weights of the bodies. The draw depends only on the agent's
+id and the scene's seed, not on rows or on births and deaths of other agents. A species with one body has the body key `SPECIES`.
+A species with several bodies has the keys `SPECIES#0`, `SPECIES#1` and so on."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ _BODY_KEY_SEPARATOR = "#"
 
 
 def make_body_key(species: str, number: int, count: int) -> str:
-    """Return the key of the body with index `number` of a species that has `count` bodies."""
+    """Return the key of a species' body. `number`: the index of the body. `count`: how many bodies the species has."""
     return f"{species}{_BODY_KEY_SEPARATOR}{number}" if count > 1 else species
 
 
 def list_body_keys(species: str, count: int) -> tuple[str, ...]:
-    """Return the keys of all bodies of a species that has `count` bodies; at least one."""
+    """Return the keys of all bodies of a species. `count`: how many bodies it has; 0 also gives one key."""
     return tuple(make_body_key(species, number, count) for number in range(max(1, count)))
 
 
 def find_species_of_key(key: str) -> str:
-    """Return the species of a body key."""
+    """Return the species to which a body key belongs."""
     return key.partition(_BODY_KEY_SEPARATOR)[0]
 
 
@@ -37,7 +37,7 @@ def find_number_of_key(key: str) -> int:
 
 
 def choose_body_numbers(weights: Sequence[float], seed: int, species: str, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return the index of the body that is drawn for each agent, uint8[n].
+    """Return the index of each agent's body, uint8[n], drawn at random.
 
     `weights`: the weight of each body, above 0; empty for a single body. `ids`: the ids of the agents."""
     if len(weights) < 2:

@@ -1,6 +1,6 @@
-"""The keys of a crowd line that say how agents begin: attributes, shapes of places, directions, and frames.
+"""The keys of a crowd line that describe how agents start: their attributes, placement shapes, directions, and frames.
 
-Numbers of attributes stay text here. Their dimensions are known with the program."""
+Values of attributes remain texts here, because their dimensions are known only with the program."""
 
 from __future__ import annotations
 

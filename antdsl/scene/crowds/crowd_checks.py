@@ -1,4 +1,4 @@
-"""Checks of the crowd lines of a scene against a program: names, numbers, places and values at birth."""
+"""Checks of a scene's crowd lines against a program: names, numbers, placements and values at birth."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from antdsl.scene.load import Scene
 
 
 def count_agents(scene: Scene) -> list[int]:
-    """Return the total number of agents that each crowd line creates."""
+    """Return, for each crowd line, the total number of agents that it creates."""
     model = scene.model
     return [line.count_agents(model.frames.first, model.fps) for line in model.crowd]
 
 
 def check_crowd(scene: Scene, program: Program, report: Report) -> None:
-    """Report names, numbers, places and values of crowd lines that do not match the program, and too many agents."""
+    """Report names, numbers, placements and values of crowd lines that do not match the program. Also report too many agents."""
     total = sum(count_agents(scene))
     for number, line in enumerate(scene.model.crowd):
         _check_line_name(scene, program, report, number)
@@ -70,7 +70,7 @@ def _check_release(scene: Scene, report: Report, number: int) -> None:
 
 
 def _check_line_name(scene: Scene, program: Program, report: Report, number: int) -> None:
-    """Report a crowd line's name that is already the name of something else."""
+    """Report the name of a crowd line if it is already the name of something else."""
     name = scene.model.crowd[number].name
     earlier = [k for k, line in enumerate(scene.model.crowd[:number]) if line.name == name]
     taken = {**dict.fromkeys(list_item_names(scene), "an item"), **dict.fromkeys(program.species, "a species")}
@@ -85,7 +85,7 @@ def _check_line_name(scene: Scene, program: Program, report: Report, number: int
 
 
 def check_around(scene: Scene, report: Report, around: object, radius: object, *path: PathKey) -> None:
-    """Report an `around` that names no item, or that has no `radius`."""
+    """Report an `around` that names no item, or that comes without a `radius`."""
     if isinstance(around, str) and around not in list_item_names(scene) and not scene.model.has_usd_items:
         report_unknown_name(report, scene, (*path, "around"), "no item is named", list_item_names(scene), key=False)
     if around is not None and radius is None:

@@ -1,4 +1,5 @@
-"""The crowd lines of a setting: how many agents, when, where, with which attributes, in mm, seconds and the scene's axes."""
+"""The crowd lines of a setting: how many agents start, when, where and with which attributes, in mm, seconds and the scene's
+axes."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ MAX_STANDARD_DEVIATIONS = 3  # draws of a normal distribution are at most so man
 
 @dataclass(frozen=True, slots=True)
 class ItemCentre:
-    """An item that is the centre of a placement: the item with this index in `items`. The centre moves with the item."""
+    """An item that is the centre of a placement. The centre moves with the item. `index`: its index in `items`."""
 
     items: str
     index: int
@@ -28,9 +29,9 @@ class ItemCentre:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VolumeData:
-    """A box or a ball. Agents start at the surface points nearest to its inside.
+    """A box or a ball. Agents start at the surface points that are nearest to points inside it.
 
-    `low`, `high`: the corners of a box (mm). A ball has a `radius` (mm) above 0 and the centre `low`."""
+    `low`, `high`: the corners of a box (mm). A ball has a `radius` above 0 (mm) and its centre at `low`."""
 
     low: PointMm = (0.0, 0.0, 0.0)
     high: PointMm = (0.0, 0.0, 0.0)
@@ -39,8 +40,8 @@ class VolumeData:
 
 @dataclass(frozen=True, slots=True)
 class RanksData:
-    """Ranks of agents; the first rank is ahead. `spacing_within`, `spacing_between`: the distance (mm) between neighbours within
-    a rank, and between ranks."""
+    """Ranks of agents; the first rank is ahead. `spacing_within`: the distance between neighbours within a rank (mm).
+    `spacing_between`: the distance between ranks (mm)."""
 
     columns: int
     rows: int
@@ -50,7 +51,7 @@ class RanksData:
 
 @dataclass(frozen=True, slots=True)
 class ClumpsData:
-    """`number` discs with a radius (mm), each around a random position of the place."""
+    """`number` discs, each around a random position of the placement. `radius`: of each disc (mm)."""
 
     number: int
     radius: float
@@ -58,11 +59,11 @@ class ClumpsData:
 
 @dataclass(frozen=True, slots=True)
 class FacingData:
-    """The direction in which agents begin, along the ground.
+    """The direction along the ground that agents face at the start.
 
-    `kind`: `out` and `in` lead away from the centre or line of the placement, or towards it; from an edge, `in` leads into the
-    surface. `along` is the direction of a line.
-    `vector`: the target (mm) for the kind `point`, or a direction in the scene's axes for the kind `direction`."""
+    `kind`: `out` leads away from the centre or line of the placement, and `in` leads towards it. From an edge, `in` leads into
+    the surface. `along` is the direction of a line.
+    `vector`: for the kind `point`, the target (mm); for the kind `direction`, a direction in the scene's axes."""
 
     kind: Literal["out", "in", "along", "point", "direction"]
     vector: PointMm = (0.0, 0.0, 0.0)
@@ -70,26 +71,26 @@ class FacingData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacementData:
-    """The starting positions of a crowd. The first of these that is set applies:
+    """The starting positions of a crowd. Of the following, the first one that is set applies.
 
-    `points` (n, 3): one per agent, in order, repeated after the last.
+    `points` (n, 3): one point per agent, in order; after the last point, they repeat.
     `ranks`: ranks around `disc_centre`.
-    `line`: along a curve of the world; `border_surface`: along the open borders of a surface. Both within `radius` of it.
-    `volume`: the nearest surface points to a volume.
+    `line`: along a curve of the world. `border_surface`: along the open borders of a surface. Both within `radius` of the line.
+    `volume`: the surface points nearest to a volume.
     `radius`: a disc of `radius` mm around `disc_centre`, dropped along the scene's up onto the surfaces.
-    `ray_origin`: the first hits of lines from this point in all directions, on the side of the point. Otherwise: evenly over the
-    surfaces, or with the density of the map `density`.
+    `ray_origin`: the first hits of rays from this point in all directions, on the side of the surface that faces the point.
+    If none is set: evenly over the surfaces, or with the density of the map `density`.
 
-    `centre_item`: the item that is the centre.
-    `clumps`: agents stand in discs around positions of the place.
+    `centre_item`: the item at the centre.
+    `clumps`: agents start in discs around random positions of the placement.
     `facing`: the direction of the heading; None for a random one.
-    `surfaces`: the surfaces; empty for all.
-    `is_by_area`: agents stand on the front of faces of any direction. `radius` is then that of a ball, and `points` move to the
-    nearest surface point.
-    `spacing`: the least distance (mm) between centres; inf: as large as the space allows for all lines with equal settings.
-    `seed`: for the positions; None for the setting's seed.
+    `surfaces`: the surfaces on which agents start; empty for all.
+    `is_by_area`: whether agents start on the front of faces of any orientation. `radius` is then the radius of a ball, and
+    `points` move to the nearest surface point.
+    `spacing`: the smallest distance (mm) between centres; inf: as large as the space allows for all lines with equal settings.
+    `seed`: of the random positions; None for the setting's seed.
     `headings` (n, 3): the unit vector of the heading at each point; nan for a random heading.
-    `values` (n,): by name, attributes of the agent at each point, in base units; nan for the species' value."""
+    `values` (n,): by name, the attributes of the agent at each point, in base units; nan for the species' value."""
 
     surfaces: tuple[str, ...] = ()
     disc_centre: PointMm | None = None
@@ -134,10 +135,11 @@ class ReleaseData:
 
 @dataclass(frozen=True, slots=True)
 class ValueDraw:
-    """The value of an attribute at birth, in base units, or the index of a state.
+    """The value that an attribute gets at birth, in base units, or the index of a state.
 
-    `uniform`: between `low` and `high`. `normal`: around `low` with the deviation `high`, cut off at three deviations. `choice`:
-    one of `values`, with these weights. `painted`: from `low` to `high`, where the map `map_name` is 0 to 1. `number`: `low`."""
+    `uniform`: between `low` and `high`. `normal`: around the mean `low` with the deviation `high`, cut off at three deviations.
+    `choice`: one of `values`, with the given weights. `painted`: from `low`, where the map `map_name` is 0, to `high`, where it
+    is 1. `number`: `low`."""
 
     kind: Literal["number", "uniform", "normal", "choice", "painted"]
     low: float = 0.0
@@ -149,15 +151,15 @@ class ValueDraw:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrowdData:
-    """`count` agents of one species.
+    """The agents of one crowd line: `count` agents of one species.
 
-    `line_index`: the index of this line of the scene, from 0.
-    `walk`: agents with a walk do not sense or decide.
+    `line_index`: the index of the crowd line in the scene, from 0.
+    `walk`: a scripted walk. Agents with a walk do not sense or decide.
     `body`: the name of the body; empty for the body that fits the species' name.
-    `worn_layers`: for each displayed part of the body, the layers from which one is drawn; "" means none.
-    `name`: the name of the line; empty without one.
-    `release`: when agents are created; None for all in the first frame.
-    `initial_values`: by name, attributes at birth, and the initial states of machines as `MACHINE.state`."""
+    `worn_layers`: for each displayed part of the body, the layers from which one is drawn at random; "" means no layer.
+    `name`: the name of the line; empty if it has none.
+    `release`: when agents are created; None: all in the first frame.
+    `initial_values`: attributes at birth by name, and the initial states of machines as `MACHINE.state`."""
 
     species: str
     count: int
@@ -171,7 +173,8 @@ class CrowdData:
     initial_values: Mapping[str, ValueDraw] = field(default_factory=dict)
 
     def count_created(self, frame: int) -> int:
-        """Return how many agents of the line were created up to a frame. The result does not depend on where the run starts."""
+        """Return how many agents of the line have been created by the end of a frame. The result does not depend on the frame at
+        which the run starts."""
         if self.release is None:
             return self.count
         frames = frame + 1 - self.release.begin

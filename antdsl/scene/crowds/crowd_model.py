@@ -177,10 +177,11 @@ class CrowdLine(ScenePart):
         return self
 
     def find_release(self, first: int, fps: Fraction) -> tuple[Fraction, Fraction, int]:
-        """Return the frame in which agents begin to be created, the interval between two agents in frames, and the number of
+        """Return the frame in which the first agent is created, the interval between two agents in frames, and the number of
         agents.
 
-        `first`: the scene's first frame, which is the default. Without `frames` and `seconds`, the interval is 0."""
+        `first`: the scene's first frame, which is the default. The interval is 0 if the line has neither `frames` nor `seconds`.
+        """
         begin, duration = Fraction(first), Fraction(0)
         if self.frames is not None:
             begin, duration = Fraction(self.frames.first), Fraction(self.frames.last - self.frames.first + 1)
@@ -198,19 +199,21 @@ class CrowdLine(ScenePart):
 
     @property
     def body_weights(self) -> dict[str, float]:
-        """Return the bodies of this line with their weights. A single body has the weight 1; a line without `body` has none."""
+        """Return the bodies of this line with their weights. A single body has the weight 1. The result is empty for a line
+        without `body`."""
         if isinstance(self.body, dict):
             return self.body
         return {} if self.body is None else {self.body: 1.0}
 
     def list_worn_layers(self) -> tuple[tuple[str, ...], ...]:
-        """Return, for each part of `wear`, the layers from which one is drawn per agent. "" means no layer."""
+        """Return, for each part of `wear`, the layers from which one is drawn at random for each agent. "" means no layer."""
         chosen = (each.any if isinstance(each, LayerChoice) else (each,) for each in self.wear)
         return tuple(tuple("" if name == NO_LAYER_WORD else name for name in names) for names in chosen)
 
 
 def collect_body_weights(crowd: Iterable[CrowdLine]) -> dict[str, dict[str, float]]:
-    """Return the bodies of each species with their weights. The first crowd line of a species that names bodies applies."""
+    """Return the bodies of each species with their weights. They come from the first crowd line of the species that names
+    bodies."""
     weights: dict[str, dict[str, float]] = {}
     for line in crowd:
         if line.body is not None:

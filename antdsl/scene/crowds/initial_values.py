@@ -1,4 +1,4 @@
-"""The values `each` of a crowd line: checked against the attributes and states of the species, and converted to draws."""
+"""The values `each` of a crowd line, checked against the attributes and states of the species and converted to `ValueDraw`s."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ _NUMBER_BY_BOOL_TEXT = {"true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
 
 
 class _CrowdLineValues(NamedTuple):
-    """A crowd line with its scene, program and species, and the report that receives its errors. `number`: the line's index."""
+    """A crowd line with its scene, program and species, and the report that receives its errors. `number`: the index of the
+    line."""
 
     scene: Scene
     program: Program
@@ -32,7 +33,7 @@ class _CrowdLineValues(NamedTuple):
 
 
 def stage_initial_values(scene: Scene, program: Program, report: Report, number: int) -> dict[str, ValueDraw]:
-    """Return the draws of a crowd line by attribute, and by `MACHINE.state`. Errors go into the report."""
+    """Return the draws of a crowd line, by attribute and by `MACHINE.state`. Errors are added to the report."""
     model = scene.model.crowd[number]
     if model.species not in program.species:
         return {}
@@ -48,7 +49,8 @@ def stage_initial_values(scene: Scene, program: Program, report: Report, number:
 
 
 def _find_machine(species: Species, key: str) -> Machine | None:
-    """Return the machine with the state that a key sets. The key `state` refers to the first machine."""
+    """Return the machine of which a key sets the state. The key `state` refers to the first machine. None if there is no such
+    machine."""
     if key == "state":
         return species.machines[0] if species.machines else None
     name, _, word = key.partition(".")
@@ -56,7 +58,7 @@ def _find_machine(species: Species, key: str) -> Machine | None:
 
 
 def is_settable(attribute: AttributeDecl) -> bool:
-    """Return whether scenes may set an attribute, which is so if it is one number or truth value per agent."""
+    """Return whether scenes may set an attribute. They may if it is a single number or truth value per agent."""
     return attribute.pair_species is None and attribute.type.kind in (TypeKind.NUMBER, TypeKind.BOOL)
 
 
@@ -122,7 +124,8 @@ def _stage_painted_value(
 def _convert_quantity(
     line: _CrowdLineValues, quantity: Quantity, target: AttributeDecl, *path: PathKey, deviation: float = 0.0
 ) -> float | None:
-    """Return a quantity in base units; None, with an error, if the attribute cannot have it minus `deviation`."""
+    """Return a quantity in base units. If the attribute cannot have `quantity` minus `deviation`, report an error and return
+    None."""
     model = line.scene.model
     if not check_attribute_value(line.scene, line.report, quantity, target, *path, deviation=deviation):
         return None
@@ -132,9 +135,9 @@ def _convert_quantity(
 def _convert_mean(
     line: _CrowdLineValues, pair: tuple[Quantity, Quantity], target: AttributeDecl, *path: PathKey
 ) -> tuple[float | None, float | None]:
-    """Return the mean and the standard deviation of a normal distribution in base units. Each is None after an error.
+    """Return the mean and the standard deviation of a normal distribution, in base units. Each is None after an error.
 
-    Draws are at most three deviations away from the mean."""
+    Draws are cut off at three standard deviations from the mean."""
     model, (mean, deviation) = line.scene.model, pair
     if not check_dimension(line.scene, line.report, deviation, target.type.dimension, target.name, *path, 1):
         return None, None
@@ -143,8 +146,8 @@ def _convert_mean(
 
 
 def _convert_text(line: _CrowdLineValues, text: str, target: AttributeDecl | Machine, *path: PathKey) -> float | None:
-    """Return the number of a text, or None after an error. It is a quantity in base units, 1 or 0 for a truth value, or the
-    index of a state."""
+    """Return the number that a text stands for, or None after an error. The number is a quantity in base units, 1 or 0 for a
+    truth value, or the index of a state."""
     if isinstance(target, Machine):
         indices = {state.name: float(state.index) for state in target.states}
         return _find_number_for_word(line, text, indices, f"`{line.species.name}` has no state", *path)
@@ -162,8 +165,8 @@ def _convert_text(line: _CrowdLineValues, text: str, target: AttributeDecl | Mac
 def _find_number_for_word(
     line: _CrowdLineValues, text: str, number_by_word: Mapping[str, float], words: str, *path: PathKey
 ) -> float | None:
-    """Return the number that a word stands for. For an unknown word, report an error and return None. `words`: the message
-    before the word."""
+    """Return the number that a word stands for. For an unknown word, report an error and return None. `words`: the start of the
+    message, before the word."""
     if text not in number_by_word:
         near = find_nearest_name(text, number_by_word)
         listed = "known: " + ", ".join(f"`{each}`" for each in number_by_word)

@@ -1,6 +1,6 @@
-"""The ids of the agents of a crowd line, in the order of creation.
+"""The ids of a crowd line's agents, in the order of their creation.
 
-Agent number k of the line has the k-th id. Changes of other lines do not change these numbers."""
+The agents of a line are numbered from 0. Changes of other lines do not change these numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class CrowdLineIds:
-    """The ids of a crowd line's agents, including dead ones. `ranges`: the first id and the number of ids of each range."""
+    """The ids of a crowd line's agents, including dead ones. `ranges`: pairs of the first id and the number of consecutive
+    ids."""
 
     species: str
     ranges: tuple[tuple[int, int], ...] = ()
@@ -22,13 +23,13 @@ class CrowdLineIds:
         return sum(count for _, count in self.ranges)
 
     def list_ids_between(self, first: int = 0, last: int | None = None) -> NDArray[np.int64]:
-        """Return the ids of agents `first` to `last` of the line (numbers from 0, both included). Numbers without an agent are
-        left out."""
+        """Return the ids of the agents with the numbers `first` to `last` in the line (both included, from 0). Numbers without
+        an agent are omitted."""
         ids = [np.empty(0, np.int64), *(np.arange(start, start + count) for start, count in self.ranges)]
         return np.concatenate(ids)[first : None if last is None else last + 1]
 
     def find_positions_in_line(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return, for each id, the number of the agent in this line; -1 for ids of other agents."""
+        """Return the number in this line of the agent with each id. It is -1 for agents that do not belong to the line."""
         numbers, offset = np.full(len(ids), -1, np.int64), 0
         for start, count in self.ranges:
             is_inside = (ids >= start) & (ids < start + count)
@@ -37,7 +38,7 @@ class CrowdLineIds:
         return numbers
 
     def resize(self, count: int, next_id: int) -> CrowdLineIds:
-        """Return this line resized to `count` agents. The first ids are retained; missing ones are numbered from `next_id`."""
+        """Return this line resized to `count` agents. The first ids remain; ids of added agents are numbered from `next_id`."""
         ranges, left = [], count
         for start, size in self.ranges:
             ranges.append((start, min(size, left)))
@@ -46,7 +47,7 @@ class CrowdLineIds:
 
 
 def _join_ranges(ranges: Iterable[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
-    """Return ranges without empty ones, in which adjacent ranges are joined."""
+    """Return the ranges with empty ones removed and adjacent ones joined."""
     joined: list[tuple[int, int]] = []
     for start, count in ranges:
         if joined and joined[-1][0] + joined[-1][1] == start:

@@ -1,7 +1,7 @@
-"""Reads arrays from files: values as float64, and NPZ files from bytes or an open archive.
+"""Reads arrays from files: NPZ files from bytes or from an open archive. Also converts values to float64.
 
-No content of a file is trusted: pickle and compression are errors, and all sizes are compared with the size of the file. The
-layout is NumPy's own (NEP 1 inside an uncompressed zip), so files of `numpy.savez` can be read."""
+The content of a file is never trusted: pickle and compression are errors, and all sizes are compared with the size of the file.
+The layout is NumPy's own (NEP 1 inside an uncompressed zip), so files of `numpy.savez` can be read."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ _MEMBER_NAME_PATTERN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-#>|~/]*", re.ASCII
 
 
 class ArrayFileError(Exception):
-    """Error for a file that is incomplete or not in the expected format. The message gives the reason, worded to follow the
-    file's name."""
+    """Error for a file that is incomplete or not in the expected format. The message is a reason that fits after the file's
+    name."""
 
 
 def read_arrays(data: bytes) -> dict[str, NDArray[Any]]:
-    """Return all arrays of an NPZ file's bytes, after checking their checksums. Raises ArrayFileError with the reason."""
+    """Return all arrays in the bytes of an NPZ file, after a check of the checksums. Raises ArrayFileError with the reason."""
     return read_npz_archive(io.BytesIO(data), len(data))
 
 
 def read_npz_archive(file: IO[bytes], size: int, names: Container[str] | None = None) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an open file of `size` bytes, as `read_arrays` does. `names`: the names to read; None for all."""
+    """Return the arrays of an open file of `size` bytes, like `read_arrays`. `names`: the names to read; None for all."""
     try:
         with zipfile.ZipFile(file) as archive:
             return _read_members(archive, size, names)
@@ -46,7 +46,7 @@ def read_npz_archive(file: IO[bytes], size: int, names: Container[str] | None = 
 
 
 def _read_members(archive: zipfile.ZipFile, size: int, names: Container[str] | None) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an open archive of `size` bytes. Raises ArrayFileError, or an error of zipfile, with the reason."""
+    """Return the arrays of an open archive of `size` bytes. Raises ArrayFileError or an error of `zipfile` with the reason."""
     entries = archive.infolist()
     if len(entries) > MAX_ARCHIVE_MEMBERS:
         raise ArrayFileError(f"has {len(entries):,} arrays, more than {MAX_ARCHIVE_MEMBERS:,}")
@@ -67,7 +67,8 @@ def _read_members(archive: zipfile.ZipFile, size: int, names: Container[str] | N
 
 
 def parse_npy(data: bytes, name: str) -> NDArray[Any]:
-    """Return the array in the bytes of an .npy file, version 1. The shape is compared with the number of bytes first."""
+    """Return the array in the bytes of an .npy file of version 1. Its shape is compared with the number of bytes before it is
+    read."""
     if not data.startswith(NPY_MAGIC) or len(data) < 10:
         raise ArrayFileError(f"has an array `{name}` of an unknown kind")
     length = int.from_bytes(data[8:10], "little")
@@ -82,6 +83,6 @@ def parse_npy(data: bytes, name: str) -> NDArray[Any]:
 
 
 def convert_to_float64(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Return a copy as float64, suppressing NumPy's warning for signalling NaNs. Readers check that values are finite."""
+    """Return a copy as float64, without NumPy's warning for signalling NaNs. Callers check that the values are finite."""
     with np.errstate(invalid="ignore"):
         return values.astype(np.float64)

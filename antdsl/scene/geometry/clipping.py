@@ -10,10 +10,11 @@ MeshArrays = tuple[Floats, NDArray[np.int32]]
 
 
 def clip_mesh(vertices: Floats, faces: NDArray[np.int32], low: Floats, high: Floats) -> MeshArrays:
-    """Return the part of a mesh that lies between the corners `low` and `high` (3,) of a box.
+    """Return the part of a mesh inside a box with the corners `low` and `high` (3,).
 
-    Faces inside the box stay as they are, in their order. Faces that cross a side are cut (I. Sutherland, G. Hodgman, Reentrant
-    polygon clipping, 1974), and the parts follow after them. Infinite bounds cut nothing. `vertices` (n, 3), `faces` (m, 3)."""
+    Faces inside the box are unchanged and remain in order. Faces that cross a side are cut (I. Sutherland, G. Hodgman, Reentrant
+    polygon clipping, 1974), and their parts come after the other faces. An infinite bound does not cut. `vertices` (n, 3),
+    `faces` (m, 3)."""
     for axis in range(3):
         for side, bound in ((1.0, low[axis]), (-1.0, -high[axis])):
             if np.isfinite(bound):
@@ -22,7 +23,8 @@ def clip_mesh(vertices: Floats, faces: NDArray[np.int32], low: Floats, high: Flo
 
 
 def _clip_at_plane(vertices: Floats, faces: NDArray[np.int32], axis: int, side: float, bound: float) -> MeshArrays:
-    """Return the part of a mesh where `side` times the coordinate is at least `bound`. A new vertex lies exactly on the plane."""
+    """Return the part of a mesh in which `side` times the coordinate along `axis` is at least `bound`. New vertices lie exactly
+    on the plane."""
     height = side * vertices[:, axis] - bound
     inside, outside = (height >= 0)[faces], (height <= 0)[faces]
     crossing = np.flatnonzero(~inside.all(axis=1) & ~outside.all(axis=1))
@@ -48,7 +50,7 @@ def _clip_at_plane(vertices: Floats, faces: NDArray[np.int32], axis: int, side: 
 
 
 def _find_point(vertices: Floats, height: Floats, axis: int, bound: float, a: int, b: int) -> Floats:
-    """Return the point where the edge from vertex a to vertex b meets the plane."""
+    """Return the point at which the edge from vertex `a` to vertex `b` meets the plane."""
     share = height[a] / (height[a] - height[b])
     point: Floats = vertices[a] + share * (vertices[b] - vertices[a])
     point[axis] = bound

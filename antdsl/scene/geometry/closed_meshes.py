@@ -1,6 +1,6 @@
-"""Checks whether triangles form a closed body, and which of their sides is outside.
+"""Checks whether triangles form a closed body, and which of their sides faces outward.
 
-Both results follow from the number and the directions of traversals of each edge."""
+Both results depend on how often, and in which directions, triangles traverse each edge."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _WELD_VOXELS_PER_EXTENT = 16.0  # resolution of rounding: corners nearer than a 
 
 
 def round_to_voxels(corners: Floats) -> tuple[Index, int]:
-    """Return corners float64[n, 3, 3], given in voxels, as integers, and the number of integer units per voxel.
+    """Return triangle corners as integers, and how many integer units a voxel has. `corners` float64[n, 3, 3]: in voxels.
 
     Corners that round to the same integers coincide."""
     extent = max(float(np.abs(corners).max()), 1.0)
@@ -35,20 +35,20 @@ def round_to_voxels(corners: Floats) -> tuple[Index, int]:
 
 
 def count_open_edges_and_sides(corners: Index) -> tuple[int, bool]:
-    """Return how many edges have an odd number of triangles. Also return whether each edge is traversed equally often in both
-    directions.
+    """Return how many edges belong to an odd number of triangles. Also return whether each edge is traversed equally often in
+    both directions.
 
-    `corners` int64[n, 3, 3]: corners of triangles as integers. Corners at equal positions are one corner."""
+    `corners` int64[n, 3, 3]: the corners of triangles as integers. Corners at equal positions are one corner."""
     _, direction, first, count = _group_edges(corners)
     direction_sums = np.add.reduceat(direction, first) if len(direction) else np.zeros(0)
     return int((count % 2).sum()), not direction_sums.any()
 
 
 def count_inward_pieces(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
-    """Return how many closed pieces face inward, and how many have inconsistent orientation.
+    """Return how many closed pieces of a mesh face inward, and how many have an inconsistent orientation.
 
-    A piece is connected across edges of two faces. An inward piece within the box of another piece is a hollow and not
-    counted."""
+    Faces that share an edge belong to one piece, unless the edge has more than two faces. An inward piece within the box of
+    another piece is a cavity, which does not count."""
     if not len(faces):
         return 0, 0
     corners = vertices[faces]
@@ -76,8 +76,8 @@ def count_inward_pieces(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int
 
 
 def _find_components(node_count: int, first_nodes: Index, second_nodes: Index) -> Index:
-    """Return, for each node, the smallest node that is connected to it by edges. `first_nodes`, `second_nodes`: the ends of the
-    edges.
+    """Return, for each node, the smallest index of a node in its connected component. `first_nodes`, `second_nodes`: the two
+    ends of each edge.
 
     S. Zhang et al., FastSV, SIAM PP 2020."""
     label = np.arange(node_count)
@@ -93,8 +93,8 @@ def _find_components(node_count: int, first_nodes: Index, second_nodes: Index) -
 def _group_edges(corners: Index) -> tuple[Index, Index, Index, Index]:
     """Return all sides of triangles, sorted by edge, and the edges.
 
-    The results are four arrays. For each side: its triangle, and its direction (1 or -1). For each edge: the index of its first
-    side, and its number of sides."""
+    The result has four arrays. For each side: the index of its triangle, and its direction (1 or -1). For each edge: the index
+    of its first side, and its number of sides."""
     points = corners.reshape(-1, 3)
     order = np.lexsort(points.T)
     ranked = points[order]
@@ -114,12 +114,12 @@ def _group_edges(corners: Index) -> tuple[Index, Index, Index, Index]:
 
 @cache_per_mesh
 def _count_inward_pieces_of_mesh(mesh: MeshData) -> tuple[int, int]:
-    """Apply `count_inward_pieces` to a mesh."""
+    """Return the result of `count_inward_pieces` for a mesh."""
     return count_inward_pieces(mesh.vertices, mesh.faces)
 
 
 def check_obstacle_sides(staging: SceneStaging) -> None:
-    """Warn about obstacles with parts that face inward. Such parts would hold agents inside instead of outside."""
+    """Warn about obstacles with pieces that face inward. Such pieces would confine agents instead of keeping them outside."""
     for name, mesh in staging.obstacles.items():
         inward, mixed = _count_inward_pieces_of_mesh(mesh)
         if inward or mixed:
@@ -149,9 +149,9 @@ def _make_border_edge_table(corners: Floats) -> stored_tables.Tables:
 
 
 def find_edges_with_odd_faces(vertices: Floats, faces: NDArray[np.int32], grain: float) -> tuple[Index, Floats]:
-    """Return the edges with an odd number of faces (k, 2), as indices of positions, and the positions (p, 3).
+    """Return the edges that have an odd number of faces (k, 2), as indices of positions, and the positions (p, 3).
 
-    Corners nearer to each other than about `grain` share a position."""
+    Corners that are nearer to each other than about `grain` share one position."""
     corners = vertices[faces].reshape(-1, 3)
     cells = round_to_voxels((corners - corners.min(axis=0)).reshape(-1, 3, 3) / grain)[0].reshape(-1, 3)
     _, first, name = np.unique(cells, axis=0, return_index=True, return_inverse=True)
@@ -162,7 +162,8 @@ def find_edges_with_odd_faces(vertices: Floats, faces: NDArray[np.int32], grain:
 
 
 def count_open_solid_edges(solid: SolidData) -> int:
-    """Return the number of edges with an odd number of triangles. A solid with such edges has no inside."""
+    """Return the number of edges of a solid that have an odd number of triangles. A solid with such edges has no defined
+    inside."""
     corners = solid.mesh.vertices[solid.mesh.faces]
     loose, _ = count_open_edges_and_sides(round_to_voxels((corners - corners.min(axis=(0, 1))) / solid.voxel)[0])
     return loose

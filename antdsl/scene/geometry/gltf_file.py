@@ -1,4 +1,4 @@
-"""Reads glTF 2.0 files (.gltf, .glb): the JSON, and accessors as arrays.
+"""Reads glTF 2.0 files (.gltf, .glb): their JSON, and their accessors as arrays.
 
 Counts, offsets and sizes are compared with the buffers and the limits before anything is allocated. Khronos Group, glTF 2.0
 Specification, 2021, sections 3.6 and 4."""
@@ -43,9 +43,9 @@ _IGNORED_EXTENSIONS = (
 
 
 class GltfError(Exception):
-    """Error for a file that cannot be used. The message gives the reason, worded to follow the file's name.
+    """Error for a file that cannot be used. The message is a reason that fits after the file's name.
 
-    `code`: the diagnostic's code, if it is not the reader's usual one. `help`: what to do instead."""
+    `code`: the diagnostic's code, if it differs from the reader's usual one. `help`: what to do instead."""
 
     def __init__(self, message: str, help: str | None = None, code: str = "") -> None:
         super().__init__(message)
@@ -53,11 +53,11 @@ class GltfError(Exception):
 
 
 class GltfDocument:
-    """A glTF file with checked access to its JSON. Every index and type is validated on access. Raises GltfError with the
+    """A glTF file with checked access to its JSON. Every access validates indices and types, and raises GltfError with the
     reason."""
 
     def __init__(self, data: bytes, read_sibling: Callable[[str, int], bytes]) -> None:
-        """`beside(path, cap)` returns the bytes of a file in the same folder, of at most `cap` bytes."""
+        """`read_sibling(path, max_bytes)` returns the bytes of a file in the same folder, with at most `max_bytes` bytes."""
         text, self._binary = _split_chunks(data)
         self.tree = _parse_json(text)
         self._read_sibling = read_sibling
@@ -80,44 +80,44 @@ class GltfDocument:
     # ---- JSON
 
     def get_object(self, holder: dict[str, Any], key: str) -> dict[str, Any]:
-        """Return the object at a key. It is empty if the key is absent."""
+        """Return the object at a key of `holder`. It is empty if the key is absent."""
         value = holder.get(key, {})
         if not isinstance(value, dict):
             raise GltfError(f"has a `{key}` that is not an object", _EXPORT_AGAIN_HELP)
         return value
 
     def get_list(self, holder: dict[str, Any], key: str) -> list[Any]:
-        """Return the list at a key. It is empty if the key is absent."""
+        """Return the list at a key of `holder`. It is empty if the key is absent."""
         items = holder.get(key, [])
         if not isinstance(items, list):
             raise GltfError(f"has `{key}` that are not a list", _EXPORT_AGAIN_HELP)
         return items
 
     def get_objects(self, holder: dict[str, Any], key: str) -> list[dict[str, Any]]:
-        """Return the list of objects at a key. It is empty if the key is absent."""
+        """Return the list of objects at a key of `holder`. It is empty if the key is absent."""
         items = self.get_list(holder, key)
         if not all(isinstance(each, dict) for each in items):
             raise GltfError(f"has `{key}` that are not objects", _EXPORT_AGAIN_HELP)
         return items
 
     def get_index(self, holder: dict[str, Any], key: str, count: int) -> int | None:
-        """Return the index at a key, checked to be below `count`. Return None if the key is absent."""
+        """Return the index at a key, or None if the key is absent. Raises GltfError unless the index is below `count`."""
         return None if key not in holder else self.check_index(holder[key], key, count)
 
     def check_index(self, value: Any, kind: str, count: int) -> int:
-        """Return a value as an index, checked to be below `count`. `kind`: the kind of index, for messages."""
+        """Return a value as an index. Raises GltfError unless it is below `count`. `kind`: the kind of index, for messages."""
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
             raise GltfError(f"names `{kind}` {str(value)[:20]}, but has only {count:,}", _EXPORT_AGAIN_HELP)
         return value
 
     def get_top_list(self, key: str) -> list[dict[str, Any]]:
-        """Return a top-level list of the file, such as `nodes`, checked on first use."""
+        """Return a top-level list of the file, such as `nodes`. It is checked on first use."""
         if key not in self._top_lists:
             self._top_lists[key] = self.get_objects(self.tree, key)
         return self._top_lists[key]
 
     def get_floats(self, holder: dict[str, Any], key: str, default: tuple[float, ...]) -> NDArray[np.float64]:
-        """Return the numbers at a key, as many as `default` has. If the key is absent, return `default`."""
+        """Return the numbers at a key, or `default` if the key is absent. There must be as many numbers as in `default`."""
         numbers = holder.get(key, default)
         right = isinstance(numbers, list | tuple) and len(numbers) == len(default)
         if not right or not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e30 for x in numbers):
@@ -125,7 +125,7 @@ class GltfDocument:
         return np.array(numbers, np.float64)
 
     def get_name(self, holder: dict[str, Any], default: str) -> str:
-        """Return the name of an object in a form that is safe to display and write. `default`: the result without a name."""
+        """Return the name of an object in a form that is safe to display and write, or `default` if it has no name."""
         text = holder.get("name")
         if not isinstance(text, str) or not text.strip():
             return default
@@ -186,7 +186,7 @@ class GltfDocument:
         return dense_values
 
     def _read_rows(self, view: Any, start: Any, count: int, kind: str, width: int) -> NDArray[Any]:
-        """Return `count` rows of a buffer view, from its byte `start` on."""
+        """Return `count` rows of a buffer view. `start`: the byte at which the first row begins."""
         views = self.get_top_list("bufferViews")
         buffer_view = views[self.check_index(view, "bufferView", len(views))]
         offset, length, stride = buffer_view.get("byteOffset", 0), buffer_view.get("byteLength"), buffer_view.get("byteStride", 0)
@@ -249,7 +249,7 @@ def _check_integer(value: Any) -> int:
 
 
 def _split_chunks(data: bytes) -> tuple[bytes, bytes | None]:
-    """Return the JSON of a file and, for a .glb, its binary chunk."""
+    """Return the bytes of the JSON and, for a .glb file, of the binary chunk."""
     if data[:4] != b"glTF":
         return data, None
     if len(data) < 20:
@@ -294,7 +294,7 @@ def _reject_json_constant(word: str) -> float:
 
 
 def find_node_parents(file: GltfDocument) -> list[int]:
-    """Return the parent of each node, -1 for a root. Raises GltfError if the nodes are not a tree."""
+    """Return the parent of each node, or -1 for a root. Raises GltfError if the nodes are not a forest of trees."""
     nodes = file.get_top_list("nodes")
     if len(nodes) > _MAX_NODES:
         raise GltfError(f"has {len(nodes):,} nodes, more than the limit", code="too-large")
@@ -321,14 +321,14 @@ def find_node_parents(file: GltfDocument) -> list[int]:
 
 
 def find_scene_roots(file: GltfDocument) -> list[int]:
-    """Return the root nodes of the file's scene; none if it has no scene."""
+    """Return the root nodes of the file's scene. The result is empty if the file has no scene."""
     nodes, scenes = file.get_top_list("nodes"), file.get_top_list("scenes")
     scene = file.get_index(file.tree, "scene", len(scenes)) or 0
     return [file.check_index(root, "node", len(nodes)) for root in file.get_list(scenes[scene], "nodes")] if scenes else []
 
 
 def find_nodes_below(file: GltfDocument, roots: Iterable[int]) -> list[int]:
-    """Return `roots` and all their descendants. Parents come before children; children are in the order of the file."""
+    """Return `roots` and all of their descendants. Parents come before children; children are in the order of the file."""
     nodes, ordered_nodes = file.get_top_list("nodes"), []
     visited: set[int] = set()
     waiting = list(reversed(list(roots)))
@@ -345,9 +345,9 @@ def find_nodes_below(file: GltfDocument, roots: Iterable[int]) -> list[int]:
 
 
 def make_primitive_triangles(file: GltfDocument, primitive: dict[str, Any], points: int) -> tuple[NDArray[np.int64], int]:
-    """Return the triangles (n, 3) of a primitive with `points` points. The primitive is a list, a strip or a fan.
+    """Return the triangles (n, 3) of a primitive with `points` points. The primitive is a list, a strip or a fan of triangles.
 
-    The second result is the number of remaining corners at the end: too few for another triangle."""
+    The second result is the number of corners that remain at the end, too few for another triangle."""
     corners = file.read_accessor(primitive["indices"], 1)[:, 0].astype(np.int64) if "indices" in primitive else np.arange(points)
     mode = primitive.get("mode", TRIANGLES_PRIMITIVE_MODE)
     if mode == TRIANGLE_STRIP_PRIMITIVE_MODE:

@@ -1,4 +1,4 @@
-"""Reader of all meshes of a glTF file (.gltf, .glb) as one mesh, in metres with y up.
+"""Reads all meshes of a glTF file (.gltf, .glb) as one mesh, in metres with y up.
 
 The transforms of nodes are applied. Triangles, strips and fans are read. Khronos Group, glTF 2.0 Specification, 2021, sections
 3.5 and 3.7."""
@@ -35,9 +35,9 @@ _NON_SURFACE_MODES = ("points", "lines", "lines", "lines")
 
 
 def read_gltf_mesh(data: bytes, notes: ImportNotes, node_name: str | None, read_sibling: SiblingReader) -> PolygonMesh:
-    """Return all meshes of the file's scene as one. Raises MeshError with the reason if that fails.
+    """Return all meshes of the file's scene as one mesh. Raises MeshError with the reason if this fails.
 
-    `node_name`: the name of nodes or meshes; only these nodes and all below them are read.
+    `node_name`: read only nodes or meshes with this name, and all nodes below them; None for all.
     `read_sibling(path, max_bytes)`: returns the bytes of a file in the same folder."""
     notes.form = "binary glTF" if data[:4] == b"glTF" else "glTF"
     try:
@@ -101,7 +101,7 @@ def _is_hidden(file: gltf_file.GltfDocument, node: dict[str, Any]) -> bool:
 
 
 def _find_topmost_nodes(numbers: list[int], parents: list[int]) -> list[int]:
-    """Return the nodes that are not descendants of another node in the list."""
+    """Return the nodes in `numbers` that are not descendants of another node in `numbers`."""
     chosen, tops = set(numbers), []
     for number in numbers:
         above = parents[number]
@@ -124,7 +124,7 @@ def _compute_node_transform(file: gltf_file.GltfDocument, node: dict[str, Any]) 
 
 
 def _find_named_nodes(file: gltf_file.GltfDocument, scene_nodes: list[int], node_name: str) -> set[int]:
-    """Return the nodes with the name `node_name`, or with a mesh of this name, and all nodes below them."""
+    """Return the nodes with the name `node_name`, the nodes with a mesh of this name, and all nodes below them."""
     from antdsl.diagnostics.suggestion import find_nearest_name
 
     nodes, meshes = file.get_top_list("nodes"), file.get_top_list("meshes")

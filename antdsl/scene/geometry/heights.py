@@ -1,6 +1,6 @@
-"""Makes surfaces of triangles from heights in rows and columns. Heights are read from 16-bit grey images and from arrays.
+"""Makes triangle surfaces from heights in rows and columns. Heights are read from 16-bit grey images and from arrays.
 
-Sizes are compared with the limits before anything is unpacked."""
+Sizes are compared with the limits before anything is decompressed."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _MAX_GREY_SAMPLE = 65535.0  # the sample of a 16-bit image that represents 1
 
 
 def read_heights(data: bytes, name: str, array: str | None = None, layer: int | None = None) -> Floats:
-    """Return the samples float64[rows, columns] of a file's bytes. Raises MeshError with the reason if that fails.
+    """Return the height samples in a file's bytes, float64[rows, columns]. Raises MeshError with the reason if this fails.
 
-    Samples of a 16-bit image are from 0 to 1. Samples of a float image or an array are unchanged.
-    `array`: the name of an array in an .npz file, if it has several.
-    `layer`: the first index, if the array has three dimensions."""
+    Samples of a 16-bit image are scaled to 0 to 1. Samples of a float image or an array are unchanged.
+    `array`: the name of the array to read, if an .npz file has several.
+    `layer`: the index along the first dimension, if the array has three dimensions."""
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind == "npz":
         samples = _read_height_array(data, array, layer)
@@ -94,11 +94,12 @@ def _check_sample_count(rows: int, columns: int) -> None:
 
 
 def make_height_surface(heights: Floats, extent: tuple[float, float]) -> tuple[Floats, NDArray[np.int64]]:
-    """Return vertices (n, 3) and faces (m, 3) of heights [rows, columns]. The surface is centred at the origin, with y up.
+    """Return the vertices (n, 3) and faces (m, 3) of a surface with the heights [rows, columns]. It is centred at the origin,
+    with y up.
 
-    `extent`: the size in x and z.
-    Faces have their front above. Vertices are samples, row by row. Columns go along +x and rows along +z, like a picture seen
-    from above."""
+    `extent`: the size along x and along z.
+    Faces have their front above. There is one vertex per sample, row by row. Columns go along +x and rows along +z, like a
+    picture seen from above."""
     rows, columns = heights.shape
     x = -extent[0] / 2 + np.arange(columns) * (extent[0] / (columns - 1))
     z = -extent[1] / 2 + np.arange(rows) * (extent[1] / (rows - 1))
@@ -113,6 +114,7 @@ def make_height_surface(heights: Floats, extent: tuple[float, float]) -> tuple[F
 def compute_sampling_deviation(heights: Floats) -> float:
     """Return the largest distance between the triangles and the bilinear surface through the samples.
 
-    It occurs in the middle of a cell, and is a quarter of the cell's twist: the difference of the sums of diagonal corners."""
+    It occurs in the middle of a cell. It is a quarter of the cell's twist: the difference between the height sums of its two
+    diagonals."""
     twist = heights[:-1, :-1] - heights[:-1, 1:] - heights[1:, :-1] + heights[1:, 1:]
     return float(np.abs(twist).max()) / 4

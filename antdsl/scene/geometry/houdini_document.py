@@ -1,7 +1,7 @@
-"""Parser of Houdini's geometry files (since version 12): JSON as text (`.geo`) or as binary tokens (`.bgeo`).
+"""Parses Houdini's geometry files (since version 12): JSON as text (`.geo`) or as binary tokens (`.bgeo`).
 
-The binary form is that of the open readers houio (D. Koerner) and bgeo_reader (Laika). A token is one byte, followed by its data.
-The magic number gives the byte order. Arrays of one type are stored as raw numbers."""
+The binary form is that of the open readers houio (D. Koerner) and bgeo_reader (Laika). A token is one byte, followed by its
+data. The magic number determines the byte order. Arrays of one type are stored as raw numbers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _SAVE_AGAIN_HELP = "save it again in Houdini as .bgeo or .geo"
 class HoudiniDocument:
     """The content of a file.
 
-    `root`: lists, dictionaries, texts, numbers and arrays (NumPy). `byte_count`: the size of the file."""
+    `root`: nested lists, dictionaries, texts, numbers and NumPy arrays. `byte_count`: the size of the file."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self.byte_count, self._offset_by_text = data, len(data), dict[str, int]()
@@ -54,14 +54,14 @@ class HoudiniDocument:
             raise MeshError(f"is neither JSON nor a .bgeo file (at byte {error.start:,})", _SAVE_AGAIN_HELP) from None
 
     def find_offset(self, text: str) -> int:
-        """Return the byte at which a text first occurs as a value, or 0."""
+        """Return the byte offset at which a text first occurs as a value, or 0 if it does not occur."""
         return self._offset_by_text.get(text, max(self._data.find(json.dumps(text).encode()), 0))
 
 
 class _BinaryParser:
-    """Parser of binary tokens. Lengths are compared with the remaining bytes before anything is allocated.
+    """Parser of binary tokens. Lengths are compared with the number of remaining bytes before anything is allocated.
 
-    `offset_by_text`: the byte at which each text first occurs."""
+    `offset_by_text`: the byte offset at which each text first occurs."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self._offset = data, 5
@@ -74,15 +74,15 @@ class _BinaryParser:
         return self._take_bytes(1)[0]
 
     def _take_bytes(self, count: int) -> bytes:
-        """Return the next bytes. Raises MeshError if the file has fewer."""
+        """Return the next `count` bytes. Raises MeshError if the file has fewer."""
         start, self._offset = self._offset, self._offset + count
         if self._offset > len(self._data):
             raise MeshError(f"ends within a value at byte {start:,}: a part of it is missing", _SAVE_AGAIN_HELP)
         return self._data[start : self._offset]
 
     def _read_length(self) -> int:
-        """Read a length or the number of a token. It is one byte below 0xf1, or an integer of 2, 4 or 8 bytes after a marker
-        byte."""
+        """Read a length or the number of a token. It is stored as one byte below 0xf1, or as an integer of 2, 4 or 8 bytes after
+        a marker byte."""
         first = self.read_byte()
         if first < 0xF1:
             return first
@@ -93,14 +93,14 @@ class _BinaryParser:
         return length
 
     def _read_text(self) -> str:
-        """Return a text after its length."""
+        """Read the length of a text and the text. Return the text."""
         start = self._offset
         text = self._take_bytes(self._read_length()).decode("utf-8", "replace")
         self.offset_by_text.setdefault(text, start)
         return text
 
     def _skip_definitions(self, token: int) -> int:
-        """Read definitions and removals of tokens, beginning with `token`. Return the first other token."""
+        """Read definitions and removals of tokens, starting with `token`. Return the first token that is neither."""
         while token in (_TEXT_DEFINITION_TOKEN, _TEXT_REMOVAL_TOKEN):
             number = self._read_length()
             if token == _TEXT_DEFINITION_TOKEN:
@@ -111,7 +111,8 @@ class _BinaryParser:
         return token
 
     def read_value(self, token: int, depth: int) -> Any:
-        """Return the value that begins with `token`, which is already read. `depth`: how many values enclose it."""
+        """Return the value that starts with `token`, which has already been read. `depth`: the number of values that
+        enclose it."""
         token, start = self._skip_definitions(token), self._offset - 1
         if depth > _MAX_DEPTH:
             raise MeshError(f"has more than {_MAX_DEPTH} nested lists at byte {start:,}", _SAVE_AGAIN_HELP)
@@ -132,14 +133,14 @@ class _BinaryParser:
         raise MeshError(f"has an unknown token {token:#04x} at byte {start:,}", _SAVE_AGAIN_HELP)
 
     def _read_list(self, depth: int) -> list[Any]:
-        """Return the items up to the end of a list."""
+        """Read a list up to its end, and return its items."""
         items: list[Any] = []
         while (token := self._skip_definitions(self.read_byte())) != _ARRAY_END_TOKEN:
             items.append(self.read_value(token, depth + 1))
         return items
 
     def _read_map(self, depth: int) -> dict[str, Any]:
-        """Return the entries up to the end of a map."""
+        """Read a map up to its end, and return its entries."""
         entries: dict[str, Any] = {}
         while (token := self._skip_definitions(self.read_byte())) != _MAP_END_TOKEN:
             if token not in (_STRING_TOKEN, _TEXT_REFERENCE_TOKEN):
@@ -149,7 +150,7 @@ class _BinaryParser:
         return entries
 
     def _read_text_item(self, token: int) -> str:
-        """Return a text that is stored here, or that a token refers to."""
+        """Return a text that is stored at this position, or to which a token refers."""
         if token == _STRING_TOKEN:
             return self._read_text()
         start, number = self._offset - 1, self._read_length()

@@ -1,6 +1,6 @@
-"""Polygons of Houdini's geometry files: of polygons, runs of polygons, polygon soups, and packed geometry.
+"""Reads the polygons of Houdini's geometry files: single polygons, runs of polygons, polygon soups, and packed geometry.
 
-Houdini orders the corners of a polygon clockwise as seen from outside, so they are reversed here."""
+Houdini orders the corners of a polygon clockwise as seen from outside, so the order is reversed here."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _CONVERT_HELP = "convert it to polygons in Houdini, and unpack files on disk"
 def read_houdini(data: bytes, notes: ImportNotes, group: str | None = None) -> PolygonMesh:
     """Return the polygons of a file, including those of packed primitives. Raises MeshError with the reason.
 
-    `group`: read only primitives for which the attribute `name` has this value. `notes`: receives the primitives that are left
-    out, each with its byte offset."""
+    `group`: read only primitives with this value of the attribute `name`; None for all. `notes`: receives the omitted primitives
+    with their byte offsets."""
     notes.form = ".bgeo" if data[:1] == b"\x7f" else ".geo"
     document = HoudiniDocument(data)
     detail = _HoudiniGeometry(document, document.root, notes)
@@ -44,9 +44,9 @@ def read_houdini(data: bytes, notes: ImportNotes, group: str | None = None) -> P
 
 
 def read_houdini_by_name(data: bytes, notes: ImportNotes) -> dict[str, PolygonMesh]:
-    """Return the polygons for each value of the primitive attribute `name`.
+    """Return the polygons of a file by the value of the primitive attribute `name`.
 
-    Names without polygons are left out. `notes` and errors are those of `read_houdini`."""
+    Values without polygons are omitted. For `notes` and errors, see `read_houdini`."""
     document = HoudiniDocument(data)
     detail = _HoudiniGeometry(document, document.root, notes)
     names = detail.list_names()
@@ -63,12 +63,12 @@ class _HoudiniPolygons(NamedTuple):
     point_indices: Integers
 
     def transform(self, matrix: Floats) -> _HoudiniPolygons:
-        """Return the polygons moved by a matrix (4, 4) for rows."""
+        """Return the polygons transformed by a matrix (4, 4) for row vectors."""
         return self._replace(points=_transform_row_vectors(self.points, matrix) + matrix[3, :3])
 
     @staticmethod
     def join(parts: list[_HoudiniPolygons]) -> _HoudiniPolygons:
-        """Return all parts as one. Raises MeshError beyond the limits."""
+        """Return all parts joined into one. Raises MeshError if the limits are exceeded."""
         check_count(sum(len(each.points) for each in parts), 3 * limits.MAX_MESH_FACES, "points")
         check_count(sum(len(each.point_indices) for each in parts), 3 * limits.MAX_MESH_FACES, "corners of faces")
         starts = np.cumsum([0, *(len(each.points) for each in parts)])
@@ -80,7 +80,7 @@ class _HoudiniPolygons(NamedTuple):
         )
 
     def reverse_corners(self) -> PolygonMesh:
-        """Return a mesh in which the corners of each polygon have the reverse order."""
+        """Return a mesh in which the corner order of each polygon is reversed."""
         ends = np.cumsum(self.corner_counts)
         order = np.repeat(2 * ends - self.corner_counts - 1, self.corner_counts) - np.arange(len(self.point_indices))
         return PolygonMesh(self.points, self.corner_counts, self.point_indices[order])
@@ -112,7 +112,7 @@ class _HoudiniGeometry:
         self._polygons_by_selection = dict[tuple[str, str] | None, _HoudiniPolygons]()
 
     def _find_embedded_geometry(self) -> dict[str, Any]:
-        """Return the values of packed geometries by their keys."""
+        """Return the values of embedded (packed) geometries, by their keys."""
         shared = self._parts.get("sharedprimitivedata", [])
         values_by_key: dict[str, Any] = {}
         for entry in shared[1::2] if isinstance(shared, list) else []:
@@ -123,7 +123,8 @@ class _HoudiniGeometry:
         return values_by_key
 
     def _find_attribute(self, owner: str, name: str) -> dict[str, Any] | None:
-        """Return the data of an attribute of points (`owner` = `point`) or primitives, or None if there is none."""
+        """Return the data of an attribute, or None if there is none. `owner`: `point` or `primitive`, the elements that have the
+        attribute."""
         for entry in _to_list(self._attributes.get(f"{owner}attributes", []), "attributes"):
             if isinstance(entry, list) and len(entry) == 2 and _to_map(entry[0], "an attribute").get("name") == name:
                 return _to_map(entry[1], f"the attribute `{name}`")
@@ -145,7 +146,7 @@ class _HoudiniGeometry:
         return values[:, :3]
 
     def read_texts(self, name: str) -> list[str]:
-        """Return a text attribute of each primitive, or an empty list if there is none."""
+        """Return the value of a text attribute for each primitive. The list is empty if there is no such attribute."""
         attribute = self._find_attribute("primitive", name)
         if attribute is None or "strings" not in attribute:
             return []
@@ -155,13 +156,13 @@ class _HoudiniGeometry:
         return [texts[k] if 0 <= k < len(texts) else "" for k in numbers.tolist()]
 
     def list_names(self) -> list[str]:
-        """Return the different values of the primitive attribute `name` that can be printed."""
+        """Return the distinct values of the primitive attribute `name`, without values that cannot be printed."""
         return list(dict.fromkeys(name for name in self.read_texts("name") if name and name.isprintable()))
 
     def read_polygons(self, selection: tuple[str, str] | None) -> _HoudiniPolygons:
-        """Return the polygons, with those of packed geometries.
+        """Return the polygons, including those of packed geometries.
 
-        `selection`: a text attribute of primitives and the value to select, or None for all."""
+        `selection`: the name of a text attribute of primitives, and the value that selected primitives have; None for all."""
         if selection not in self._polygons_by_selection:
             self._polygons_by_selection[selection] = self._read_polygons(selection)
         return self._polygons_by_selection[selection]
@@ -191,9 +192,9 @@ class _HoudiniGeometry:
 
     @cached_property
     def _primitives(self) -> list[tuple[str, dict[str, Any], int]]:
-        """Return the kind of each primitive that can be read, its fields, and the number of primitives that they describe.
+        """Return, for each readable primitive, its kind, its fields, and the number of primitives that the fields describe.
 
-        Others are counted in the notes."""
+        Other primitives are counted in the notes."""
         primitives: list[tuple[str, dict[str, Any], int]] = []
         for entry in _to_list(self._parts.get("primitives", []), "`primitives`"):
             if not isinstance(entry, list) or len(entry) != 2:
@@ -219,9 +220,9 @@ class _HoudiniGeometry:
         return primitives
 
     def _read_packed(self, kind: str, fields: dict[str, Any], points: Floats) -> list[_HoudiniPolygons]:
-        """Return the polygons of a packed geometry, or of the part of it that a fragment names, at the position of its point.
+        """Return the polygons of a packed geometry, or of the part that a fragment names, at the position of its point.
 
-        The list is empty if the file does not contain the geometry."""
+        The list is empty if the geometry is not in the file."""
         parameters = _to_map(fields.get("parameters", {}), f"`{kind}`")
         key, vertex = str(parameters.get("embedded")), _to_count(fields.get("vertex", 0))
         if key not in self._embedded or vertex >= len(self._vertex_points) or not 0 <= self._vertex_points[vertex] < len(points):
@@ -240,14 +241,14 @@ class _HoudiniGeometry:
 
 
 def _transform_row_vectors(vectors: Floats, matrix: Floats) -> Floats:
-    """Return vectors (n, 3) multiplied by the first three rows of a matrix (4, 4). The bits are equal on every processor."""
+    """Return vectors (n, 3) multiplied by the first three rows of a matrix (4, 4). Every processor computes the same bits."""
     return vectors[:, :1] * matrix[0, :3] + vectors[:, 1:2] * matrix[1, :3] + vectors[:, 2:3] * matrix[2, :3]
 
 
 def _list_corners(kind: str, fields: dict[str, Any], number: int, vertex_count: int) -> tuple[Integers, Integers]:
-    """Return the corner count of each polygon of a primitive, and the vertices of all corners.
+    """Return the number of corners of each polygon of a primitive, and the vertex of each corner.
 
-    `number`: the number of polygons of a run. `vertex_count`: the number of vertices of the geometry."""
+    `number`: the number of polygons in a run. `vertex_count`: the number of vertices of the geometry."""
     none = np.zeros(0, np.int64)
     if kind == "Poly":
         vertices = _to_integers(fields.get("vertex", []), "`vertex`")
@@ -277,7 +278,8 @@ def _list_corners(kind: str, fields: dict[str, Any], number: int, vertex_count: 
 
 
 def _expand_runs(runs: Integers, max_count: int) -> Integers:
-    """Expand pairs of a number and its count. Returns at most `most` numbers; their sum is also at most `most`."""
+    """Return the numbers that pairs of a number and its count stand for. Raises MeshError if there are more than `max_count`, or
+    if their sum is larger."""
     if len(runs) % 2 or (runs < 0).any():
         raise MeshError("has runs of polygons that are not pairs of counts", _CONVERT_HELP)
     sizes, counts = runs[::2].astype(np.float64), runs[1::2].astype(np.float64)
@@ -287,7 +289,8 @@ def _expand_runs(runs: Integers, max_count: int) -> Integers:
 
 
 def _read_tuples(values: dict[str, Any], count: int, subject: str) -> Floats:
-    """Return the numbers of an attribute, float64[count, size]: stored as tuples, as an array per component, or in pages."""
+    """Return the numbers of an attribute, float64[count, size]. They are stored as tuples, as one array per component, or in
+    pages."""
     size = _to_count(values.get("size", 1))
     if "tuples" in values:
         table = _to_floats(values["tuples"], subject).reshape(-1)
@@ -301,9 +304,9 @@ def _read_tuples(values: dict[str, Any], count: int, subject: str) -> Floats:
 
 
 def _unpack_pages(values: dict[str, Any], count: int, size: int, subject: str) -> Floats:
-    """Return the numbers of an attribute in pages of some elements each, float64[count * size].
+    """Return the numbers of an attribute that is stored in pages, float64[count * size]. A page contains several elements.
 
-    A page has one block for each subvector of `packing`. A block of a constant page has one element."""
+    `packing` lists the sizes of subvectors, and a page has one block for each. A block of a constant page has one element."""
     raw, page = _to_floats(values.get("rawpagedata", []), subject), _to_count(values.get("pagesize", 0))
     widths = _to_integers(values.get("packing", [size]), "`packing`").tolist()
     if page < 1 or min(widths, default=0) < 1 or sum(widths) != size:
@@ -325,12 +328,12 @@ def _unpack_pages(values: dict[str, Any], count: int, size: int, subject: str) -
 
 
 def _get_long_or_short_key(fields: dict[str, Any], name: str, short_name: str, default: Any) -> Any:
-    """Return a field under its name or, as in newer files, under its short name."""
+    """Return the field `name` or, in newer files, the same field under its short name; `default` if both are absent."""
     return fields.get(name, fields.get(short_name, default))
 
 
 def _to_map(value: Any, subject: str) -> dict[str, Any]:
-    """Return a map, which may be stored as a list of keys and values in turn."""
+    """Return a value as a map. It may be stored as a list in which keys and values alternate."""
     if isinstance(value, dict):
         return value
     if isinstance(value, list) and len(value) % 2 == 0 and all(isinstance(key, str) for key in value[::2]):
@@ -339,26 +342,26 @@ def _to_map(value: Any, subject: str) -> dict[str, Any]:
 
 
 def _to_list(value: Any, subject: str) -> list[Any]:
-    """Return a list."""
+    """Return the value if it is a list. Raises MeshError if not."""
     if not isinstance(value, list):
         raise MeshError(f"has no list in {subject}", _CONVERT_HELP)
     return value
 
 
 def _to_printable(value: Any) -> str:
-    """Return the first characters of a value for a message, without characters that cannot be printed."""
+    """Return the first characters of a value for a message. Characters that cannot be printed are removed."""
     return replace_unprintable(str(value)[:40])
 
 
 def _to_count(value: Any) -> int:
-    """Return a number that is at least 0."""
+    """Return a value as an integer that is at least 0. Raises MeshError if it is not."""
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
         raise MeshError(f"has `{_to_printable(value)}` in the place of a number", _CONVERT_HELP)
     return value
 
 
 def _to_floats(value: Any, subject: str) -> Floats:
-    """Return numbers as one array (n,)."""
+    """Return a value as an array of numbers (n,). Raises MeshError if it is not."""
     try:
         return np.asarray(value, np.float64).reshape(-1)
     except (TypeError, ValueError):
@@ -366,7 +369,7 @@ def _to_floats(value: Any, subject: str) -> Floats:
 
 
 def _to_integers(value: Any, subject: str) -> Integers:
-    """Return whole numbers as one array (n,)."""
+    """Return a value as an array of integers (n,). Raises MeshError if it is not."""
     numbers = _to_floats(value, subject)
     if not (np.abs(numbers) < 2**53).all() or (numbers != np.rint(numbers)).any():
         raise MeshError(f"has something that is not a whole number in {subject}", _CONVERT_HELP)

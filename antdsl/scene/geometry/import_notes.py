@@ -1,4 +1,4 @@
-"""The import report: elements that the reader of a mesh file left out, cut or joined."""
+"""The import report of a mesh file: what the reader omitted, cut or joined."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 @dataclass(slots=True)
 class SkippedElement:
-    """An element of a file that is not read. `count`: how often it occurs. `line`: the line of the first one, if the file has
-    lines."""
+    """A kind of element that is not read. `count`: how often it occurs. `line`: the line of its first occurrence; None if the
+    file has no lines."""
 
     description: str
     count: int = 0
@@ -18,11 +18,11 @@ class SkippedElement:
 
 @dataclass(slots=True)
 class ImportNotes:
-    """Notes on one mesh file.
+    """What a reader noted about one mesh file.
 
-    `cut_polygons`: polygons with more than three corners.
-    `concave_polygons`: polygons in `cut_polygons` with a corner that points inward.
-    `crossing_polygons`: polygons that cut or cover themselves.
+    `cut_polygons`: the number of polygons with more than three corners.
+    `concave_polygons`: how many of these have a corner that points inward.
+    `crossing_polygons`: the number of polygons that cross or cover themselves.
     `crossing_face`: the index of the first of these."""
 
     form: str = ""
@@ -35,7 +35,7 @@ class ImportNotes:
     skipped_elements: dict[str, SkippedElement] = field(default_factory=dict)
 
     def count_skipped(self, description: str, count: int = 1, line: int | None = None) -> None:
-        """Count elements `description` that are not read."""
+        """Count further elements that are not read. `description`: the kind of element."""
         if not count:
             return
         if description not in self.skipped_elements:
@@ -45,7 +45,7 @@ class ImportNotes:
         self.skipped_elements[description].count += count
 
     def describe_skipped(self) -> list[str]:
-        """Return the skipped elements as phrases, such as `3 × `l` (line 8)`."""
+        """Return text about each kind of skipped element, such as `3 × `l` (line 8)`."""
         return [
             (f"{each.count:,} × " if each.count > 1 else "")
             + each.description
@@ -61,13 +61,14 @@ FloatTriple = tuple[float, float, float]
 class MeshImport:
     """The import report of one mesh of a scene. Lengths are in scene units.
 
-    `polygons`: polygons with more than three corners.
-    `concave`, `crossing`: numbers of polygons, as in `ImportNotes`.
-    `dropped`: triangles that were left out, since they have no area or are duplicates.
-    `welded`: vertices moved onto others.
-    `border_edges`: edges with exactly one triangle.
-    `low`, `high`: the corners of the mesh's box.
-    `left`: the number of triangles in the scene; None if unknown. Caches store these names."""
+    `polygons`: the number of polygons with more than three corners.
+    `concave`, `crossing`: the numbers of polygons that `ImportNotes` describes.
+    `dropped`: the number of omitted triangles, which have no area or are duplicates.
+    `welded`: the number of vertices that were moved onto others.
+    `border_edges`: the number of edges with exactly one triangle.
+    `low`, `high`: the corners of the mesh's bounding box.
+    `left`: the number of triangles in the scene; None if unknown.
+    Caches store these field names."""
 
     file: str
     form: str
@@ -86,7 +87,7 @@ class MeshImport:
 
 
 def format_import_report(mesh_import: MeshImport, units: str) -> Iterator[str]:
-    """Yield the lines of the report as text."""
+    """Yield the lines of the report as text. `units`: the name of the scene unit."""
     counts = f"{_format_count(mesh_import.vertices, 'vertex', 'vertices')}, {_format_count(mesh_import.triangles, 'triangle')}"
     yield f"{mesh_import.file}, {mesh_import.form}: {counts}"
     size = " × ".join(f"{high - low:.9g}" for low, high in zip(mesh_import.low, mesh_import.high, strict=True))

@@ -1,6 +1,6 @@
-"""The rule that decides which triangles of a surface are ground, for scenes and for the ground itself.
+"""The rule for which triangles of a surface are ground. Scenes and the ground itself both use it.
 
-A triangle is not ground in three cases: it has no area, two of its corners coincide, or another triangle has the same corners."""
+A triangle is not ground if it has no area, if two of its corners coincide, or if another triangle has the same corners."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ _FACES_TRIED_FIRST = 8  # number of largest faces that are examined before all o
 
 
 def has_nonzero_area(a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
-    """Return whether each triangle with the corners a, b, c (m, 3) has an area."""
+    """Return whether each triangle has an area, bool[m]. `a`, `b`, `c` (m, 3): the corners."""
     area = _compute_lengths(np.cross(b - a, c - a))
     longest = np.maximum.reduce([_compute_lengths(edge) for edge in (b - a, c - a, c - b)])
     return np.asarray((area > _FLAT_TRIANGLE_RATIO * longest * longest) & (area > 0))
 
 
 def find_faces_with_area(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDArray[np.bool_]:
-    """Return whether each face is ground, bool[m]. `a`, `b`, `c` (m, 3): the corners of faces.
+    """Return whether each face is ground, bool[m]. `a`, `b`, `c` (m, 3): the corners of the faces.
 
-    `numbers`: the result of `number_welded_corners`."""
+    `numbers`: the result of `number_welded_corners` for these faces."""
     live = has_nonzero_area(a, b, c)
     key = np.sort(numbers, axis=1)
     live &= (key[:, 0] != key[:, 1]) & (key[:, 1] != key[:, 2])
@@ -41,7 +41,7 @@ def find_faces_with_area(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDAr
 def has_any_face_with_area(vertices: Floats, faces: Ints, extent: float) -> bool:
     """Return whether any face of a mesh is ground. `extent`: the width of all surfaces together.
 
-    Usually one of the largest faces has corners far from all others. Then most corners need no numbers."""
+    One of the largest faces usually has corners that are far from all others. In this case, most corners need not be numbered."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.where(has_nonzero_area(a, b, c), _compute_lengths(np.cross(b - a, c - a)), 0.0)
     clearance = _ISOLATION_DISTANCE_GRAINS * extent * _JOIN_DISTANCE_SHARE
@@ -65,10 +65,10 @@ def _compute_lengths(v: Floats) -> Floats:
 
 
 def number_welded_corners(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Ints:
-    """Return numbers int32[m, 3] of the corners of faces. Corners of one mesh at one position share a number.
+    """Return numbers int32[m, 3] for the corners of faces. Corners of the same mesh at the same position have the same number.
 
     `vertices` float64[n, 3]; `faces` int32[m, 3].
-    `mesh` int32[m]: the mesh of each face.
+    `mesh` int32[m]: the index of each face's mesh.
     `extent`: the width of all meshes together."""
     grain = max(extent * _JOIN_DISTANCE_SHARE, 1e-300)
     flat = faces.ravel()
@@ -83,7 +83,7 @@ def number_welded_corners(vertices: Floats, faces: Ints, mesh: Ints, extent: flo
 
 
 def number_connected_components(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
-    """Return the connected component int32[count] of each node. `pairs` (k, 2): the nodes that are connected.
+    """Return the index of the connected component of each node, int32[count]. `pairs` (k, 2): nodes that are connected directly.
 
     Components are numbered from 0, in the order of their first nodes."""
     parent = np.arange(count)
@@ -100,9 +100,9 @@ def number_connected_components(pairs: NDArray[np.int64], count: int) -> NDArray
 
 
 def _merge_cells(points: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
-    """Return new cell numbers int64[n] for points in cells.
+    """Return merged cell numbers int64[n] for points in grid cells. `owner`: the owner of each point.
 
-    Cells of one owner share a number if they have points nearer to each other than `grain`."""
+    Two cells of the same owner get the same number if they contain points nearer to each other than `grain`."""
     begin = np.unique(cell, return_index=True)[1]
     near = np.stack(find_pairs_within(points[begin], grain), axis=1)
     near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]

@@ -1,6 +1,6 @@
-"""Transforms from one space to another as matrices (…, 3, 4): rotation and scale, then translation.
+"""Transforms from one space to another, as matrices (…, 3, 4): rotation and scale, then translation.
 
-Sums are explicit, so that every point gets the same bits for any number of points."""
+Sums are written out, so that each point gets the same bits whatever the number of points."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ def make_identity_transforms(*shape: int) -> Floats:
 
 
 def make_transform(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
-    """Return the transform (3, 4) that scales, then rotates, then translates. `rotation`: a quaternion x y z w of any length."""
+    """Return the transform (3, 4) that scales, then rotates, then translates. `rotation`: a quaternion (x, y, z, w) of any
+    length."""
     x, y, z, w = rotation / max(float(np.sqrt((rotation * rotation).sum())), 1e-30)
     transform = make_identity_transforms()
     transform[:, :3] = [
@@ -49,8 +50,8 @@ def multiply_matrices(a: Floats, b: Floats) -> Floats:
 
 
 def compute_determinant(transform: Floats) -> float:
-    """Return the determinant of a transform (3, 4), which is the factor by which it scales volumes. It is negative if the
-    transform mirrors."""
+    """Return the determinant of a transform (3, 4): the factor by which it scales volumes. It is negative if the transform
+    mirrors."""
     return float(compute_determinants(transform))
 
 
@@ -63,7 +64,7 @@ def compute_determinants(transforms: Floats) -> Floats:
 
 
 def find_uniform_scale(transform: Floats) -> float:
-    """Return the factor by which a transform scales lengths. It must be the same in all directions."""
+    """Return the factor by which a transform scales lengths. It must scale by the same factor in all directions."""
     with localcontext(prec=40):
         return float(abs(Decimal(compute_determinant(transform))) ** (Decimal(1) / 3)) if compute_determinant(transform) else 0.0
 
@@ -102,7 +103,7 @@ def find_invertible(transforms: Floats) -> NDArray[np.bool_]:
 
 
 def apply_transforms(transform: Floats, points: Floats) -> Floats:
-    """Apply one transform (3, 4) to points (n, 3), or a separate transform (n, 3, 4) to each point."""
+    """Return the points after one transform (3, 4) for all of them, or after a separate transform (n, 3, 4) for each point."""
     x, y, z = (points[:, axis, None] for axis in range(3))
     result: Floats = ((transform[..., 0] * x + transform[..., 1] * y) + transform[..., 2] * z) + transform[..., 3]
     return result
@@ -111,8 +112,8 @@ def apply_transforms(transform: Floats, points: Floats) -> Floats:
 def find_distinct_points(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
     """Return the distinct points among points (n, 3). Zero and minus zero are equal.
 
-    Results: the order by x, y, z; a mask of the points that differ from the previous one in this order; and for each point, the
-    index of its distinct point."""
+    The results are the order by x, y and z; a mask of the points that differ from the previous point in this order; and the
+    index of each point's distinct point."""
     order = np.lexsort(points.T[::-1])
     ranked = points[order]
     new = np.ones(len(points), np.bool_)

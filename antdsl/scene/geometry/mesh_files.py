@@ -1,6 +1,6 @@
-"""Reads mesh files to `MeshData`. Counts are compared with the file's size before anything is allocated.
+"""Reads mesh files to `MeshData`. Counts are compared with the size of the file before anything is allocated.
 
-This module also checks the results of all mesh readers: indices out of range, values that are not finite, and faces without
+This module also checks the results of all mesh readers for indices out of range, values that are not finite, and faces without
 area."""
 
 from __future__ import annotations
@@ -36,10 +36,11 @@ _MAX_COORDINATE_MM = 1e9  # mm; a thousand kilometres
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawMesh:
-    """A mesh in the file's units and axes. `dropped_faces`: the number of faces without area that were left out.
+    """A mesh in the units and axes of its file. `dropped_faces`: the number of faces that were omitted because they have no
+    area.
 
-    `file_vertex_indices`, `file_face_indices`: the index that each vertex and each face has in the file.
-    `file_counts`: the numbers of vertices and triangles of the file."""
+    `file_vertex_indices`, `file_face_indices`: the index of each vertex and face in the file.
+    `file_counts`: the numbers of vertices and triangles in the file."""
 
     vertices: Floats
     faces: Faces
@@ -51,10 +52,10 @@ class RawMesh:
 
 
 def read_mesh(data: bytes, name: str, group: str | None = None, read_sibling: SiblingReader | None = None) -> RawMesh:
-    """Return the triangles of a file's bytes. Raises MeshError with the reason if there are none.
+    """Return the triangles in a file's bytes. Raises MeshError with the reason if there are none.
 
-    `group`: the only group or object of an .obj file to read, the only node of a glTF file, with all below it, or the only `name`
-    of primitives of a .geo or .bgeo file.
+    `group`: None reads everything. In an .obj file, it is the only group or object to read. In a glTF file, it is a node, which
+    is read with all nodes below it. In a .geo or .bgeo file, it is the `name` of the primitives to read.
     `read_sibling(path, max_bytes)`: returns the bytes of a file in the same folder."""
     is_cached = len(data) <= _MAX_CACHED_BYTES and not name.lower().endswith(
         ".gltf"
@@ -67,7 +68,7 @@ _MAX_CACHED_BYTES = 2 * limits.MIB  # cache for files that are read again by the
 
 @lru_cache(maxsize=16)
 def _read_cached_mesh(data: bytes, name: str, group: str | None) -> RawMesh:
-    """Read a mesh. Small meshes are cached for further scenes, so the arrays must not be changed."""
+    """Return the mesh in a file's bytes. Small meshes are cached for later scenes, so the arrays must not be changed."""
     mesh = _read_and_check_mesh(data, name, group, None)
     for array in (mesh.vertices, mesh.faces, mesh.file_vertex_indices, mesh.file_face_indices):
         array.setflags(write=False)
@@ -82,9 +83,9 @@ def _read_and_check_mesh(data: bytes, name: str, group: str | None, read_sibling
 def read_mesh_arrays(
     data: bytes, name: str, group: str | None = None, read_sibling: SiblingReader | None = None, notes: ImportNotes | None = None
 ) -> tuple[Floats, Faces]:
-    """Return the vertices and all triangles of a file. They are not checked by `check_mesh`.
+    """Return the vertices and all triangles of a file, without the checks of `check_mesh`.
 
-    The arguments are those of `read_mesh`. `notes`: receives the elements that are left out."""
+    For the arguments, see `read_mesh`. `notes`: receives the elements that were omitted."""
     notes = ImportNotes() if notes is None else notes
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind not in MESH_SUFFIXES:
@@ -102,9 +103,9 @@ def read_mesh_arrays(
 
 
 def read_named_meshes(data: bytes, name: str) -> dict[str, RawMesh]:
-    """Return the meshes of a .geo or .bgeo file by the names of their primitives. Other files have none.
+    """Return the meshes of a .geo or .bgeo file, by the names of their primitives. The result is empty for other files.
 
-    Raises MeshError with the reason if that fails."""
+    Raises MeshError with the reason if the file cannot be read."""
     if not name.lower().endswith((".geo", ".bgeo")):
         return {}
     skipped, meshes = ImportNotes(), dict[str, RawMesh]()
@@ -117,7 +118,7 @@ def read_named_meshes(data: bytes, name: str) -> dict[str, RawMesh]:
 
 @contextmanager
 def _raise_mesh_errors() -> Iterator[None]:
-    """Raise errors of the readers of untrusted files as MeshError."""
+    """Convert errors of the readers of untrusted files to MeshError, within the context."""
     try:
         yield
     except (MeshError, PathRefused, MemoryError):
@@ -131,7 +132,7 @@ def _raise_mesh_errors() -> Iterator[None]:
 
 
 def _triangulate_mesh(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
-    """Return the vertices of a mesh, and its polygons as triangles."""
+    """Return the vertices of a mesh, and triangles in place of its polygons."""
     wrong = np.flatnonzero((mesh.point_indices < 0) | (mesh.point_indices >= len(mesh.points)))
     if len(wrong):
         face = int(np.searchsorted(np.cumsum(mesh.corner_counts), wrong[0], side="right"))
@@ -158,7 +159,7 @@ def _triangulate_mesh(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Fa
 
 
 def check_mesh(vertices: Floats, faces: Faces, notes: ImportNotes | None = None) -> RawMesh:
-    """Check vertices and faces by the rules that hold for every format, and return them. Raises MeshError with the reason."""
+    """Return vertices and faces after checks that all formats share. Raises MeshError with the reason if a check fails."""
     if len(vertices) == 0 or len(faces) == 0:
         raise MeshError("has no faces")
     if len(faces) > limits.MAX_MESH_FACES:
@@ -203,7 +204,7 @@ def check_mesh(vertices: Floats, faces: Faces, notes: ImportNotes | None = None)
 def _find_first_rows(rows: Faces, bound: int) -> NDArray[np.int64]:
     """Return the index of the first occurrence of each distinct row of three numbers.
 
-    `bound`: all numbers are below this. For speed, each row is combined into one number."""
+    `bound`: a number above all numbers in the rows. For speed, each row is combined into one number."""
     if bound > 2**21:
         _, first = np.unique(rows, axis=0, return_index=True)
     else:
@@ -222,12 +223,12 @@ MESH_SUFFIXES = (*READER_BY_SUFFIX, *GROUP_READER_BY_SUFFIX, *GLTF_SUFFIXES)
 
 
 def _reject_sibling(path: str, max_bytes: int) -> bytes:
-    """Raise MeshError for a mesh file that names another file, since there is no reader for it."""
+    """Raise MeshError for a mesh file that refers to another file, because other files cannot be read."""
     raise MeshError("has a buffer in another file", "export it as .glb, which has its buffers inside")
 
 
 def rotate_up_axis(points: Floats, own_up: str, scene_up: str) -> Floats:
-    """Return points of a file with the up axis `own_up`, rotated about x into a scene with the up axis `scene_up`."""
+    """Return a file's points, rotated about x so that the up axis `own_up` becomes `scene_up`."""
     if own_up == scene_up:
         return points
     x, y, z = points.T
@@ -257,9 +258,10 @@ def transform_raw_mesh(
     angles: tuple[float, float, float],
     position: tuple[float, float, float],
 ) -> MeshData:
-    """Return a file's mesh in the scene: in millimetres and the scene's axes. Raises MeshError if a vertex is too far out.
+    """Return a file's mesh as placed in the scene, in millimetres and the scene's axes. Raises MeshError if a vertex is too far
+    out.
 
-    A mirrored mesh keeps its outside."""
+    The outside of a mesh remains outside if the transform mirrors."""
     vertices = rotate_points(rotate_up_axis(mesh.vertices * factor, own_up, up), angles) + np.array(position)
     mesh_data = make_limited_mesh(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
     if not mesh.vertices.flags.writeable:

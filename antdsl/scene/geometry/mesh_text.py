@@ -1,7 +1,7 @@
 """Splits text meshes (.obj, .ply and .stl files) into blocks of words with their line numbers.
 
-Only this module handles line ends of all systems, byte order marks, indentation, comments and continued lines. NumPy finds the
-words of a block, so a reader gets columns of numbers from thousands of lines at once."""
+Only this module handles line ends, byte order marks, indentation, comments and continued lines. NumPy finds the words of a
+block, so a reader gets the columns of numbers of thousands of lines at once."""
 
 from __future__ import annotations
 
@@ -40,8 +40,7 @@ _NAME_KEYWORDS = [[word] for word in b"mtllib usemtl o g maplib usemap".split()]
 
 
 class MeshError(Exception):
-    """Error for a file that is not a usable mesh. The message gives the reason, worded to follow the file's name. `help`: what
-    to do."""
+    """Error for a file that is not a usable mesh. The message is a reason that fits after the file's name. `help`: what to do."""
 
     def __init__(self, message: str, help: str | None = _EXPORT_AGAIN_HELP) -> None:
         super().__init__(message)
@@ -49,19 +48,19 @@ class MeshError(Exception):
 
 
 def format_word(word: bytes, max_characters: int = 20) -> str:
-    """Return a word of an untrusted file in a form that is safe in a message, limited to `max_characters` characters."""
+    """Return a word of an untrusted file in a form that is safe in a message, with at most `max_characters` characters."""
     text = word[:max_characters].decode("ascii", "replace")
     return replace_unprintable(text)
 
 
 def check_count(count: int, max_count: int, plural: str) -> None:
-    """Raise MeshError if `count` is larger than `max_count`. `plural`: the counted things, in the plural."""
+    """Raise MeshError if `count` is larger than `max_count`. `plural`: what is counted, in the plural."""
     if count > max_count:
         raise MeshError(f"has more than {max_count:,} {plural}", "use a lighter mesh")
 
 
 def check_text(data: bytes) -> None:
-    """Raise MeshError if a file is text in UTF-16 or UTF-32, or not text at all."""
+    """Raise MeshError if a file is text in UTF-16 or UTF-32, or is not text."""
     if data.startswith(_UTF16_BYTE_ORDER_MARKS) or (data[1:2] == b"\0" and data[:4096].count(0) > len(data[:4096]) // 4):
         raise MeshError("is text in UTF-16 or UTF-32", "save it as UTF-8 or plain ASCII text")
     if b"\0" in data[:4096]:
@@ -69,10 +68,10 @@ def check_text(data: bytes) -> None:
 
 
 def normalise_text(data: bytes, wavefront: bool = False) -> bytes:
-    """Return text with line feeds between lines, without byte order mark and comments.
+    """Return text with line feeds as line ends, without byte order mark and comments.
 
-    A comment begins with `#` at the start of a word. After the numbers of a vertex or face, it also begins within a word. For
-    `wavefront` files, continued lines are joined, and the first word of a name may begin with `#`."""
+    A comment starts with `#` at the beginning of a word. After the numbers of a vertex or face, it may also start within a word.
+    If `wavefront` is true, continued lines are joined, and the first word of a name may begin with `#`."""
     data = data.removeprefix(b"\xef\xbb\xbf").removesuffix(b"\x1a")
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
@@ -97,11 +96,11 @@ def _replace_continuation(end: re.Match[bytes]) -> bytes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TextBlock:
-    """The lines of a text that have words.
+    """The lines of a text that contain words.
 
     `line_numbers` int64[L]: the number of each line in the file, from 1.
     `first_words`, `word_counts` int64[L]: the index of the first word of each line, and its number of words.
-    `word_starts`, `word_ends` int64[W]: the range of each word in the bytes `data`."""
+    `word_starts`, `word_ends` int64[W]: the start and end offsets of each word in the bytes `data`."""
 
     line_numbers: Integers
     first_words: Integers
@@ -122,7 +121,7 @@ class TextBlock:
         return self._words[0]
 
     def select_lines(self, begin: int, stop: int) -> TextBlock:
-        """Return a block with the lines `begin` to before `stop`."""
+        """Return a block with the lines from `begin` up to, but not including, `stop`."""
         part = slice(begin, stop)
         return TextBlock(
             self.line_numbers[part],
@@ -139,7 +138,7 @@ class TextBlock:
         return self.words[self.first_words[k] : self.first_words[k] + self.word_counts[k]]
 
     def find_line_keywords(self) -> NDArray[np.bytes_]:
-        """Return the first word of each line in lower case, limited to 8 letters."""
+        """Return the first word of each line in lower case, cut to 8 letters."""
         start, stop = self.word_starts[self.first_words], self.word_ends[self.first_words]
         found = np.zeros((len(self), 8), np.uint8)
         for k in range(min(8, int((stop - start).max(initial=0)))):
@@ -149,8 +148,8 @@ class TextBlock:
         return found.view("S8")[:, 0]
 
     def read_floats(self, word_indices: Integers, noun: str) -> Floats:
-        """Return the words at indices `word_indices` as numbers, in the same shape. Raises MeshError with the line of the first
-        invalid number."""
+        """Return the words with the indices `word_indices` as numbers, in the same shape. Raises MeshError with the line of the
+        first invalid number."""
         flat = word_indices.ravel()
         longest = int((self.word_ends[flat] - self.word_starts[flat]).max(initial=0))
         words = self.words
@@ -178,13 +177,13 @@ class TextBlock:
             raise MeshError(words, help) from None
 
     def find_line_number(self, word_index: int) -> int:
-        """Return the line number of the word at index `word_index`."""
+        """Return the line number of the word with the index `word_index`."""
         return int(self.line_numbers[np.searchsorted(self.first_words, word_index, side="right") - 1])
 
     def read_integers(self, word_indices: Integers, slash: bool = False) -> tuple[Integers, NDArray[np.bool_]]:
-        """Return the words at indices `word_indices` as integers, and whether each word is an integer.
+        """Return the words with the indices `word_indices` as integers, and for each word whether it is an integer.
 
-        With `slash`, only the part before a slash counts, as in `1/2/3`."""
+        If `slash` is true, only the part before the first slash is read, as in `1/2/3`."""
         start, end = self.word_starts[word_indices], self.word_ends[word_indices]
         negative = self.data[start] == 45
         start = start + negative
@@ -210,7 +209,7 @@ class TextBlock:
 def read_blocks(text: bytes, number: int = 1) -> Iterator[TextBlock]:
     """Yield the lines of a text from `normalise_text` in blocks. Raises MeshError for a line that is too long.
 
-    `number`: the number of the first line in the file."""
+    `number`: the line number of the first line in the file."""
     at = 0
     while at < len(text):
         stop = text.rfind(b"\n", at, at + _READ_BLOCK_BYTES) + 1

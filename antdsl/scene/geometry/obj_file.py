@@ -1,4 +1,4 @@
-"""Reader of Wavefront .obj files: vertices and polygons of all groups or of one. Other geometry is counted, not read."""
+"""Reads Wavefront .obj files: vertices, and the polygons of all groups or of one group. Other geometry is counted, not read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FREE_FORM_KEYWORDS = frozenset(b"vp cstype deg bmat step parm trim hole scrv sp
 
 
 def read_obj(data: bytes, notes: ImportNotes, group: str | None = None) -> PolygonMesh:
-    """Return vertices and polygons of a file. Raises MeshError with the reason if that fails.
+    """Return the vertices and polygons of a file. Raises MeshError with the reason if this fails.
 
     `group`: the name of the only group or object to read; None for all."""
     notes.form = "Wavefront .obj"
@@ -34,12 +34,12 @@ def read_obj(data: bytes, notes: ImportNotes, group: str | None = None) -> Polyg
 
 @dataclass(slots=True)
 class _ObjReader:
-    """The state of reading a file, block by block.
+    """The state of reading a file block by block.
 
     `group`: the only group or object to read; None for all.
-    `points`: arrays of positions. `vertex_indices`: the vertex of each corner of polygons. `corner_counts`, `polygon_lines`: the
-    number of corners and the line of each polygon.
-    `vertex_count`, `corner_count`: totals up to now. `group_names`: the groups and objects of the file."""
+    `points`: arrays of positions. `vertex_indices`: the vertex of each corner of the polygons. `corner_counts`, `polygon_lines`:
+    the number of corners and the line of each polygon.
+    `vertex_count`, `corner_count`: the totals so far. `group_names`: the groups and objects of the file."""
 
     notes: ImportNotes
     group: str | None
@@ -131,7 +131,7 @@ class _ObjReader:
         return is_chosen
 
     def make_mesh(self) -> PolygonMesh:
-        """Return the mesh of all lines read."""
+        """Return the mesh of all lines that have been read."""
         if self.group is not None and not self.corner_counts:
             raise mesh_text.MeshError(_describe_missing_group(self.group, list(self.group_names)), None)
         points = np.concatenate(self.points) if self.points else np.empty((0, 3))

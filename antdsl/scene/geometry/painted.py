@@ -1,4 +1,4 @@
-"""Reader of numbers and vectors painted on a mesh: attributes of .ply files, or arrays of .npz files."""
+"""Reads numbers and vectors that are painted on a mesh: attributes of .ply files, or arrays of .npz files."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _COMPONENT_NAME_PATTERNS = (("{}_x", "{}_y", "{}_z"), ("{}.x", "{}.y", "{}.z"), 
 
 
 class PaintError(Exception):
-    """Error for a file without the requested data. The message gives the reason, worded to follow the file's name. `help`: what
-    to write."""
+    """Error for a file without the requested data. The message is a reason that fits after the file's name. `help`: what to
+    write."""
 
     def __init__(self, message: str, help: str | None = None) -> None:
         super().__init__(message)
@@ -27,9 +27,10 @@ class PaintError(Exception):
 
 
 def read_painted_values(data: bytes, name: str, attribute: str | tuple[str, ...], width: int) -> Floats:
-    """Return the rows (n, width) of an attribute, one per vertex or face. Raises PaintError with the reason if there are none.
+    """Return the values of an attribute (n, width), one row per vertex or face. Raises PaintError with the reason if there are
+    none.
 
-    `attribute`: one name, or three names that are the components of a vector.
+    `attribute`: one name, or the names of the three components of a vector.
     `width`: 1 or 3.
     One-byte numbers are scaled so that 255 becomes 1. Values that are not finite are an error."""
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
@@ -69,7 +70,7 @@ def _read_ply_attribute(data: bytes, attribute: str | tuple[str, ...], width: in
 
 
 def _find_columns(element: PlyElement, attribute: str | tuple[str, ...], width: int) -> tuple[str, ...] | None:
-    """Return the names of an element's properties that form the attribute, or None if it lacks them."""
+    """Return the names of an element's properties that form the attribute, or None if the element does not have them."""
     have = {p.name for p in element.properties if not p.length_type}
     if isinstance(attribute, tuple):
         return attribute if len(attribute) == width and have.issuperset(attribute) else None

@@ -1,4 +1,4 @@
-"""Headers of .ply files, checked against the size of the file: their elements and properties."""
+"""Headers of .ply files: their elements and properties, checked against the size of the file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LINE_END_PATTERN = re.compile(rb"\r\n|\r|\n")
 
 
 class HeaderError(Exception):
-    """Error for an invalid header. The message is the reason, and fits after the file's name."""
+    """Error for an invalid header. The message is a reason that fits after the file's name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,23 +35,23 @@ class PlyProperty:
 
 @dataclass(frozen=True, slots=True)
 class PlyElement:
-    """A kind of element of a file, such as `vertex`. `count`: the number of these elements."""
+    """A kind of element in a file, such as `vertex`. `count`: the number of elements of this kind."""
 
     name: str
     count: int
     properties: tuple[PlyProperty, ...]
 
     def compute_min_bytes(self) -> int:
-        """Return the least number of bytes of one element. An empty list has only its length."""
+        """Return the smallest number of bytes that one element can have. An empty list has only its length."""
         return sum(np.dtype(p.length_type or p.value_type).itemsize for p in self.properties)
 
 
 @dataclass(frozen=True, slots=True)
 class PlyHeader:
-    """A header.
+    """The header of a file.
 
     `byte_order`: the byte order, `<` or `>`; empty for text.
-    `body_offset`: the offset at which the elements begin.
+    `body_offset`: the byte offset at which the elements begin.
     `line`: the line of the file at which the elements begin."""
 
     byte_order: str
@@ -87,7 +87,8 @@ def read_header(data: bytes) -> PlyHeader:
 
 
 def _split_header_lines(data: bytes) -> tuple[list[bytes], int]:
-    """Return the lines between `ply` and `end_header`, and the offset of the body. Words in comments are ignored."""
+    """Return the lines between `ply` and `end_header`, and the offset of the body. The words `ply` and `end_header` in comments
+    are ignored."""
     head = data[: 64 * limits.KIB]
     at = 3 if head.startswith(b"\xef\xbb\xbf") else 0
     lines: list[bytes] = []

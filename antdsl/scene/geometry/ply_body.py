@@ -1,4 +1,4 @@
-"""Reads the bodies of .ply files, text or binary, as one column per property. Each count is compared with the size of the
+"""Reads the bodies of .ply files, text or binary, into one column per property. Each count is compared with the size of the
 remaining file."""
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ _TOO_SHORT_MESSAGE = "is shorter than its header says"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlyColumn:
-    """The values of one property, for all elements of one kind, in order.
+    """The values of one property for all elements of one kind, in the order of the file.
 
-    `counts`: for lists, the number of values of each element."""
+    `counts`: for a list property, the number of values of each element."""
 
     values: NDArray[Any]
     counts: Integers | None = None
@@ -39,8 +39,8 @@ ColumnByName = Mapping[str, PlyColumn]
 
 
 def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
-    """Return vertices and polygons of a file. Triangle strips become triangles. Raises HeaderError or MeshError with the
-    reason."""
+    """Return the vertices and polygons of a file. Triangle strips are split into triangles. Raises HeaderError or MeshError with
+    the reason."""
     header = read_header(data)
     notes.form = {"": "text", "<": "binary", ">": "binary (big-endian)"}[header.byte_order] + " .ply"
     named = {e.name.lower(): e for e in reversed(header.elements)}
@@ -95,7 +95,7 @@ def _find_corner_property(element: PlyElement) -> str:
 
 
 def read_columns(data: bytes, header: PlyHeader, element: PlyElement, names: Sequence[str]) -> Floats:
-    """Return some properties of an element as numbers, float64[count, len(names)]. The properties must not be lists.
+    """Return properties of an element as numbers, float64[count, len(names)]. The properties must not be lists.
 
     Raises HeaderError if the body does not match the header."""
     try:
@@ -108,7 +108,7 @@ def read_columns(data: bytes, header: PlyHeader, element: PlyElement, names: Seq
 def read_elements(
     data: bytes, header: PlyHeader, requested_names: Mapping[int, Collection[str]], notes: ImportNotes
 ) -> dict[int, ColumnByName]:
-    """Return the requested columns, by the id of a header element and the name of a property. Other columns are skipped."""
+    """Return the requested columns, by the `id()` of a header element and the name of a property. Other columns are skipped."""
     for element in header.elements:
         names = [p.name for p in element.properties]
         if twice := next((name for k, name in enumerate(names) if name in names[:k]), None):
@@ -128,7 +128,7 @@ def read_elements(
 
 
 class _TextBody:
-    """A text body: one line per element; blank lines are skipped."""
+    """A body in text form, with one line per element. Blank lines are skipped."""
 
     def __init__(self, data: bytes, header: PlyHeader) -> None:
         self._blocks = read_blocks(normalise_text(data[header.body_offset :]), header.line)
@@ -207,7 +207,7 @@ def _join_columns(parts: list[PlyColumn]) -> PlyColumn:
 
 
 class _BinaryBody:
-    """A binary body: the elements follow each other without gaps."""
+    """A body in binary form, in which elements follow each other without gaps."""
 
     def __init__(self, data: bytes, header: PlyHeader) -> None:
         self._data, self._byte_order, self._offset = data, header.byte_order, header.body_offset
@@ -250,7 +250,7 @@ class _BinaryBody:
         return found
 
     def _read_first_lengths(self, element: PlyElement) -> dict[str, int] | None:
-        """Return the lengths of the first element's lists, by property. Usually all elements have these lengths.
+        """Return the list lengths of the first element, by property. In most files, all elements have the same lengths.
 
         Return None if the lengths cannot be read."""
         at, lengths = self._offset, {}
@@ -275,8 +275,8 @@ class _BinaryBody:
         return int(count)
 
     def _read_uneven_lists(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
-        """Return lists of different lengths. First find the start of each list, element by element, then read all values at
-        once."""
+        """Return list properties of which the lengths differ between elements. First the start of each list is found, then all
+        values are read at once."""
         data, at, name = self._data, self._offset, format_word(element.name.encode())
         starts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names}
         counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names and p.length_type}
@@ -327,8 +327,8 @@ _STRUCT_CODE_BY_DTYPE = {
 def _make_value_reader(
     order: str, kind: str, count: str | None
 ) -> tuple[int, Callable[[bytes, int], tuple[Any, ...]] | None, int]:
-    """Return the size of a value in bytes, a reader for list lengths, and the size of a length.
+    """Return the size of a value in bytes, a reader for list lengths, and the size of a list length.
 
-    For a property that is no list, the last two are None and 0. `kind`, `count`: the types of the value and of the length."""
+    For a property that is not a list, the last two are None and 0. `kind`, `count`: the types of the value and of the length."""
     read = None if count is None else struct.Struct(order + _STRUCT_CODE_BY_DTYPE[count])
     return np.dtype(kind).itemsize, None if read is None else read.unpack_from, 0 if read is None else read.size

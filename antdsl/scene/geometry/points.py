@@ -1,4 +1,4 @@
-"""Reader of JSON files of points, `[x, y, z]` each, for curves and for placing agents one by one."""
+"""Reads JSON files with a list of points `[x, y, z]`, for curves and for placing agents one by one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MAX_POINT_FILE_BYTES = 64 * limits.MIB
 
 
 class PointsError(Exception):
-    """Error for a file without usable points. The message is the reason, and fits after the file's name."""
+    """Error for a file without usable points. The message is a reason that fits after the file's name."""
 
 
 def _reject_json_constant(word: str) -> Any:
@@ -23,8 +23,8 @@ def _reject_json_constant(word: str) -> Any:
 
 
 def read_points(data: bytes, min_count: int) -> NDArray[np.float64]:
-    """Return at least `min_count` points as an array (n, 3) in the file's own units. Raises PointsError with the reason if that
-    fails."""
+    """Return the points of a file as an array (n, 3), in the file's own units. Raises PointsError with the reason if there are
+    fewer than `min_count` points."""
     try:
         points = json.loads(data.decode("utf-8-sig"), parse_constant=_reject_json_constant)
     except (ValueError, RecursionError):

@@ -1,8 +1,8 @@
 """The triangulation of polygons for .obj, .ply, USD and bodies, and of triangle strips.
 
-NumPy cuts triangles, quads, and polygons that a fan from one of their corners covers. It cuts all polygons of one size at once. A
-convex polygon is a fan from its first corner. Other polygons, such as one with two arms, go to mapbox_earcut one by one, on an
-integer grid. All its products are exact there, so every processor gets the same triangles."""
+NumPy splits all polygons with the same number of corners at once, if a fan from one of their corners covers them. A convex
+polygon is a fan from its first corner. Other polygons, for example with two arms, are split one by one by mapbox_earcut on an
+integer grid. All products on this grid are exact, so every processor gets the same triangles."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ _AREA_TOLERANCE = 1e-5  # share of a polygon's area; its triangles may differ fr
 
 
 class TooManyCornersError(Exception):
-    """Error for polygons that would take too long to cut. The message fits after a file's name."""
+    """Error for polygons that would take too long to triangulate. The message fits after a file's name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangulation:
-    """Triangles of polygons.
+    """The triangles of polygons.
 
     `corners` int64[m, 3]: indices into the list of the corners of all polygons.
     `polygon_indices` int64[m]: the polygon of each triangle, ascending.
     `cut_count`: the number of polygons with more than three corners.
-    `concave_count`: the number of these polygons with a corner that points inward.
-    `crossing_polygons`: indices of polygons that cut or cover themselves."""
+    `concave_count`: how many of these have a corner that points inward.
+    `crossing_polygons`: the indices of polygons that cross or cover themselves."""
 
     corners: Integers
     polygon_indices: Integers
@@ -50,12 +50,12 @@ class Triangulation:
 
 
 def triangulate_polygons(points: Floats, counts: Integers, indices: Integers) -> Triangulation:
-    """Return polygons cut into triangles with the same winding. Raises TooManyCornersError if a polygon is too large to cut.
+    """Return polygons split into triangles with the same winding. Raises TooManyCornersError if a polygon has too many corners.
 
     `points` float64[n, 3].
     `counts` int64[p]: the number of corners of each polygon; polygons with fewer than three give no triangles.
     `indices` int64[counts.sum()]: the point of each corner, below n.
-    Of successive corners at one position, only the first counts."""
+    Of consecutive corners at one position, only the first is used."""
     if len(counts) and (counts == 3).all():
         return Triangulation(np.arange(3 * len(counts)).reshape(-1, 3), np.arange(len(counts)))
     own = np.arange(len(indices))
@@ -67,8 +67,7 @@ def triangulate_polygons(points: Floats, counts: Integers, indices: Integers) ->
 
 
 def _find_repeated_corners(points: Floats, counts: Integers) -> NDArray[np.bool_]:
-    """Return whether each corner coincides with the previous one. For a last corner, also check whether it coincides with the
-    first.
+    """Return whether each corner is at the position of the previous corner. The last corner is also compared with the first.
 
     Only polygons with at least four corners are examined."""
     large = counts > 3
@@ -113,7 +112,7 @@ def _cut_polygons(points: Floats, counts: Integers, indices: Integers) -> Triang
 
 
 def _check_cutting_work(counts: Integers) -> None:
-    """Raise TooManyCornersError if the polygons would take too long to cut. `counts`: their numbers of corners."""
+    """Raise TooManyCornersError if the polygons would take too long to triangulate. `counts`: the number of corners of each."""
     if len(counts) and counts.max() > MAX_POLYGON_CORNERS:
         raise TooManyCornersError(f"has a polygon of {counts.max():,} corners, more than {MAX_POLYGON_CORNERS:,}")
     if (counts.astype(np.float64) ** 2 + _WORK_UNITS_PER_EARCUT_CALL).sum() > MAX_TRIANGULATION_WORK:
@@ -123,7 +122,7 @@ def _check_cutting_work(counts: Integers) -> None:
 def _project_outlines(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Return polygons [p, n, 3] as counter-clockwise outlines [p, n, 2], and whether each polygon has an area.
 
-    They are projected along the axis nearest to their normal."""
+    The polygons are projected along the axis nearest to their normal."""
     low = rings.min(axis=1, keepdims=True)
     extent = np.maximum((rings.max(axis=1, keepdims=True) - low).max(axis=2, keepdims=True), 1e-300)
     unit = (rings - low) / np.ldexp(1.0, np.frexp(extent)[1])  # a power of two, so that nothing is rounded
@@ -145,9 +144,9 @@ def _project_outlines(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
 
 
 def _cut_fan_triangles(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
-    """Cut polygons [p, n, 3] into fans of triangles.
+    """Return polygons [p, n, 3] split into fans of triangles.
 
-    Returns triangles [p, n - 2, 3]; the corner at the centre of each fan, or -1 if none of the tried fans covers the polygon; and
+    The results are the triangles [p, n - 2, 3]; the corner at the centre of each fan, or -1 if no fan covers the polygon; and
     whether each polygon crosses itself."""
     count = rings.shape[1]
     outline, has_nonzero_area = _project_outlines(rings)
@@ -184,7 +183,7 @@ def _find_concave_polygons(rings: Floats) -> NDArray[np.bool_]:
 
 
 def _find_self_crossing_polygons(rings: Floats) -> NDArray[np.bool_]:
-    """Return whether each of the polygons [p, n, 3] crosses itself, like an 8. The polygons must have a total area of zero.
+    """Return whether each of the polygons [p, n, 3] crosses itself like an 8. The total area of each polygon must be zero.
 
     Such a polygon crosses itself if one of its triangles has an area."""
     side = rings[:, 1:] - rings[:, :1]
@@ -194,7 +193,7 @@ def _find_self_crossing_polygons(rings: Floats) -> NDArray[np.bool_]:
 
 
 def _cut_ear_triangles(outline: Floats) -> tuple[Integers, bool]:
-    """Return the triangles (m, 3) of the corners of one polygon, and whether the polygon crosses itself.
+    """Return triangles (m, 3) as corner indices of one polygon, and whether the polygon crosses itself.
 
     `outline` [n, 2]: the corners, counter-clockwise."""
     from mapbox_earcut import triangulate_float64
@@ -219,9 +218,9 @@ def _compute_double_areas(grid: Floats, triangles: Integers) -> Floats:
 
 
 def _split_at_corners(triangles: list[list[int]], corners: list[GridCorner]) -> list[list[int]]:
-    """Split triangles so that they also use corners on straight sides, which earcut omits.
+    """Return triangles that also use the corners on straight sides, which earcut omits.
 
-    Otherwise there would be a gap to a neighbour that uses these corners."""
+    Without them, there would be a gap to a neighbour that uses these corners."""
     count = len(corners)
     border = {(k, (k + 1) % count) for k in range(count)}
     edges = {(t[k], t[(k + 1) % 3]) for t in triangles for k in range(3)}
@@ -249,7 +248,7 @@ def _split_at_corners(triangles: list[list[int]], corners: list[GridCorner]) -> 
 
 
 def _find_corner_chain(a: int, b: int, needed_edges: dict[int, list[int]], corners: list[GridCorner]) -> list[int]:
-    """Return the corners between a and b on the straight line from a to b, if edges in `needed_edges` connect them.
+    """Return the corners between `a` and `b` on the straight line from `a` to `b`, if edges in `needed_edges` connect them.
 
     The list is empty if these edges leave the line."""
     (ax, ay), (bx, by) = corners[a], corners[b]
@@ -279,9 +278,9 @@ T = TypeVar("T", bound=np.integer)
 
 
 def split_triangle_strips(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
-    """Return the triangles (n, 3) of a strip of corners. Every second one is reversed, so that all face the same side.
+    """Return the triangles (n, 3) of a strip of corners. Every second triangle is reversed, so that all face the same side.
 
-    Triangles with a repeated corner only connect parts of a strip and are left out. `restart`: the value that begins a new
+    Triangles with a repeated corner only connect parts of a strip, so they are omitted. `restart`: the value that begins a new
     strip."""
     if len(corners) < 3:
         return np.empty((0, 3), corners.dtype)
@@ -298,11 +297,11 @@ def split_triangle_strips(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PolygonMesh:
-    """A mesh of polygons, as readers return it.
+    """A mesh of polygons, as the readers return it.
 
     `points` float64[n, 3]: in the file's units.
     `corner_counts` int64[p]: the number of corners of each polygon.
-    `point_indices` int64[counts.sum()]: the point of each corner; readers need not check it."""
+    `point_indices` int64[counts.sum()]: the point of each corner. It may be out of range, because readers need not check it."""
 
     points: NDArray[np.float64]
     corner_counts: NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""Reader for .stl files, binary or text: triangles, with corners at equal positions merged."""
+"""Reads .stl files, binary or text, as triangles in which corners at equal positions are merged."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
 
 
 def _is_text(data: bytes) -> bool:
-    """Return whether a file is text. A binary file may also begin with `solid`, but contains bytes that text does not have."""
+    """Return whether a file is text. A binary file may also begin with `solid`, but contains bytes that do not occur in text."""
     if (
         len(data) >= _BINARY_HEADER_BYTES
         and len(data) == _BINARY_HEADER_BYTES + _BYTES_PER_BINARY_FACE * struct.unpack_from("<I", data, 80)[0]
@@ -105,7 +105,7 @@ def _read_text_corners(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
 
 
 def _check_unknown_lines(number: mesh_text.Integers, kind: mesh_text.Integers, words: list[str], notes: ImportNotes) -> None:
-    """Raise MeshError for an unknown line within a facet. Add notes about other unknown lines."""
+    """Raise MeshError for an unknown line within a facet. Add notes about unknown lines elsewhere."""
     others = np.flatnonzero(kind == _OTHER_LINE)
     opened = np.cumsum((kind == _FACET_LINE).astype(np.int64) - (kind == _FACET_END_LINE))
     for place, text in zip(others.tolist(), words, strict=True):
@@ -115,7 +115,7 @@ def _check_unknown_lines(number: mesh_text.Integers, kind: mesh_text.Integers, w
 
 
 def _check_facets(kinds: mesh_text.Integers, numbers: mesh_text.Integers, last: int) -> None:
-    """Raise MeshError unless the lines repeat in this order: facet, three corners, end of facet."""
+    """Raise MeshError unless the lines are a repetition of: facet, three corners, end of facet."""
     expected_kinds = np.resize(np.array([_FACET_LINE, _VERTEX_LINE, _VERTEX_LINE, _VERTEX_LINE, _FACET_END_LINE]), len(kinds))
     wrong = np.flatnonzero(kinds != expected_kinds)
     if not len(wrong):

@@ -1,1 +1,1 @@
-"""Notes of a scene: their models, the selectors that name agents, and the checks of both against the programs."""
+"""Notes of a scene: their models, the selectors that name agents, and checks of notes and selectors against the programs."""

@@ -1,4 +1,4 @@
-"""What parts of bodies look at in notes: targets or directions, by transform group."""
+"""The values of notes that say what parts of bodies look at: targets or directions, by transform group."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks of notes against the scene and its programs: names of agents, targets, curves, maps, attributes and states."""
+"""Checks of notes against the scene and its programs: agents, targets, curves, maps, attributes and states must exist."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def check_note(scene: Scene, program: Program, report: Report, names: SelectorNa
 
 
 class _NoteCheck:
-    """The check of one note. `path`: where the scene has it."""
+    """The check of one note. `path`: the keys that lead to the note in the scene."""
 
     def __init__(
         self, scene: Scene, program: Program, report: Report, names: SelectorNames, note: Note, path: tuple[PathKey, ...]
@@ -116,7 +116,7 @@ class _NoteCheck:
                 yield from self._find_thing_problems(around, key, "around")
 
     def _iterate_regions(self) -> Iterator[tuple[str, NoteRegion]]:
-        """Yield the regions of the note, each with its key."""
+        """Yield the regions of the note, each with its key in the note."""
         note = self.note
         if isinstance(note, RegionNote) and note.region is not None:
             yield "in", note.region
@@ -124,7 +124,7 @@ class _NoteCheck:
             yield "inside", note.inside
 
     def _find_thing_problems(self, thing: AnySelector, *path: PathKey) -> Iterator[SelectorProblem]:
-        """Yield the names of a thing of the world, or of agents, that do not exist."""
+        """Yield a problem for each name of a thing of the world, or of agents, that does not exist."""
         things = self._list_things(*MESH_GROUPS) | self.names.items | self.names.cameras
         words = "no mesh, item, camera, crowd line or species is named"
         return find_selector_problems(thing, self.names, *self.path, *path, others=things, what=words)
@@ -139,7 +139,7 @@ class _NoteCheck:
             yield ("at" if note.verb == "look" else "look_at", group), target
 
     def _check_things(self) -> None:
-        """Check curves, maps, regions, and the thing of a `part`."""
+        """Report curves, maps, regions, and the thing of a `part` if they do not exist."""
         note, curves = self.note, self._list_things("curves")
         bands = [((key, "along"), getattr(region, "along", None)) for key, region in self._iterate_regions()]
         for path, along in ((("along",), getattr(note, "along", None)), *bands):
@@ -150,7 +150,7 @@ class _NoteCheck:
             self._report_unknown("no program has a map", maps, "painted")
 
     def _check_frames(self) -> None:
-        """Warn if the note has no effect, because it is outside of the frames of the scene."""
+        """Warn if the note has no effect because its frames are outside those of the scene."""
         note, model = self.note, self.scene.model
         first, last = model.frames.first - model.preroll, model.frames.last
         begins = note.last_frame if isinstance(note, ReachNote | ReleaseNote) else note.first_frame
@@ -170,7 +170,7 @@ class _NoteCheck:
         self.report.warning("out-of-range", message, self.scene.find_span(*self.path, key), help)
 
     def _list_things(self, *groups: str) -> frozenset[str]:
-        """Return the names of the world's things in some groups."""
+        """Return the names of the world's things in the groups `groups`."""
         things = self.program.world.items()
         return frozenset(name for name, t in things if t.kind in SCENE_KINDS and SCENE_KINDS[t.kind].group in groups)
 
@@ -200,7 +200,8 @@ class _NoteCheck:
 
 
 def _find_species(selector: AnySelector | None, scene: Scene) -> set[str]:
-    """Return the names of the species that a selector names, directly or by their crowd lines; none for all."""
+    """Return the names of the species that a selector names, directly or by a crowd line. The set is empty if it selects from
+    all species."""
     if isinstance(selector, AgentName):
         lines = {line.name: line.species for line in scene.model.crowd}
         return {lines.get(selector.name, selector.name)}

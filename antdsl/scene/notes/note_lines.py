@@ -1,4 +1,4 @@
-"""Notes in addition to those of a scene's file: lines of text, each with locations in a separate source."""
+"""Notes in addition to those in a scene's file. They are lines of text, and each line is a separate source of locations."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def format_note_source(number: int) -> str:
 
 
 def is_note_source(path: str) -> bool:
-    """Return whether a source is an additional note, and not a file."""
+    """Return whether the source `path` is an additional note rather than a file."""
     return path.startswith(_SOURCE_PREFIX)
 
 
@@ -30,7 +30,8 @@ def read_note_line(text: str, number: int = 0) -> tuple[MappingNode | None, Repo
 
 
 def append_notes(document: MappingNode, lines: Iterable[str], report: Report) -> MappingNode | None:
-    """Return the tree of a scene with further notes below its own; None if there are errors, which are added to the report."""
+    """Return the tree of a scene with the notes in `lines` after its own. Return None after errors, which are added to the
+    report."""
     nodes = []
     for number, text in enumerate(lines):
         node, findings = read_note_line(text, number)

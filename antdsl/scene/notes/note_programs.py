@@ -1,7 +1,8 @@
-"""Additions of notes to a program: transitions to states, machines that play clips, and machines that turn parts of bodies.
+"""The additions that notes make to a program: transitions to states, machines that play clips, and machines that turn parts of
+bodies.
 
-Each is switched by an event that only notes raise, so agents without a note behave as before. Plans, clips, fades, explanations
-and checks of bodies treat the additions like the program's own."""
+Each addition is triggered by an event that only notes raise, so agents without a note behave as before. Plans, clips, fades,
+explanations and checks of bodies treat the additions like the program's own parts."""
 
 from __future__ import annotations
 
@@ -34,22 +35,23 @@ _NOTE_STATE_COLOUR = (0.6, 0.6, 0.6)
 
 
 def format_event_name(machine: str, state: str) -> str:
-    """Return the name of the event that brings a machine into a state. The name contains `#`, which no name in a program does."""
+    """Return the name of the event that puts a machine into a state. The name contains `#`, which no name in a program
+    contains."""
     return f"note#{machine}.{state}"
 
 
 def format_look_target_name(group: str) -> str:
-    """Return the name of the vector attribute with the point that a group looks at."""
+    """Return the name of the vector attribute that stores the point at which a transform group looks."""
     return f"{_LOOK_TARGET_PREFIX}{group}"
 
 
 def split_state_name(name: str, machine: str) -> str:
-    """Return the state's name in a machine from `STATE` or `MACHINE.STATE`."""
+    """Return the name of a state in the machine `machine` from the text `STATE` or `MACHINE.STATE`."""
     return name.removeprefix(f"{machine}.")
 
 
 def add_note_machines(program: Program, scene: Scene) -> Program:
-    """Return the program with the additions that the notes of a scene need. The same object without notes."""
+    """Return the program with the additions that the notes of a scene need. Without notes, the same object is returned."""
     notes = [(note, scene.find_span("notes", number)) for number, note in enumerate(scene.model.notes)]
     if not notes:
         return program
@@ -59,7 +61,7 @@ def add_note_machines(program: Program, scene: Scene) -> Program:
 
 
 def remove_note_machines(program: Program) -> Program:
-    """Return the program without the machines and attributes that notes added. Transitions by notes stay."""
+    """Return the program without the machines and attributes that notes added. Transitions that notes added remain."""
     return replace(
         program, species={name: _remove_note_machines_of_species(species) for name, species in program.species.items()}
     )
@@ -95,7 +97,7 @@ def _add_note_machines_to_species(species: Species, notes: list[tuple[Note, Span
 
 
 def _add_change_transitions(species: Species, machine: Machine, notes: Iterable[tuple[Note, Span]]) -> Machine:
-    """Return a machine with a transition from every state to each state that a `change` names."""
+    """Return a machine with a transition from every state to each state that a `change` note names."""
     spans = {split_state_name(note.to, machine.name): span for note, span in notes if isinstance(note, ChangeNote)}
     targets = [state for state in machine.states if state.name in spans]
     if not targets:
@@ -105,7 +107,7 @@ def _add_change_transitions(species: Species, machine: Machine, notes: Iterable[
 
 
 def _make_machine(species: Species, name: str, displays: Sequence[tuple[str, Span, Statement, float]]) -> Machine:
-    """Return a machine with one state without a display, then one state for each of `displays`.
+    """Return a machine with a state that displays nothing, followed by one state for each of `displays`.
 
     A display is the name of the state, a location, the statement that the state runs, and the fade time (s)."""
     first = displays[0][1]

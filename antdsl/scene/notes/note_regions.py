@@ -1,4 +1,4 @@
-"""Regions of notes: boxes, balls, bands along curves, and views of cameras."""
+"""The regions of notes: boxes, balls, bands along curves, and views of cameras."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ def _find_curve_tag(value: Any) -> str:
 
 
 def _require_curve(value: Any) -> Any:
-    """Return a value unchanged. Raises an error that pydantic reports for a list without points."""
+    """Return a value unchanged. Raises an error, which pydantic reports, for a list without points."""
     if isinstance(value, dict) or (isinstance(value, list) and not all(isinstance(each, list) for each in value)):
         raise make_value_error(f"{describe_value(value)} is not a curve", "write its name, or points: `[[0, 0, 0], [50, 0, 0]]`")
     return value
 
 
 def _require_line(value: Any) -> Any:
-    """Return a value unchanged. Raises an error that pydantic reports for a single point."""
+    """Return a value unchanged. Raises an error, which pydantic reports, for a single point."""
     names = [str(each)[:1].isalpha() for each in value] if isinstance(value, list) else []
     return value if any(names) else _require_curve(value)
 
@@ -46,7 +46,7 @@ _CurveOrTargets = Annotated[
 
 
 def _find_centre_tag(value: Any) -> str:
-    """Return the kind of a centre. A list of names means agents, any other list is a point."""
+    """Return the kind of a centre. A list of names means agents; any other list is a point."""
     is_point = isinstance(value, list) and not all(isinstance(each, dict) or str(each)[:1].isalpha() for each in value)
     return "point" if is_point else "agents-or-item"
 

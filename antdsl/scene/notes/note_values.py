@@ -20,7 +20,7 @@ ShareValue = Annotated[float, BeforeValidator(parse_share)]
 
 
 def _parse_share_up_to_all(excess: str, advice: str) -> Callable[[Any], float]:
-    """Return a parser of percentages up to 100 %. `excess`: the message for a greater one. `advice`: what to write instead."""
+    """Return a parser of percentages up to 100 %. `excess`: the message for a larger value. `advice`: what to write instead."""
 
     def parse(value: Any) -> float:
         quantity = parse_any_quantity(value)
@@ -43,7 +43,7 @@ SpeedShare = Annotated[float, BeforeValidator(_parse_speed_share)]
 
 
 def _parse_share_range(value: Any) -> tuple[float, float]:
-    """Return the shares from A to B of a list `[A, B]`."""
+    """Return the two fractions in a list `[A, B]`, which are the lower and upper end of a range."""
     if not isinstance(value, list) or len(value) != 2:
         raise make_value_error(f"{describe_value(value)} is not a part of a picture", "write `[0 %, 33 %]`")
     first, last = map(parse_share, value)

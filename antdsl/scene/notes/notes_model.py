@@ -50,17 +50,17 @@ class Note(ScenePart):
 
     @property
     def selector(self) -> AnySelector:
-        """Return the agents of the note, with the conditions among its own keys."""
+        """Return the selector of the note's agents, combined with the conditions in its own selector keys."""
         return combine_selector(self.agents, self) if isinstance(self, SelectorKeys) else self.agents
 
     @property
     def ease_frames(self) -> int:
-        """Return the number of frames in which the note begins, and in which it ends."""
+        """Return the number of frames over which the note fades in, and over which it fades out."""
         return 0
 
     @property
     def played_clip(self) -> str:
-        """Return the clip that the agents play; empty for their own."""
+        """Return the clip that the agents play. It is empty if they play the clips of their states."""
         return ""
 
     @property
@@ -70,7 +70,7 @@ class Note(ScenePart):
 
     @property
     def delay_rule(self) -> Stagger | None:
-        """Return how much later the note is for each agent; None for equal frames."""
+        """Return the rule by which the note is delayed for each agent, or None if its frames are equal for all."""
         return None
 
     @property
@@ -367,7 +367,7 @@ GOAL_VERBS = frozenset((ReachNote.verb, PathNote.verb))  # agents may be too far
 
 
 def make_note_tag(verb: str) -> str:
-    """Return the tag by which pydantic selects the model of a verb. It is the last word in the location of an error."""
+    """Return the tag by which pydantic selects the model for a verb. It is the last word in the location of an error."""
     return f"{verb}{NOTE_TAG_SUFFIX}"
 
 
@@ -376,7 +376,7 @@ def _find_note_tag(value: Any) -> str:
 
 
 def _check_verb(value: Any) -> Any:
-    """Return the value unchanged. Raises an error if its first key is no verb."""
+    """Return a value unchanged. Raises an error if its first key is not a verb."""
     if not isinstance(value, dict):
         joined = explain_joined_entry(value) if isinstance(value, str) else None
         words = f"{describe_value(value)} is not a note" if joined is None else joined[0]

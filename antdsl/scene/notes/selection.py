@@ -1,4 +1,4 @@
-"""Applies selectors to arrays of one frame, of a running world or of a cache, and returns the ids of the selected agents."""
+"""Applies selectors to the arrays of one frame, from a running world or a cache, and returns the ids of the selected agents."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RowMasksBySpecies = dict[str, NDArray[np.bool_]]  # by species, one flag for eac
 
 
 class StateColumn(NamedTuple):
-    """The states of agents in one machine. `numbers` (n,): indices into `names`."""
+    """The states of all agents in one machine. `numbers` (n,): indices into `names`."""
 
     numbers: NDArray[Any]
     names: tuple[str, ...]
@@ -42,19 +42,20 @@ class SelectableCamera(Protocol):
     """A camera in one frame. Positions are in mm, relative to the scene's coordinate origin."""
 
     def find_position(self) -> Floats:
-        """Return its position (3,)."""
+        """Return the camera's position (3,)."""
 
     def find_visible(self, position: Floats, view: View) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) are in a part of its picture."""
+        """Return for each position (n, 3) whether it is in the part `view` of the camera's picture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SelectableFrame:
     """All data of one frame that selectors read.
 
-    `lines`: the ids of named crowd lines.
-    `item_points` (k, 3): positions in mm from the scene's zero point, by the name of an item, and by the name of items.
-    `seed`: for shares that have no seed of their own. `unit_mm`: the scene's unit of length. `cameras`: by name, in this
+    `lines`: the ids of the agents in each named crowd line.
+    `item_points` (k, 3): positions in mm, relative to the scene's coordinate origin, by the name of an item and of a group of
+    items.
+    `seed`: for the key `share`, if it has no separate seed. `unit_mm`: the scene's unit of length. `cameras`: by name, in this
     frame."""
 
     agents: Mapping[str, SelectableAgents]
@@ -66,13 +67,13 @@ class SelectableFrame:
 
 
 def select_ids(selector: AnySelector, frame: SelectableFrame) -> dict[str, NDArray[np.int64]]:
-    """Return the ids of the selected agents in ascending order, by species. Species without selected agents are left out."""
+    """Return the ids of the selected agents in ascending order, by species. Species without selected agents are omitted."""
     masks = select_rows(selector, frame)
     return {name: np.sort(frame.agents[name].ids[mask]) for name, mask in masks.items() if mask.any()}
 
 
 def select_rows(selector: AnySelector, frame: SelectableFrame) -> RowMasksBySpecies:
-    """Return for each row of each species whether a selector selects it."""
+    """Return a mask over the rows of each species, by species. It is true for selected agents."""
     if isinstance(selector, AgentName):
         return {name: _find_agents_by_name(selector, name, agents, frame) for name, agents in frame.agents.items()}
     if isinstance(selector, AgentConditions):
@@ -82,7 +83,7 @@ def select_rows(selector: AnySelector, frame: SelectableFrame) -> RowMasksBySpec
 
 
 def _find_agents_by_name(name: AgentName, species: str, agents: SelectableAgents, frame: SelectableFrame) -> NDArray[np.bool_]:
-    """Return which agents of a species have the name `name`, bool[n]."""
+    """Return for each agent of a species whether `name` includes it, bool[n]."""
     line = frame.lines.get(name.name)
     if line is None:
         numbers = agents.ids if name.name == species else np.full(len(agents.ids), -1, np.int64)
@@ -127,7 +128,7 @@ def _select_by_conditions(conditions: AgentConditions, frame: SelectableFrame) -
 def _select_nearest(
     masks: RowMasksBySpecies, frame: SelectableFrame, targets: Floats, sign: float, count: int
 ) -> RowMasksBySpecies:
-    """Return a mask of the `count` selected agents for which the distance to the targets times `sign` is smallest. Ties are
+    """Return a mask of the `count` selected agents with the smallest product of `sign` and the distance to the targets. Ties are
     ordered by species and id."""
     names = sorted(masks)
     rows = {name: np.flatnonzero(masks[name]) for name in names}
@@ -143,7 +144,7 @@ def _select_nearest(
 
 
 def _find_in_state(state: str, agents: SelectableAgents) -> NDArray[np.bool_]:
-    """Return which agents are in a state, named `STATE` or `MACHINE.STATE`, in any of their machines."""
+    """Return for each agent whether it is in a state, named `STATE` or `MACHINE.STATE`, in any of its machines."""
     mask = np.zeros(len(agents.ids), np.bool_)
     for machine, column in agents.states.items():
         numbers = [k for k, name in enumerate(column.names) if state in (name, f"{machine}.{name}")]
@@ -152,10 +153,10 @@ def _find_in_state(state: str, agents: SelectableAgents) -> NDArray[np.bool_]:
 
 
 def _find_targets(conditions: AgentConditions, frame: SelectableFrame) -> tuple[Floats | None, RowMasksBySpecies | None]:
-    """Return the points (k, 3) to which `near` is measured, and a mask of the agents at these points. Each is None if there is
+    """Return the points (k, 3) from which `near` is measured, and a mask of the agents at these points. Each is None if there is
     none.
 
-    Agents in the mask do not count as near."""
+    Agents in this mask do not count as near themselves."""
     near = conditions.near
     if near is None:
         return None, None
@@ -170,7 +171,7 @@ def _find_targets(conditions: AgentConditions, frame: SelectableFrame) -> tuple[
 
 
 def _measure_nearest(position: Floats, targets: Floats) -> Floats:
-    """Return the distance (mm) of each position to the nearest target; inf without targets."""
+    """Return the distance (mm) from each position to the nearest target. It is inf if there are no targets."""
     from scipy.spatial import cKDTree
 
     if not len(targets) or not len(position):

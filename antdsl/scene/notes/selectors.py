@@ -1,9 +1,9 @@
-"""Selectors: texts and mappings that name agents, `guards.17` or `{of: guards, near: leaf, within: 50 mm}`.
+"""Selectors: texts and mappings that select agents, such as `guards.17` or `{of: guards, near: leaf, within: 50 mm}`.
 
-Notes of scenes and edits of caches share them. `selection` applies them to arrays.
+Notes of scenes and edits of caches use them. `selection` applies them to arrays.
 
-A word names a crowd line or a species, and may add a number or a range: number 17 of the line `guards`, or the agent with the id
-3 of the species `ant`. A list is a union. A mapping is the intersection of its conditions."""
+A word names a crowd line or a species. A number or a range may follow: `guards.17` is agent number 17 of the line `guards`, and
+`ant.3` is the agent with the id 3 of the species `ant`. A list is a union. A mapping is the intersection of its conditions."""
 
 from __future__ import annotations
 
@@ -40,22 +40,21 @@ _TARGET_FORMS = "write a point, `[0, 0, 0]`, or a name, such as `leaf` or `guard
 
 
 class AgentName(NamedTuple):
-    """Agents of a crowd line or species: all, or those from number `first` to `last` of the line, or with these ids of the
-    species."""
+    """Agents of a crowd line or species: all of them, or a range. `first`, `last`: numbers in the line, or ids in the species."""
 
     name: str
     first: int | None = None
     last: int | None = None
 
     def __str__(self) -> str:
-        """Return the text of the name as in a scene."""
+        """Return the name in the notation of a scene."""
         if self.first is None:
             return self.name
         return f"{self.name}.{self.first}" + ("" if self.last == self.first else f"..{self.last}")
 
 
 def parse_agent_name(value: Any) -> AgentName:
-    """Return the agents that a text such as `guards.17` names. Raises an error that pydantic reports."""
+    """Return the agents that a text such as `guards.17` names. Raises an error, which pydantic reports, for an invalid text."""
     text = require_text(value, "agents")
     match = _NAME_PATTERN.fullmatch(text)
     if match is None:
@@ -81,7 +80,7 @@ def _suggest_near(name: str) -> str:
 
 
 def _reject_agents(value: Any) -> Any:
-    """Return a value unchanged. Raises an error that pydantic reports for an agent such as `guards.7`."""
+    """Return a value unchanged. Raises an error, which pydantic reports, for an agent such as `guards.7`."""
     if isinstance(value, str) and "." in value and _NAME_PATTERN.fullmatch(value):
         raise make_value_error(f"`{value}` is an agent, not an item", _suggest_near(value))
     return value
@@ -109,7 +108,7 @@ def _find_region_tag(value: Any) -> str:
 
 
 def require_region(value: Any) -> Any:
-    """Return a value unchanged. Raises an error that pydantic reports for a text, such as the name of an item."""
+    """Return a value unchanged. Raises an error, which pydantic reports, for a text, such as the name of an item."""
     if isinstance(value, str):
         example = value.strip()[:40] or "leaf"
         raise make_value_error(f"{describe_value(value)} is not a region", f"write `{{around: {example}, radius: 50 mm}}`")
@@ -135,14 +134,15 @@ SelectorRegion = Annotated[
 
 
 def _parse_target_name(value: Any) -> AgentName:
-    """Return the thing or the agents that a text such as `leaf` names. Raises an error that pydantic reports."""
+    """Return the thing or the agents that a text such as `leaf` names. Raises an error, which pydantic reports, for an invalid
+    text."""
     if not isinstance(value, str) or not _NAME_PATTERN.fullmatch(value.strip()):
         raise make_value_error(f"{describe_value(value)} is not a target", _TARGET_FORMS)
     return parse_agent_name(value)
 
 
 def _require_single_target(value: Any) -> Any:
-    """Return a value unchanged. Raises an error that pydantic reports for a list of names."""
+    """Return a value unchanged. Raises an error, which pydantic reports, for a list of names."""
     if isinstance(value, list) and any(isinstance(each, str) and each[:1].isalpha() for each in value):
         raise make_value_error("this is more than one target", "write a line for each of them")
     return value
@@ -220,13 +220,13 @@ class SelectorKeys(ScenePart):
 
     @property
     def views(self) -> tuple[View, ...]:
-        """Return the parts of pictures in which agents must be."""
+        """Return the parts of pictures in which selected agents must be."""
         own = View.model_construct(in_view=self.in_view, across=self.across or (0.0, 1.0), up=self.up or (0.0, 1.0))
         return (*((own,) if self.in_view is not None else ()), *((self.region,) if isinstance(self.region, View) else ()))
 
     @property
     def has_conditions(self) -> bool:
-        """Return whether the keys exclude any agents."""
+        """Return whether the keys contain a condition."""
         return any(getattr(self, name) is not None for name in SelectorKeys.model_fields)
 
 
@@ -242,7 +242,7 @@ AnySelector = AgentName | tuple[Any, ...] | AgentConditions
 
 
 def combine_selector(selector: AnySelector | None, keys: SelectorKeys) -> AnySelector:
-    """Return the agents `selector` that also meet the selector keys of a line."""
+    """Return the agents of `selector` that also fulfil the conditions in `keys`, the selector keys of a line."""
     if selector is not None and not keys.has_conditions:
         return selector
     values = {name: getattr(keys, name) for name in SelectorKeys.model_fields}
@@ -250,7 +250,7 @@ def combine_selector(selector: AnySelector | None, keys: SelectorKeys) -> AnySel
 
 
 def needs_frame(selector: AnySelector | None) -> bool:
-    """Return whether a selector depends on positions or states of a frame, and not only on ids."""
+    """Return whether a selector depends on positions or states in a frame, rather than only on ids."""
     if selector is None or isinstance(selector, AgentName):
         return False
     if isinstance(selector, tuple):
@@ -264,8 +264,8 @@ class SelectorNames:
     """The names that selectors may use.
 
     `lines`: the number of agents of each named crowd line. `species`, `items`, `cameras`: by name. `states`: as `STATE` and
-    `MACHINE.STATE`. `late_cameras`: cameras that are placed when pictures are drawn, each with the agent that it follows, or an
-    empty text."""
+    `MACHINE.STATE`. `late_cameras`: cameras that are placed only when pictures are drawn. Each has the name of the agent that it
+    follows, or an empty text."""
 
     lines: Mapping[str, int] = field(default_factory=dict)
     species: frozenset[str] = frozenset()
@@ -276,7 +276,7 @@ class SelectorNames:
 
 
 class SelectorProblem(NamedTuple):
-    """A name of a selector that does not exist. `path`: the keys that lead to it in the selector."""
+    """A name in a selector that does not exist. `path`: the keys that lead to the name in the selector."""
 
     path: tuple[PathKey, ...]
     message: str
@@ -293,8 +293,8 @@ def find_selector_problems(
     others: frozenset[str] = frozenset(),
     what: str = _NO_AGENTS,
 ) -> Iterator[SelectorProblem]:
-    """Yield the unknown names of a selector or of its keys. `others` and `what`: as for
-    `find_name_problems`, of a selector that is only a name."""
+    """Yield the unknown names in a selector or in selector keys. `others`, `what`: as in `find_name_problems`, for a selector
+    that is only a name."""
     if isinstance(selector, AgentName):
         yield from find_name_problems(selector, names, path, others, what)
     elif isinstance(selector, tuple):
@@ -324,7 +324,8 @@ def find_selector_problems(
 def find_name_problems(
     name: AgentName, names: SelectorNames, path: tuple[PathKey, ...], others: frozenset[str] = frozenset(), what: str = _NO_AGENTS
 ) -> Iterator[SelectorProblem]:
-    """Yield a problem if a name is neither that of agents nor one of the `others`. `what`: the message before the name."""
+    """Yield a problem if a name is neither a name of agents nor in `others`. `what`: the start of the message, before the
+    name."""
     if name.first is None and name.name in others:
         return
     count = names.lines.get(name.name)
@@ -342,7 +343,7 @@ def find_name_problems(
 def find_camera_problems(
     name: str, names: SelectorNames, path: tuple[PathKey, ...], *, is_target: bool = False
 ) -> Iterator[SelectorProblem]:
-    """Yield the problem of a camera that does not exist, or is placed too late. `is_target`: an agent may be named instead."""
+    """Yield a problem if a camera does not exist, or if it is placed too late. `is_target`: whether an agent is also allowed."""
     if name not in names.late_cameras:
         yield from find_unknown_name(name, names.cameras, "no camera is named", path)
         return
@@ -353,7 +354,7 @@ def find_camera_problems(
 
 
 def find_unknown_name(name: str, known_names: frozenset[str], words: str, path: tuple[PathKey, ...]) -> Iterator[SelectorProblem]:
-    """Yield the problem of a name that is not among the known ones. `words`: the message before the name."""
+    """Yield a problem if a name is not in `known_names`. `words`: the start of the message, before the name."""
     if name not in known_names:
         near = find_nearest_name(name, known_names)
         listed = "known: " + ", ".join(f"`{each}`" for each in sorted(known_names)[:12]) if known_names else "none exists here"

@@ -1,4 +1,4 @@
-"""The key `stagger` of notes: the frames of a note are later for some agents than for others."""
+"""The key `stagger` of notes, which delays the frames of a note differently for each agent."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Stagger(ScenePart):
 
 
 def require_stagger(value: object) -> object:
-    """Return a value unchanged. Raises an error that pydantic reports for a text or a list."""
+    """Return a value unchanged. Raises an error, which pydantic reports, for a text or a list."""
     if not isinstance(value, dict):
         raise make_value_error(f"{describe_value(value)} does not define a delay for each agent", _STAGGER_FORMS)
     return value

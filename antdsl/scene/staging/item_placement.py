@@ -1,4 +1,5 @@
-"""Positions of the world's items at each frame: at points, on surfaces, on moving surfaces, or from points of a USD file."""
+"""Positions of the world's items at each frame. Items are at points, on surfaces, on moving surfaces, or at points of a USD
+file."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ DEFAULT_ITEM_RADIUS = 10.0  # mm
 def place_items(
     staging: SceneStaging, name: str, value: UsdThing | LampThing | dict[str, ItemThing]
 ) -> tuple[setting_data.ItemData, ...] | None:
-    """Return the items of one name, at the first frame. On failure, report an error and return None.
+    """Return the items with one name in `world`, at the first frame. On failure, report an error and return None.
 
     Their motion is stored in `staging.item_tracks`."""
     if isinstance(value, UsdThing):
@@ -53,7 +54,7 @@ def place_items(
 
 
 def _place_lamp(staging: SceneStaging, name: str, thing: LampThing) -> setting_data.ItemData:
-    """Return a lamp as the only item of its name, at the first frame. Its motion is stored in `staging.item_tracks`."""
+    """Return a lamp at the first frame, as the only item with its name. Its motion is stored in `staging.item_tracks`."""
     track = compute_item_positions(staging, name, None, thing)
     if len(track) > 1:
         staging.item_tracks[name] = track[:, None]
@@ -62,10 +63,10 @@ def _place_lamp(staging: SceneStaging, name: str, thing: LampThing) -> setting_d
 
 
 def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -> NDArray[np.float64] | None:
-    """Return an item's position at each frame (frames, 3); one frame if it is static.
+    """Return the position of an item at each frame (frames, 3), or at one frame if it is static.
 
-    With `on`, it lies on the surface: at each position of its keys, or without keys at one point, also if the surface moves. If
-    it misses the surface, report an error and return None."""
+    An item with `on` lies on the surface, even if the surface moves. With keys, it is dropped onto the surface at each key
+    position. If it misses the surface, report an error and return None."""
     track = compute_item_positions(staging, name, item, thing)
     mesh = staging.surfaces.get(thing.on) if thing.on is not None else None
     if mesh is None or thing.on is None:
@@ -89,7 +90,7 @@ def _place_item(staging: SceneStaging, name: str, item: str, thing: ItemThing) -
 
 
 def check_crowds(staging: SceneStaging, crowds: Sequence[setting_data.CrowdData]) -> None:
-    """Warn about a crowd that would start where there is no surface. It starts at the nearest surface point instead."""
+    """Warn about a crowd that would start where there is no surface. Its agents start at the nearest surface points instead."""
     for crowd in crowds:
         if crowd.count and is_away_from_surfaces(crowd.place, staging, staging.scene.model.up):
             words = f"there is no surface where `{crowd.species}` starts, so it starts at the nearest point"
@@ -101,8 +102,8 @@ def check_crowds(staging: SceneStaging, crowds: Sequence[setting_data.CrowdData]
 def is_away_from_surfaces(
     placement: setting_data.PlacementData, things: SceneStaging | setting_data.WorldSetting, up: str
 ) -> bool:
-    """Return whether no surface is above or below the disc in which a crowd starts. For a start by area, a ball is tested
-    instead."""
+    """Return whether no surface is above or below the disc in which a crowd starts. For a start by area, test whether no surface
+    reaches into the ball."""
     if placement.disc_centre is None or placement.radius is None:
         return False
     grounds = {**things.surfaces, **{name: solid.mesh for name, solid in things.solids.items()}}
@@ -114,7 +115,8 @@ def is_away_from_surfaces(
 
 @cache_per_mesh
 def _is_in_reach(mesh: setting_data.MeshData, middle: setting_data.PointMm, radius: float, axes: tuple[int, ...]) -> bool:
-    """Return whether a mesh reaches into a ball. If an axis is left out of `axes`, the ball is a disc seen along this axis."""
+    """Return whether a mesh reaches into a ball. `axes`: the axes to consider; if one is missing, the ball is a disc seen along
+    this axis."""
     faces = _find_near_faces(mesh, middle, axes, radius)
     corners = np.zeros((len(faces), 3, 3))
     corners[:, :, : len(axes)] = (mesh.vertices[:, axes] - np.array(middle)[list(axes)])[faces]
@@ -135,9 +137,9 @@ def _is_in_reach(mesh: setting_data.MeshData, middle: setting_data.PointMm, radi
 def _place_usd_items(
     staging: SceneStaging, name: str, value: UsdThing, thing: WorldThing
 ) -> tuple[setting_data.ItemData, ...] | None:
-    """Return points or empties of a USD file as items; None on an error.
+    """Return points or empties of a USD file as items, or None after an error.
 
-    Radius and attributes come from the file, else from `each`, else from the defaults."""
+    Radius and attributes come from the file, or else from `each`, or else from the defaults."""
     points = stage_usd_items(staging, name, value)
     if points is None:
         return None
@@ -170,10 +172,10 @@ def _list_turn_attributes(value: UsdThing) -> tuple[str, ...]:
 
 
 def _make_turn_columns(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return one column for each attribute of `turn`, which receives the direction of empties.
+    """Return one column for each attribute in the key `turn`, with the directions `ahead` of the empties.
 
-    Three attributes get a unit vector. One attribute gets its angle from +x about the scene's up, counted to the left. Columns
-    are nan without a direction. The angle is also nan if the direction is straight up or down."""
+    Three attributes receive a unit vector. One attribute receives its angle from +x about the scene's up, counted to the left.
+    Columns are nan for points without a direction. The angle is also nan if the direction is straight up or down."""
     if value.turn is None:
         return []
     size = np.sqrt((ahead[:, 0] * ahead[:, 0] + ahead[:, 1] * ahead[:, 1]) + ahead[:, 2] * ahead[:, 2])
@@ -193,7 +195,7 @@ def to_point_tuple(point: NDArray[np.float64]) -> setting_data.PointMm:
 def _find_near_faces(
     mesh: setting_data.MeshData, point: setting_data.PointMm, axes: Sequence[int], reach: float = 0.0
 ) -> NDArray[np.int32]:
-    """Return the faces (m, 3) with boxes that come within about `reach` of a point, along the given axes."""
+    """Return the faces (m, 3) of which the bounding box comes within about `reach` of a point. `axes`: the axes to consider."""
     near = np.ones(len(mesh.faces), np.bool_)
     for axis in axes:
         a, b, c = (np.ascontiguousarray(mesh.vertices[:, axis])[mesh.faces[:, k]] for k in range(3))
@@ -206,7 +208,7 @@ def _find_near_faces(
 
 @cache_per_mesh
 def find_surface_height(mesh: setting_data.MeshData, point: setting_data.PointMm, up: str) -> float | None:
-    """Return the highest coordinate of a mesh on the vertical line through a point; None if the line misses the mesh."""
+    """Return the highest coordinate of a mesh on the vertical line through a point, or None if the line misses the mesh."""
     flat, tall = ([0, 2], 1) if up == "y" else ([0, 1], 2)
     corners = mesh.vertices[_find_near_faces(mesh, point, flat)]
     plan = corners[:, :, flat] - np.array(point)[flat]

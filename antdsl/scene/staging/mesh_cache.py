@@ -22,9 +22,9 @@ T = TypeVar("T")
 
 
 def cache_per_mesh(work: Callable[Concatenate[M, P], T]) -> Callable[Concatenate[M, P], T]:
-    """Return `work`, cached by mesh and arguments. The results must not be changed.
+    """Return `work` with a cache by mesh and arguments. Callers must not change the results.
 
-    Only results for read-only meshes are stored. Such meshes are cached as well."""
+    Only results about read-only meshes are stored. Such meshes themselves are cached as well."""
 
     @lru_cache(maxsize=_MAX_CACHED_MESHES)
     def get_answers(mesh: M) -> dict[Hashable, T]:

@@ -1,7 +1,7 @@
-"""Changes to meshes on import, and reports about them.
+"""Changes to meshes on import, and reports about these changes.
 
-Vertices nearer to each other than a tolerance are welded. Reports name elements that were left out, cut or joined, and
-the reason why a solid is not closed."""
+Vertices that are nearer to each other than a tolerance are welded. Reports name what was omitted, cut or joined, and why a solid
+is not closed."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _DEFAULT_WELD_VOXELS = 0.01  # share of a voxel; voxels lose finer detail in any
 
 
 def report_import_losses(staging: SceneStaging, display_name: str, raw: RawMesh, span: Span | None) -> None:
-    """Warn about contents of a mesh file that are not in the scene."""
+    """Warn about contents of a mesh file that are missing in the scene."""
     report, notes = staging.report, raw.notes
     if raw.dropped_faces:
         faces = "face" if raw.dropped_faces == 1 else "faces"
@@ -59,7 +59,7 @@ def report_import_losses(staging: SceneStaging, display_name: str, raw: RawMesh,
 
 
 def check_origin_distances(staging: SceneStaging, setting: setting_data.WorldSetting) -> None:
-    """Warn about meshes that extend so far from the world's origin that positions there are imprecise."""
+    """Warn about meshes that extend so far from the world's origin that float32 positions there are imprecise."""
     origin = compute_world_origin(setting)
     walked = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
     for name, mesh in (walked or setting.obstacles).items():  # agents do not come near obstacles beyond all surfaces
@@ -73,7 +73,7 @@ def check_origin_distances(staging: SceneStaging, setting: setting_data.WorldSet
 def weld_thing_mesh(
     staging: SceneStaging, name: str, value: MeshThing | HeightThing | UsdThing, mesh: setting_data.MeshData
 ) -> setting_data.MeshData:
-    """Return the mesh with its vertices welded, if the scene has `weld`. On an error, report it and return the mesh unchanged."""
+    """Return the mesh with welded vertices if the scene has `weld`. On an error, report it and return the mesh unchanged."""
     if isinstance(value, HeightThing) or value.weld is None:
         return mesh
     if name in staging.moves_by_mesh:
@@ -107,10 +107,10 @@ def weld_thing_mesh(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _WeldedMesh:
-    """A mesh after welding.
+    """The result of welding a mesh.
 
     `moved_count`: the number of moved vertices.
-    `is_retained_face`: whether each of the previous faces still has three corners."""
+    `is_retained_face`: whether each face of the original mesh still has three different corners."""
 
     mesh: setting_data.MeshData
     moved_count: int
@@ -118,7 +118,7 @@ class _WeldedMesh:
 
 
 def _weld_mesh(mesh: setting_data.MeshData, tolerance: float) -> _WeldedMesh | None:
-    """Return the mesh with its vertices welded, without faces that lose a corner. Return None if no face with an area remains.
+    """Return the mesh with welded vertices, without faces that lose a corner. Return None if no face with an area remains.
 
     Raises WeldError if the tolerance is much too large."""
     vertices, count = weld_vertices(mesh.vertices, tolerance)
@@ -134,7 +134,7 @@ def _weld_mesh(mesh: setting_data.MeshData, tolerance: float) -> _WeldedMesh | N
 
 
 def _record_welding(staging: SceneStaging, name: str, welding: _WeldedMesh) -> setting_data.MeshData:
-    """Record the changes by welding, and return the welded mesh. Values painted on faces stay with the remaining faces."""
+    """Record the changes by welding, and return the welded mesh. Values painted on the remaining faces are retained."""
     raw = staging.raw_meshes[name]
     if welding.moved_count:
         staging.weld_counts[name] = staging.weld_counts.get(name, 0) + welding.moved_count
@@ -152,9 +152,9 @@ def _record_welding(staging: SceneStaging, name: str, welding: _WeldedMesh) -> s
 def close_solid(
     staging: SceneStaging, name: str, value: MeshThing | UsdThing, solid: setting_data.SolidData
 ) -> setting_data.SolidData:
-    """Return the solid. If it is not closed and the scene has no `weld`, its vertices are welded.
+    """Return the solid. Its vertices are welded if it is not closed and the scene has no `weld`.
 
-    Reports an error if it still has no inside."""
+    Reports an error if the solid still has no inside."""
     display_name, place = find_mesh_location(staging, name)
     if is_flat(solid.mesh.vertices, solid.mesh.faces):
         words, help = f"the solid `{name}` has no volume: `{display_name}` is flat", "give it a thickness, or declare a `surface`"
@@ -189,9 +189,9 @@ def close_solid(
 
 
 def check_live_faces(staging: SceneStaging) -> None:
-    """Report an error for each surface on which no agent could stand, since none of its faces is ground.
+    """Report each surface on which no agent could stand, because none of its faces is ground.
 
-    The ground itself uses the same rule."""
+    The run time uses the same rule for the ground."""
     if not staging.surfaces:
         return
     used = [mesh.vertices[mesh.faces].reshape(-1, 3) for mesh in staging.surfaces.values()]
@@ -211,7 +211,7 @@ def check_live_faces(staging: SceneStaging) -> None:
 
 
 def find_mesh_location(staging: SceneStaging, name: str) -> tuple[str, Span | None]:
-    """Return the name of a thing's mesh for messages, and where the scene names the mesh."""
+    """Return the name of a thing's mesh for messages, and the location at which the scene names this mesh."""
     value = staging.scene.model.world[name]
     assert isinstance(value, ThingModel)
     key = "prim" if isinstance(value, UsdThing) else value.find_form_key()
@@ -249,14 +249,14 @@ def collect_imports(staging: SceneStaging) -> dict[str, MeshImport]:
 
 
 class WeldError(Exception):
-    """Error if vertices cannot be welded. The message is the reason, and fits after the tolerance."""
+    """Error for vertices that cannot be welded. The message is a reason that fits after the tolerance."""
 
 
 def weld_vertices(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
-    """Return vertices (n, 3) after welding, and the number of moved vertices. Their indices do not change.
+    """Return the vertices (n, 3) after welding, and the number of moved vertices. The indices of vertices do not change.
 
-    Vertices nearer to each other than `tolerance`, directly or through others, move to the position of the first of them.
-    Raises WeldError if a list of the near pairs would need far more memory than the mesh."""
+    Vertices that are connected by distances below `tolerance`, directly or through others, move to the position of the first of
+    them. Raises WeldError if a list of such pairs would need far more memory than the mesh."""
     from scipy.spatial import KDTree
 
     order, new, which = find_distinct_points(vertices)
@@ -275,7 +275,7 @@ def weld_vertices(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
 
 
 def compute_edge_lengths(vertices: Floats, faces: Faces) -> Floats:
-    """Return the lengths (m, 3) of the edges of faces."""
+    """Return the lengths of the three edges of each face (m, 3)."""
     corners = vertices[faces]
     edges = corners - np.roll(corners, -1, axis=1)
     return np.asarray(np.sqrt((edges * edges).sum(axis=2)))
@@ -287,7 +287,7 @@ def has_distinct_corners(vertices: Floats, faces: Faces) -> NDArray[np.bool_]:
 
 
 def is_flat(vertices: Floats, faces: Faces) -> bool:
-    """Return whether all faces lie in the plane of the largest face. Such a body has no volume."""
+    """Return whether all faces lie in the plane of the largest face. A closed mesh of this kind has no volume."""
     corners = vertices[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.sqrt((across * across).sum(axis=1))
@@ -302,11 +302,11 @@ def is_flat(vertices: Floats, faces: Faces) -> bool:
 class MeshOpenings:
     """The openings of a mesh that is not closed.
 
-    `closing_tolerance`: a tolerance in mm, with one digit, at which welding closes the mesh; 0 if there is none.
-    `width`: the widest gap in mm that this welding closes; 0 if there is none.
+    `closing_tolerance`: a tolerance in mm, with one digit, with which welding closes the mesh; 0 if there is none.
+    `width`: the width in mm of the widest gap that this welding closes; 0 if there is none.
     `hole_count`: the number of connected borders.
-    `largest_hole_edges`: the number of edges of the largest hole.
-    `longest_edge`: its longest edge in mm."""
+    `largest_hole_edges`: the number of edges around the largest hole.
+    `longest_edge`: the length in mm of the longest of these edges."""
 
     closing_tolerance: float
     width: float
@@ -316,7 +316,7 @@ class MeshOpenings:
 
 
 def measure_openings(vertices: Floats, faces: Faces, tolerance: float) -> MeshOpenings:
-    """Return the openings of a mesh. `tolerance`: positions nearer to each other than this coincide."""
+    """Return the openings of a mesh. `tolerance`: the distance (mm) below which two positions count as one."""
     from scipy.spatial import KDTree
 
     edges, points = find_edges_with_odd_faces(vertices, faces, tolerance)
@@ -351,12 +351,12 @@ def measure_openings(vertices: Floats, faces: Faces, tolerance: float) -> MeshOp
 
 
 def round_down_digit(x: float) -> float:
-    """Return x rounded down to one digit: 0.17 gives 0.1."""
+    """Return x rounded down to one digit, such as 0.1 for 0.17."""
     digits, _, power = f"{x:.15e}".partition("e")
     return float(f"{digits[0]}e{power}")
 
 
 def round_up_digit(x: float) -> float:
-    """Return the next one-digit number above x: 0.17 gives 0.2, and 0.2 gives 0.3."""
+    """Return the next number above x that has one digit, such as 0.2 for 0.17 and 0.3 for 0.2."""
     digits, _, power = f"{x:.15e}".partition("e")
     return float(f"{int(digits[0]) + 1}e{power}")

@@ -1,4 +1,4 @@
-"""The motion of the world's things: the vertices of a mesh, the items, or the points of a curve at each frame.
+"""The motion of the world's things: the vertices of a mesh, the positions of items, or the points of a curve at each frame.
 
 The complete motion is in memory from the start, so a position depends only on the frame."""
 
@@ -23,11 +23,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshMotion:
-    """The vertices of a mesh over frames.
+    """The motion of a mesh's vertices over frames.
 
     `tracks` float64 (tracks, frames, 3, 4): `tracks[track_indices[v], k]` is the transform of vertex v from frame 0 to frame k.
     `track_indices`: the track of each vertex.
-    `deformed_vertices`: the indices of m vertices that are shifted after the transform.
+    `deformed_vertices`: the indices of m vertices that are also shifted after the transform.
     `offsets` float64 (frames, m, 3): the shifts of these vertices in mm."""
 
     track_indices: NDArray[np.int32]
@@ -42,7 +42,7 @@ class MeshMotion:
 
     @staticmethod
     def from_transforms(transforms: Floats, count: int) -> MeshMotion:
-        """Return moves of `count` vertices that all follow the same transforms (frames, 3, 4) from a common space.
+        """Return the motion of `count` vertices that all follow the same transforms (frames, 3, 4) from a common space.
 
         The first transform must have an inverse."""
         track = compose_transforms(transforms, invert_transforms(transforms[0]))
@@ -51,7 +51,7 @@ class MeshMotion:
 
     @staticmethod
     def from_positions(positions: Floats) -> MeshMotion:
-        """Return moves of vertices that move independently. `positions` (frames, n, 3)."""
+        """Return the motion of vertices that move independently of each other. `positions` (frames, n, 3)."""
         frames, count = positions.shape[:2]
         offsets = (positions - positions[0]).astype(np.float64)
         return MeshMotion(np.zeros(count, np.int32), make_identity_transforms(1, frames), np.arange(count), offsets)
@@ -59,7 +59,7 @@ class MeshMotion:
     def compute_vertices(self, rest_positions: Floats, frame: int) -> Floats:
         """Return the vertices (n, 3) at a frame, counted from 0. `rest_positions`: their positions at frame 0.
 
-        Before the first and after the last frame, the vertices do not move."""
+        Before the first frame and after the last frame, the vertices do not move."""
         k = min(max(frame, 0), self.frame_count - 1)
         place = apply_transforms(self.tracks[:, k].take(self.track_indices, axis=0), rest_positions)
         if len(self.deformed_vertices):
@@ -67,7 +67,7 @@ class MeshMotion:
         return np.ascontiguousarray(place)
 
     def transform_motion(self, transforms: Floats) -> MeshMotion:
-        """Return the same motion in another space. `transforms` (frames, 3, 4): from the current space to the other."""
+        """Return the same motion in another space. `transforms` (frames, 3, 4): from the current space to the other space."""
         back = invert_transforms(transforms[0])
         tracks = compose_transforms(compose_transforms(transforms[None], self.tracks), back)
         tracks[
@@ -78,7 +78,7 @@ class MeshMotion:
         return MeshMotion(self.track_indices, tracks, self.deformed_vertices, offsets)
 
     def select_vertices(self, vertex_numbers: NDArray[np.int64]) -> MeshMotion:
-        """Return the moves of some vertices only. `vertex_numbers`: the indices of these vertices, ascending."""
+        """Return the motion of only some vertices. `vertex_numbers`: the indices of these vertices, ascending."""
         place = np.full(len(self.track_indices), -1)
         place[vertex_numbers] = np.arange(len(vertex_numbers))
         left = np.flatnonzero(place[self.deformed_vertices] >= 0)
@@ -89,9 +89,9 @@ class MeshMotion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GeometryMotion:
-    """All moving things, by name.
+    """The motion of all moving things, by name.
 
-    `first`: the frame of the scene that counts as 0.
+    `first`: the frame of the scene at which the tracks begin (index 0).
     `items`, `curves`: positions (frames, n, 3) in mm."""
 
     first: int = 0

@@ -1,4 +1,4 @@
-"""The surfaces of a periodic world. They must reach the sides of its box, and continue on the opposite side."""
+"""Fits the surfaces of a periodic world to its box. They must reach the sides of the box and continue on the opposite side."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LEVEL_TOLERANCE = 1e-9  # share of a width: a surface that varies less in heigh
 
 
 def fit_surfaces_to_box(staging: SceneStaging) -> None:
-    """Cut the surfaces at the sides of the box of a periodic world. Report those that do not continue on the opposite side.
+    """Cut the surfaces at the sides of the periodic box. Report surfaces that do not continue on the opposite side.
 
     A level surface that covers the box becomes one rectangle, so that its triangles meet at the seam."""
     box = make_periodic_box(staging.scene)
@@ -47,7 +47,7 @@ def fit_surfaces_to_box(staging: SceneStaging) -> None:
 
 
 def _list_gaps(mesh: MeshData, box: PeriodicBox) -> Iterator[tuple[str, float, float]]:
-    """Yield each axis along which a surface does not reach both sides of the box, with the ends of the surface (mm)."""
+    """Yield each axis along which a surface does not reach both sides of the box, and both ends of the surface (mm)."""
     for axis in box.axes:
         values, slack = mesh.vertices[mesh.faces.ravel(), axis], _TOLERANCE * box.widths[axis]
         low, high = float(values.min(initial=np.inf)), float(values.max(initial=-np.inf))
@@ -56,15 +56,15 @@ def _list_gaps(mesh: MeshData, box: PeriodicBox) -> Iterator[tuple[str, float, f
 
 
 def _find_bounds(mesh: MeshData, box: PeriodicBox) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the low and high corner (3,) of the part of a mesh in the box. Along axes that do not wrap, these are the mesh's
-    own ends."""
+    """Return the low and high corner (3,) of the part of a mesh inside the box. Along axes that do not wrap, they are the ends
+    of the mesh."""
     wraps, begin = np.array(box.widths) > 0, np.array(box.low)
     low, high = mesh.vertices[mesh.faces.ravel()].min(axis=0), mesh.vertices[mesh.faces.ravel()].max(axis=0)
     return np.where(wraps, begin, low), np.where(wraps, begin + np.array(box.widths), high)
 
 
 def _cut_at_box(mesh: MeshData, box: PeriodicBox) -> MeshData:
-    """Return the part of a mesh in the box. Vertices almost on a side are moved onto it."""
+    """Return the part of a mesh inside the box. Vertices that are almost on a side are moved onto it."""
     wraps, begin, widths = np.array(box.widths) > 0, np.array(box.low), np.array(box.widths)
     vertices = mesh.vertices.copy()
     for side in (begin, begin + widths):
@@ -75,7 +75,7 @@ def _cut_at_box(mesh: MeshData, box: PeriodicBox) -> MeshData:
 
 
 def _make_rectangle(mesh: MeshData, box: PeriodicBox) -> MeshData | None:
-    """Return a rectangle of two triangles in place of a level surface that covers the box; None for other surfaces."""
+    """Return a rectangle of two triangles that replaces a level surface covering the box, or None for any other surface."""
     corners = mesh.vertices[mesh.faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     up = int(np.argmax(np.abs(across).sum(axis=0))) if len(across) else 0
@@ -99,7 +99,8 @@ def _make_rectangle(mesh: MeshData, box: PeriodicBox) -> MeshData | None:
 
 
 def _find_seam_difference(mesh: MeshData, box: PeriodicBox) -> tuple[str, float] | None:
-    """Return the first axis along which the edges on both sides of the box differ, and by how much their heights do (mm)."""
+    """Return the first axis along which the edges on both sides of the box differ, and how much their heights differ (mm). None
+    if they match."""
     for axis in box.axes:
         low, high = (_list_side_edges(mesh, axis, box.low[axis] + k * box.widths[axis]) for k in (0, 1))
         low[..., axis] = high[..., axis] = 0.0
@@ -110,7 +111,7 @@ def _find_seam_difference(mesh: MeshData, box: PeriodicBox) -> tuple[str, float]
 
 
 def _list_side_edges(mesh: MeshData, axis: int, place: float) -> NDArray[np.float64]:
-    """Return the edges float64[k, 2, 3] of a mesh on the plane at `place` (mm) along an axis, sorted by position."""
+    """Return the edges float64[k, 2, 3] of a mesh that lie on the plane at `place` (mm) along an axis, sorted by position."""
     edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
     ends = mesh.vertices[edges[(mesh.vertices[edges][:, :, axis] == place).all(axis=1)]]
     rounded = np.round(ends, 6)

@@ -1,4 +1,5 @@
-"""Checks of the sizes of meshes, fields and voxels, before anything is allocated. They must fit the crowd and the limits."""
+"""Checks the sizes of meshes, fields and voxels before anything is allocated. They must suit the agents and stay within the
+limits."""
 
 from __future__ import annotations
 
@@ -56,7 +57,7 @@ def _check_cells(staging: SceneStaging) -> None:
 
 
 def _check_scale(staging: SceneStaging) -> None:
-    """Warn about a surface hardly larger than its agents, or so large that its unit is probably wrong.
+    """Warn about a surface that is hardly larger than its agents, or so large that its unit is probably wrong.
 
     Also warn about voxels that are too coarse for the agents that walk and dig there."""
     for line in staging.scene.model.crowd:
@@ -83,7 +84,7 @@ def _check_scale(staging: SceneStaging) -> None:
 
 
 def _find_first_length(expression: Expr, staging: SceneStaging) -> float | None:
-    """Return the first length in an expression such as `uniform(3 mm, 5 mm)`, in millimetres; None without one."""
+    """Return the first length in an expression such as `uniform(3 mm, 5 mm)` in millimetres, or None if there is none."""
     stack: list[Expr | None] = [expression]
     while stack:
         part = stack.pop()
@@ -106,7 +107,8 @@ def report_too_many_parts(
     *path: PathKey,
     labels: tuple[Label, ...] = (),
 ) -> None:
-    """Report an error if `count` parts with an edge of `edge` mm exceed `max_count`. `path`: the location in the scene."""
+    """Report an error if `count` parts with an edge of `edge` mm exceed the limit `max_count`. `path`: the location in the
+    scene."""
     if count > max_count:
         size = f"{count * 8 / limits.GIB:,.0f} GiB" if count * 8 > limits.GIB else f"{count * 8 / limits.MIB:,.0f} MiB"
         message = f"{subject} would need at least {count:,.0f} {parts} of {edge:g} mm (about {size}), more than {max_count:,}"

@@ -1,4 +1,5 @@
-"""Staging of cameras: their position, target, up direction and focal length at each written frame, in mm and the scene's axes."""
+"""Staging of cameras: computes position, target, up direction and focal length at each written frame, in mm and the scene's
+axes."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def stage_cameras(staging: SceneStaging) -> dict[str, setting_data.CameraData]:
-    """Return the cameras that do not depend on agents, by name. On failure, report an error and leave the camera out."""
+    """Return the cameras that do not depend on agents, by name. A camera with an error is reported and omitted."""
     cameras: dict[str, setting_data.CameraData] = {}
     for name, value in staging.scene.model.named_cameras.items():
         if isinstance(value, PlacedCamera):

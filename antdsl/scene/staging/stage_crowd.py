@@ -1,4 +1,4 @@
-"""Crowd lines of a scene: when and where their agents begin, with which attributes, and their walks."""
+"""Staging of crowd lines: when and where their agents start, with which attributes, and their scripted walks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def stage_crowd(staging: SceneStaging, item_points: PointsByName, number: int) -> setting_data.CrowdData:
-    """Return a crowd line of the scene. Errors go into the report."""
+    """Return the data of a crowd line of the scene. Errors are added to the report. `number`: the index of the line."""
     scene = staging.scene
     model, line = scene.model, scene.model.crowd[number]
     begin, interval, count = line.find_release(model.frames.first, model.fps)
@@ -47,14 +47,15 @@ def stage_crowd(staging: SceneStaging, item_points: PointsByName, number: int) -
 
 
 def _find_single_library_body(weights: Mapping[str, float]) -> str:
-    """Return the word of a crowd line's body if the line has one body, from the library. Otherwise return an empty text."""
+    """Return the name of the crowd line's body if it has one body and this comes from the library. Otherwise return an empty
+    text."""
     return next((text for text in weights if len(weights) == 1 and text in BODY_WORDS), "")
 
 
 def stage_placement(
     staging: SceneStaging, item_points: PointsByName, placement: Placement, *path: PathKey
 ) -> setting_data.PlacementData:
-    """Return the starting positions of a crowd line, in mm and the scene's axes. Errors go into the report."""
+    """Return the starting positions of a crowd line, in mm and the scene's axes. Errors are added to the report."""
     scene = staging.scene
     points, ahead, values = None, None, {}
     if isinstance(placement.points, UsdPositions):
@@ -87,14 +88,14 @@ def stage_placement(
 
 
 def _normalise_rows(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return vectors (n, 3) scaled to length 1; nan for zero vectors."""
+    """Return vectors (n, 3) scaled to length 1. Zero vectors become nan."""
     size = np.sqrt((vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1]) + vectors[:, 2] * vectors[:, 2])
     unit_vectors: NDArray[np.float64] = vectors / np.where(size > 0, size, np.nan)[:, None]
     return unit_vectors
 
 
 def _read_usd_attributes(file: UsdFile, species: str) -> dict[str, NDArray[np.float64]]:
-    """Return the attributes of a species for which the points or empties of the file have values, by name."""
+    """Return, by name, the attributes of a species for which the points or empties in the file have values."""
     declared = file.staging.program.species[species].attributes
     own = {a.name: a.type.dimension for a in declared if a.type.kind is TypeKind.NUMBER and not a.pair_species}
     own |= {a.name: Dimension() for a in declared if a.type.kind is TypeKind.BOOL}
@@ -104,7 +105,7 @@ def _read_usd_attributes(file: UsdFile, species: str) -> dict[str, NDArray[np.fl
 
 
 def stage_walk(scene: Scene, walk: ScriptedWalk | None) -> setting_data.ScriptedWalkData | None:
-    """Return a walk with a unit direction, in mm and seconds; None without a walk."""
+    """Return a scripted walk with a unit direction, in mm and seconds, or None if there is no walk."""
     if walk is None:
         return None
     model = scene.model
@@ -119,7 +120,7 @@ def stage_walk(scene: Scene, walk: ScriptedWalk | None) -> setting_data.Scripted
 
 
 def _read_spacing(scene: Scene, spacing: Quantity | str | None) -> float:
-    """Return the least distance (mm) between agents of a crowd line at the start. inf means evenly distributed."""
+    """Return the smallest distance (mm) between agents of a crowd line at the start. inf stands for an even distribution."""
     if isinstance(spacing, str):
         return math.inf
     return convert_length(scene, spacing) or 0.0

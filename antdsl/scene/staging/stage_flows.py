@@ -1,4 +1,4 @@
-"""Flows and maps of a scene. Names are checked against the program, files are read, and values are converted to millimetres."""
+"""Staging of flows and maps: checks names against the program, reads files, and converts values to millimetres."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.
 
 
 def _stage_flow_target(staging: SceneStaging, name: str, key: str, target: model.FlowTargetValue) -> FlowTarget | None:
-    """Return the target of a flow in mm. `key`: the key of the scene that names it. On failure, report an error and return
-    None."""
+    """Return the target of a flow in mm. On failure, report an error and return None. `key`: the key in the scene that names the
+    target."""
     scene, items = staging.scene, staging.items
     if not isinstance(target, str):
         return FlowTarget(np.array([model.convert_point(target, scene.model.unit_mm)]), np.zeros(1))
@@ -87,7 +87,7 @@ def _stage_flow_target(staging: SceneStaging, name: str, key: str, target: model
 
 
 def _report_no_target(staging: SceneStaging, name: str, key: str, target: str) -> None:
-    """Report a target that is not an item, unless another message already explains it."""
+    """Report a target that is not an item, unless another message already explains why."""
     items = staging.items
     if not staging.report.ok:
         return
@@ -100,12 +100,12 @@ def _report_no_target(staging: SceneStaging, name: str, key: str, target: str) -
 
 
 def stage_map(staging: SceneStaging, name: str, thing: model.PaintedThing) -> setting_data.PaintedValues | None:
-    """Return a map on the vertices or faces of a surface. On failure, report an error and return None."""
+    """Return a map as values on the vertices or faces of a surface. On failure, report an error and return None."""
     return _stage_painted(staging, name, thing, 1)
 
 
 def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, width: int) -> setting_data.PaintedValues | None:
-    """Return painted values on the vertices or faces of a surface, as the surface is in the scene.
+    """Return painted values on the vertices or faces of a surface as it is in the scene, which may have fewer than its file.
 
     `width`: 1 for the numbers of a map, 3 for the vectors of a flow. On failure, report an error and return None."""
     surfaces = staging.program.list_things_of_kind("surface")
@@ -141,9 +141,9 @@ def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, 
 
 
 def _select_used_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[np.float64], bool] | None:
-    """Return the rows of those vertices or faces of the file that are in the scene, and whether they are faces.
+    """Return the rows for the vertices or faces that are in the scene, and whether they are faces. `rows`: for all in the file.
 
-    Return None if the number of rows fits neither."""
+    Return None if the number of rows matches neither vertices nor faces."""
     vertices, faces = raw.file_counts
     if len(rows) == vertices:
         return rows[raw.file_vertex_indices], False
@@ -151,7 +151,7 @@ def _select_used_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[
 
 
 def check_density_maps(staging: SceneStaging) -> None:
-    """Report a crowd with a density map that is 0 everywhere, or that is painted on another surface."""
+    """Report a crowd with a density map that is 0 everywhere or is painted on another surface."""
     for number, line in enumerate(staging.scene.model.crowd):
         name = line.place.density
         if name is None or name not in staging.maps:

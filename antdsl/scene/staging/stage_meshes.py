@@ -1,4 +1,4 @@
-"""Reads the mesh of a surface, obstacle or solid from its file, and places it in the scene."""
+"""Reads the mesh of a surface, obstacle or solid from its file, and places the mesh in the scene."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 
 def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing | UsdThing) -> setting_data.MeshData | None:
-    """Return a mesh at the first frame. On failure, report an error and return None. Its motion is stored in `staging.motion`."""
+    """Return a mesh as it is at the first frame. On failure, report an error and return None. Its motion is stored in
+    `staging.motion`."""
     scene, report = staging.scene, staging.report
     up, unit_mm = scene.model.up, scene.model.unit_mm
     if isinstance(value, UsdThing):
@@ -63,7 +64,7 @@ def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing 
 
 
 def _read_static_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tuple[RawMesh, None] | None:
-    """Return a mesh of one file, and None as its motion; None after an error."""
+    """Return the mesh in one file, and None as its motion. Return None instead of both after an error."""
     data = staging.read_file(value.mesh, limits.MAX_MESH_BYTES, "world", name, "mesh")
     if data is None:
         return None
@@ -80,7 +81,7 @@ def _read_static_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tup
 
 
 def _read_height_mesh(staging: SceneStaging, name: str, value: HeightThing) -> tuple[RawMesh, None] | None:
-    """Return a surface of height samples in mm with y up, and None as its motion; None after an error."""
+    """Return a surface of height samples in mm with y up, and None as its motion. Return None instead of both after an error."""
     data = staging.read_file(value.height, limits.MAX_MESH_BYTES, "world", name, "height")
     if data is None:
         return None
@@ -99,9 +100,9 @@ def _read_height_mesh(staging: SceneStaging, name: str, value: HeightThing) -> t
 
 
 def stage_solid(staging: SceneStaging, name: str, value: MeshThing | UsdThing) -> setting_data.SolidData | None:
-    """Return a solid. On failure, report an error and return None.
+    """Return the data of a solid. On failure, report an error and return None.
 
-    A request for too many voxels is rejected before any voxel is created."""
+    Too many voxels are reported before any voxel is created."""
     mesh = stage_mesh(staging, name, value)
     if mesh is None or value.voxel is None:  # the missing file was reported when the scene was checked
         return None

@@ -1,6 +1,7 @@
-"""Conversion of a matched scene to a `Setting`. Meshes and points are read; values become millimetres in the scene's axes.
+"""Conversion of a checked scene to a `Setting`. Meshes and points are read, and values are converted to mm in the scene's axes.
 
-The memory that binding needs is computed first, so that a request for a billion cells is rejected before any allocation."""
+The memory that binding needs is computed first, so that a request for a billion cells is rejected before anything is allocated.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ from antdsl.scene.thing_models import UP_VECTORS
 
 @dataclass(slots=True)
 class SceneStaging:
-    """A setting under construction, with the report, and a hash of each file that was read."""
+    """A setting under construction, with its report and a hash of each file that was read."""
 
     scene: Scene
     program: Program
@@ -65,11 +66,11 @@ class SceneStaging:
     weld_counts: dict[str, int] = field(default_factory=dict)  # vertices merged with others, by mesh
 
     def read_group_entry(self, group: str, name: str, value: Any) -> Any:
-        """Return the data of a thing for the mapping `group` of the setting. On failure, report an error and return None."""
+        """Return the data of a thing for the mapping `group` in the setting. On failure, report an error and return None."""
         return READER_BY_GROUP[group](self, name, value)
 
     def read_file(self, text: str, max_bytes: int, *path: PathKey) -> bytes | None:
-        """Return a file's bytes. On failure, report an error at the path that names the file, and return None."""
+        """Return the bytes of a file. On failure, report an error at the location that names the file, and return None."""
         try:
             data = self.scene.roots.read_file(text, max_bytes)
         except PathRefused as error:
@@ -79,7 +80,7 @@ class SceneStaging:
         return data
 
     def make_sibling_reader(self, text: str) -> Callable[[str, int], bytes]:
-        """Return a reader for files that are named in a file of the scene, relative to that file's folder.
+        """Return a reader for files to which a file of the scene refers, relative to that file's folder.
 
         The reader raises PathRefused for files outside the allowed folders."""
         root, colon, path = text.rpartition(":")
@@ -94,7 +95,7 @@ class SceneStaging:
         return read_sibling
 
     def read_points(self, text: str, min_count: int, *path: PathKey) -> NDArray[np.float64] | None:
-        """Return at least `min_count` points of a JSON file, in the file's own units. On failure, report an error and return
+        """Return at least `min_count` points from a JSON file, in the file's own units. On failure, report an error and return
         None."""
         data = self.read_file(text, MAX_POINT_FILE_BYTES, *path)
         if data is None:
@@ -106,7 +107,7 @@ class SceneStaging:
             return None
 
     def find_sequence(self, text: str, *path: PathKey) -> dict[int, str] | None:
-        """Return the files of a path with `####`, by frame. On failure, report an error and return None."""
+        """Return the files of a path with `####` by frame. On failure, report an error and return None."""
         try:
             return self.scene.roots.find_sequence(text)
         except PathRefused as error:
@@ -128,7 +129,7 @@ _MESH_GROUPS = ("surfaces", "obstacles", "solids")
 
 
 def _stage_things(staging: SceneStaging, *groups: str) -> None:
-    """Stage the things of some groups in the program's order. Curves and items keep the scene's order, as in caches."""
+    """Stage the things of some groups in the order of the program. Curves and items retain the scene's order, as in caches."""
     program, scene = staging.program.world, staging.scene.model.world
     for name in scene if groups[0] in ("curves", "items") else program:
         kind, value = SCENE_KINDS.get(program[name].kind) if name in program else None, scene.get(name)
@@ -144,9 +145,9 @@ def _stage_things(staging: SceneStaging, *groups: str) -> None:
 def build_setting(
     scene: Scene, program: Program, overrides: Mapping[str, Quantity] | None = None
 ) -> tuple[setting_data.WorldSetting | None, Report, dict[str, str]]:
-    """Return the setting, the report, and a hash of each file read. The setting is None if there are errors.
+    """Return the setting, the report, and a hash of each file that was read. The setting is None if there are errors.
 
-    `overrides`: params from the user."""
+    `overrides`: the params that the user sets."""
     staging = SceneStaging(scene, program)
     model = scene.model
     for group in (*_MESH_GROUPS, "curves", "items"):
@@ -209,7 +210,7 @@ def build_setting(
 
 
 def collect_import_reports(scene: Scene, program: Program) -> dict[str, MeshImport]:
-    """Return the report on each mesh that can be read, even if the scene has errors."""
+    """Return the import report of each mesh that can be read, even if the scene has errors."""
     staging = SceneStaging(scene, program)
     for group in _MESH_GROUPS:
         _stage_things(staging, group)
@@ -217,7 +218,7 @@ def collect_import_reports(scene: Scene, program: Program) -> dict[str, MeshImpo
 
 
 def _stage_level_of_detail(scene: Scene, camera: setting_data.CameraData | None) -> setting_data.DetailLevelData | None:
-    """Return the level of detail, or None if the scene has none. `camera`: the default camera."""
+    """Return the level of detail, or None if the scene has none. `camera`: the scene's default camera."""
     lod = scene.model.lod
     if lod is None or camera is None:
         return None

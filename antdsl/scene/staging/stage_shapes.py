@@ -1,4 +1,5 @@
-"""Placements of crowd lines: ranks, clumps, lines and volumes, and the directions in which agents begin."""
+"""Staging of the placements of crowd lines: ranks, clumps, lines and volumes, and the directions that agents face at the
+start."""
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ def stage_point(
     *path: PathKey,
     key: str = "around",
 ) -> setting_data.PointMm | None:
-    """Return a centre in mm: a point, an item's position, or the origin if only a radius is given."""
+    """Return a centre in mm: a point, the position of an item, or the origin if only a radius is given."""
     if around is None:
         return None if radius is None else (0.0, 0.0, 0.0)
     if not isinstance(around, str):
@@ -51,7 +52,7 @@ def stage_point(
 
 
 def stage_shapes(staging: SceneStaging, item_points: PointsByName, placement: Placement, *path: PathKey) -> dict[str, Any]:
-    """Return the values of `PlacementData` for the shapes and directions of a placement."""
+    """Return the fields of `PlacementData` for the shapes and directions of a placement, by name."""
     scene, clumps = staging.scene, placement.clumps
     return {
         "ranks": None if placement.ranks is None else _stage_ranks(scene, placement.ranks, int(path[1])),
@@ -69,7 +70,7 @@ def _convert_required_length(scene: Scene, value: Quantity) -> float:
 
 
 def _stage_ranks(scene: Scene, ranks: RankFormation, number: int) -> RanksData:
-    """Return ranks with as many rows as the crowd line needs."""
+    """Return ranks with as many rows as the agents need. `number`: the index of the crowd line."""
     model = scene.model
     count = model.crowd[number].count_agents(model.frames.first, model.fps)
     across, along = ranks.spacing if isinstance(ranks.spacing, tuple) else (ranks.spacing, ranks.spacing)
@@ -80,7 +81,7 @@ def _stage_ranks(scene: Scene, ranks: RankFormation, number: int) -> RanksData:
 
 
 def _stage_volume(staging: SceneStaging, item_points: PointsByName, volume: Region, *path: PathKey) -> VolumeData | None:
-    """Return a box or a ball in mm; None after an error."""
+    """Return a box or a ball in mm, or None after an error."""
     unit_mm = staging.scene.model.unit_mm
     if isinstance(volume, Box):
         corner, opposite = convert_point(volume.corner, unit_mm), convert_point(volume.opposite, unit_mm)
@@ -91,7 +92,7 @@ def _stage_volume(staging: SceneStaging, item_points: PointsByName, volume: Regi
 
 
 def _stage_facing(staging: SceneStaging, item_points: PointsByName, facing: FacingValue, *path: PathKey) -> FacingData | None:
-    """Return the direction in which agents begin, in mm and the scene's axes; None after an error."""
+    """Return the direction that agents face at the start, in mm and the scene's axes, or None after an error."""
     if isinstance(facing, FacingDirection):
         x, y, z = facing.direction
         size = math.sqrt((x * x + y * y) + z * z)
@@ -103,7 +104,7 @@ def _stage_facing(staging: SceneStaging, item_points: PointsByName, facing: Faci
 
 
 def _find_centre_item(staging: SceneStaging, around: PointValue | str | None) -> ItemCentre | None:
-    """Return the item that is the centre of a placement; None if the centre is a point."""
+    """Return the item that is the centre of a placement, or None if the centre is a point."""
     if not isinstance(around, str):
         return None
     for name, items in staging.items.items():

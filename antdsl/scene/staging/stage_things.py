@@ -1,4 +1,4 @@
-"""Things of the world that are more than one static file: parts of USD files, files per frame, things with keys.
+"""Staging of things that are more than one static file: parts of USD files, files per frame, and things with keys.
 
 They are converted to mm, the scene's axes and positions at every simulated frame."""
 
@@ -48,15 +48,15 @@ T = TypeVar("T")
 
 
 def list_simulated_frames(staging: SceneStaging) -> range:
-    """Return the simulated frames, including the preroll. At the first frame, meshes are at rest."""
+    """Return the simulated frames, including the preroll. Meshes are in their rest positions at the first one."""
     model = staging.scene.model
     return range(model.frames.first - model.preroll, model.frames.last + 1)
 
 
 def find_frame_files(staging: SceneStaging, text: str, *path: PathKey) -> list[str] | None:
-    """Return the file of each frame if a path has `####`, else None.
+    """Return the file for each frame if a path has `####`, else None.
 
-    Frames before the first existing file have the first file, and frames after the last existing file have the last one."""
+    Frames before the first existing file use the first file, and frames after the last existing file use the last one."""
     files = staging.find_sequence(text, *path)
     if files is None:
         return None
@@ -82,7 +82,7 @@ def interpolate_keys(
     frames: Sequence[int],
     unit_mm: float,
 ) -> tuple[Floats, Floats] | None:
-    """Return position (frames, 3) in mm and rotation (frames, 3) in radians at each frame; None without keys.
+    """Return the position (frames, 3) in mm and the rotation (frames, 3) in radians at each frame, or None without keys.
 
     Values that no key defines come from the thing itself: `own_at`, `own_rotation`."""
     if not keys:
@@ -97,14 +97,14 @@ def interpolate_keys(
 
 
 def interpolate_values(keys: Mapping[int, tuple[float, ...]], frames: Sequence[int]) -> Floats:
-    """Return values (frames, k) that change linearly between keys."""
+    """Return values (frames, k) that are interpolated linearly between keys."""
     times = sorted(keys)
     values = np.array([keys[time] for time in times], np.float64)
     return np.stack([np.interp(np.array(frames, np.float64), times, column) for column in values.T], axis=1)
 
 
 def _make_key_transforms(staging: SceneStaging, value: PlacedThing | CurveThing, factor: float, own_up: str) -> Floats | None:
-    """Return the transforms (frames, 3, 4) from a file's positions into the scene; None if the thing has no keys."""
+    """Return the transforms (frames, 3, 4) from a file's positions into the scene, or None if the thing has no keys."""
     model, frames = staging.scene.model, list_simulated_frames(staging)
     placed = interpolate_keys(value.keys, value.at, getattr(value, "rotate", None), frames, model.unit_mm)
     if placed is None:
@@ -121,7 +121,7 @@ def _make_key_transforms(staging: SceneStaging, value: PlacedThing | CurveThing,
 
 
 def read_moving_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tuple[RawMesh, MeshMotion | None] | None:
-    """Return a mesh from files per frame, and the motion of its vertices in the file's own units and axes."""
+    """Return the mesh in a sequence of files, and the motion of its vertices, in the file's own units and axes."""
     files = find_frame_files(staging, value.mesh, "world", name, "mesh")
     if files is None:
         return None
@@ -194,7 +194,7 @@ def place_motion(
 
 
 def find_first_rotation(staging: SceneStaging, value: PlacedThing) -> tuple[float, float, float]:
-    """Return the rotation of a mesh at the first frame, radians about x, then y, then z."""
+    """Return the rotation of a mesh at the first frame, in radians about x, then y, then z."""
     placed = interpolate_keys(value.keys, value.at, value.rotate, list_simulated_frames(staging)[:1], staging.scene.model.unit_mm)
     if placed is not None:
         x, y, z = placed[1][0].tolist()
@@ -203,13 +203,13 @@ def find_first_rotation(staging: SceneStaging, value: PlacedThing) -> tuple[floa
 
 
 def limit_vector_lengths(vectors: Floats) -> Floats:
-    """Return vectors (n, 3). Vectors longer than 1 are scaled to length 1."""
+    """Return vectors (n, 3) in which vectors longer than 1 are scaled to length 1."""
     return np.asarray(vectors / np.maximum(np.sqrt((vectors * vectors).sum(axis=1)), 1.0)[:, None])
 
 
 def stage_usd_paint(staging: SceneStaging, name: str, thing: PaintedThing, mesh: UsdThing, width: int) -> Floats | None:
-    """Return a primvar on the vertices of a surface from the same USD file. `width`: 1 for numbers, 3 for vectors in the scene's
-    axes."""
+    """Return a primvar on the vertices of a surface, from the surface's USD file. `width`: 1 for numbers, 3 for vectors, which
+    are in the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_mesh
 
     attribute = name if thing.attribute is None else thing.attribute
@@ -239,7 +239,7 @@ def stage_usd_paint(staging: SceneStaging, name: str, thing: PaintedThing, mesh:
 
 
 def stage_curve(staging: SceneStaging, name: str, value: CurveThing | UsdThing) -> Floats | None:
-    """Return the points (frames, k, 3) of a curve; one frame if it is static."""
+    """Return the points (frames, k, 3) of a curve. A static curve has a single frame."""
 
     model = staging.scene.model
     if isinstance(value, UsdThing):
@@ -279,7 +279,7 @@ def stage_curve(staging: SceneStaging, name: str, value: CurveThing | UsdThing) 
 
 
 def _apply_transforms_by_frame(transforms: Floats, positions: Floats) -> Floats:
-    """Return positions (frames, k, 3) after the transforms of their frames. The shorter input is extended with its last frame."""
+    """Return positions (frames, k, 3) after the transform of their frame. The shorter input is extended with its last frame."""
     count = max(len(positions), len(transforms))
     frames = [(min(k, len(transforms) - 1), min(k, len(positions) - 1)) for k in range(count)]
     return np.stack([apply_transforms(transforms[i], positions[j]) for i, j in frames])
@@ -289,7 +289,7 @@ def _apply_transforms_by_frame(transforms: Floats, positions: Floats) -> Floats:
 
 
 def compute_item_positions(staging: SceneStaging, name: str, item: str | None, thing: ItemThing | LampThing) -> Floats:
-    """Return the positions (frames, 3) of an item or lamp in mm, by its keys. One frame if it has no keys. `item`: its name
+    """Return the positions (frames, 3) of an item or lamp in mm, by its keys. There is one frame without keys. `item`: its name
     below `name`, if the scene has one."""
     unit_mm = staging.scene.model.unit_mm
     placed = interpolate_keys(thing.keys, thing.at, None, list_simulated_frames(staging), unit_mm)
@@ -305,7 +305,7 @@ def compute_item_positions(staging: SceneStaging, name: str, item: str | None, t
 
 
 def stage_usd_items(staging: SceneStaging, name: str, value: UsdThing) -> UsdPoints | None:
-    """Return the points below a prim, or the empties of a kind, with the scene's transforms applied."""
+    """Return the points below a prim, or the empties of a kind, after the scene's transforms."""
     from dataclasses import replace
 
     from antdsl.scene.geometry.usd import read_usd_points
@@ -370,7 +370,7 @@ def follow_surface(mesh: setting_data.MeshData, mesh_moves: MeshMotion, point: s
 def read_usd(
     staging: SceneStaging, text: str, prim: str, purpose: str, path: tuple[PathKey, ...], read: Callable[[UsdStage], T]
 ) -> T | None:
-    """Return the result of a reader at a prim. On failure, report an error at the location in the scene and return None."""
+    """Return the result of `read` at a prim. On failure, report an error at the location in the scene and return None."""
     from antdsl.scene.geometry.usd import UsdError, open_stage
 
     model = staging.scene.model

@@ -1,4 +1,4 @@
-"""Numbers and words of a USD file's points and empties, converted to values of attributes in base units."""
+"""Converts the numbers and words of a USD file's points and empties to attribute values in base units."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _OPTIONAL_ATTRIBUTES = ("max_turn", "min_speed")  # agents have these values onl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdFile:
-    """The points of a USD file. `name`: the name of the file. `span`: the location where the scene names the file."""
+    """The points of a USD file. `name`: the name of the file. `span`: the location at which the scene names the file."""
 
     staging: SceneStaging
     name: str
@@ -35,9 +35,10 @@ class UsdFile:
 
 
 def read_in_base_units(file: UsdFile, key: str, dim: Dimension) -> NDArray[np.float64]:
-    """Return the file's values (n,) of an attribute in base units; nan where it has none.
+    """Return the file's values (n,) of an attribute in base units, with nan for points without a value.
 
-    Numbers in the file are in its unit of length, in degrees and in seconds. Words are numbers with a unit, as in a scene."""
+    Numbers in the file are in its unit of length, in degrees and in seconds. Words are parsed as numbers with a unit, as in a
+    scene."""
     points, report = file.points, file.staging.report
     factor = float(points.unit**dim.length * np.radians(1.0) ** dim.angle)
     column: NDArray[np.float64] = points.values.get(key, np.full(len(points.names), np.nan)) * factor
@@ -67,9 +68,9 @@ def read_in_base_units(file: UsdFile, key: str, dim: Dimension) -> NDArray[np.fl
 
 
 def warn_misspelled_names(file: UsdFile, owner: str, known_names: Collection[str]) -> None:
-    """Warn about properties of the file that are not attributes but have a similar name.
+    """Warn about properties in the file that are not attributes but have a name similar to one.
 
-    Other properties belong to other programs."""
+    Other properties are ignored, because they belong to other programs."""
     keys = sorted({*file.points.values, *file.points.texts} - {*known_names, "kind", "name"})
     near = {
         key: "" if key in _OPTIONAL_ATTRIBUTES else find_nearest_name(key, known_names)

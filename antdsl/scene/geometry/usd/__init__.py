@@ -1,10 +1,11 @@
-"""USD sets of other departments: meshes, curves, points and cameras by prim path, in mm and the scene's axes.
+"""USD sets from other departments: meshes, curves, points and cameras by prim path, in mm and the scene's axes.
 
 Only the reader process (`antdsl.reader`) reads USD files.
 `closure`: collects the files; `stage`: sends requests; `answers`: checks the results.
-`child`: runs in the reader process, with usd-core of the extra `[usd]`.
+`child`: runs in the reader process, with usd-core from the extra `[usd]`.
 
-Public names are loaded on first use. The reader process needs only `child`, and a scene without USD needs none of them."""
+Public names are loaded on first use, because the reader process needs only `child`, and a scene without USD needs none of them.
+"""
 
 from __future__ import annotations
 

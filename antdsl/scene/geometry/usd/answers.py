@@ -1,4 +1,5 @@
-"""Results of the reader for USD files, as arrays of this process. Every count, shape, type and index is checked before use."""
+"""The reader process's answers about USD files, as arrays of this process. Every count, shape, type and index is checked before
+use."""
 
 from __future__ import annotations
 
@@ -27,10 +28,10 @@ _MAX_NAME_CHARACTERS = 256  # maximum length of a name in the file
 class UsdMesh:
     """A mesh of a USD file.
 
-    `raw_mesh`: the mesh as from a mesh file, but in mm and the scene's axes.
-    `motion`: its motion; None if it is static.
+    `raw_mesh`: like the mesh of a mesh file, but in mm and the scene's axes.
+    `motion`: None if the mesh is static.
     `values`: by the name of a primvar, numbers float64 (n,), or vectors (n, 3) rotated with their mesh.
-    `unread_shape_types`: types of shapes that are not read."""
+    `unread_shape_types`: the types of shapes that were not read."""
 
     raw_mesh: RawMesh
     motion: MeshMotion | None
@@ -40,9 +41,9 @@ class UsdMesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdCameraTracks:
-    """A camera. Positions are in mm, one row per frame, or a single row for a static camera.
+    """A camera of a USD file. Positions are in mm. Each array has one row per frame, or a single row for a static camera.
 
-    `up`: the direction to the top of the picture. `focal`: the focal length in mm for a sensor 36 mm wide."""
+    `up`: the direction to the top of the picture. `focal`: the focal length in mm for a sensor that is 36 mm wide."""
 
     at: Floats
     look_at: Floats
@@ -51,9 +52,9 @@ class UsdCameraTracks:
 
 
 def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
-    """Return all meshes at and below the stage's prim, joined. `primvars`: the names of primvars to read.
+    """Return all meshes at and below the stage's prim, joined into one. `primvars`: the names of the primvars to read.
 
-    Raises UsdError if there are no meshes, MeshError if they are not usable."""
+    Raises UsdError if there are no meshes, and MeshError if they are unusable."""
     names = tuple(primvars)
     answer = stage.send_request("usd-mesh", {"primvars": names})
     try:
@@ -73,7 +74,7 @@ def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
 
 
 def _read_moves(answer: ReaderMessage, count: int, frames: int) -> MeshMotion:
-    """Return the checked motion of `count` vertices over `frames` frames."""
+    """Return the motion of `count` vertices over `frames` frames, after checks of the answer."""
     tracks = answer.require_array("moves:tracks", "f8", None, frames, 3, 4)
     deformed = answer.require_indices("moves:bent", "i8", count, None)
     offsets = answer.require_array("moves:offsets", "f8", frames if len(deformed) else 0, len(deformed), 3)
@@ -83,7 +84,7 @@ def _read_moves(answer: ReaderMessage, count: int, frames: int) -> MeshMotion:
 
 
 def _read_values(answer: ReaderMessage, name: str, count: int) -> Floats:
-    """Return the checked values of a primvar at `count` vertices: numbers (count,) or vectors (count, 3)."""
+    """Return the values of a primvar at `count` vertices, after checks of the answer: numbers (count,) or vectors (count, 3)."""
     array = answer.arrays.get(name)
     return (
         answer.require_array(name, "f8", count)
@@ -93,7 +94,7 @@ def _read_values(answer: ReaderMessage, name: str, count: int) -> Floats:
 
 
 def wrap_usd_errors(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
-    """Return a reader like `read` that raises UsdError for an invalid answer."""
+    """Return a reader that does the same as `read` but raises UsdError for an invalid answer."""
 
     @wraps(read)
     def read_or_raise_usd_error(stage: UsdStage) -> T:
@@ -106,8 +107,8 @@ def wrap_usd_errors(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
 
 
 def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
-    """Return the points of all Points prims at or below the stage's prim. Without such prims, return one for each child with a
-    position.
+    """Return the points of all Points prims at or below the stage's prim. If there are none, return one point for each child
+    prim with a position.
 
     `kind`: return instead all prims below it, at any depth, with this `userProperties:kind`."""
     answer = stage.send_request("usd-points", {"of_kind": kind})
@@ -134,9 +135,10 @@ def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
 
 @wrap_usd_errors
 def read_usd_curve(stage: UsdStage) -> Floats:
-    """Return the points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame if it is static.
+    """Return the points (frames, k, 3) of the only BasisCurves prim at or below the stage's prim. A static curve has a single
+    frame.
 
-    Raises UsdError if there is none or more than one."""
+    Raises UsdError if there is no such prim, or more than one."""
     positions = stage.send_request("usd-curve").require_array("places", "f8", None, None, 3)
     if len(positions) not in (1, len(stage.frames)) or not positions.shape[1] >= 2 or not np.isfinite(positions).all():
         raise ProtocolError("`places` has other frames, too few points, or one that is not finite")
@@ -145,7 +147,7 @@ def read_usd_curve(stage: UsdStage) -> Floats:
 
 @wrap_usd_errors
 def read_usd_camera(stage: UsdStage) -> UsdCameraTracks:
-    """Return the camera at the stage's prim, or the only camera below it."""
+    """Return the camera at the stage's prim, or the only camera below this prim."""
     answer = stage.send_request("usd-camera")
     at = answer.require_array("at", "f8", None, 3)
     if len(at) not in (1, len(stage.frames)):

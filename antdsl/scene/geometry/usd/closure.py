@@ -1,14 +1,14 @@
-"""All files that make up a USD file, copied layer by layer into a private folder.
+"""Collects all files of which a USD file consists, and copies them into a private folder.
 
 The reader process may only open files in this folder.
 
 `Roots` reads each file, so the same rules apply as to any file that a scene names. Files must be below the scene's folder or a
-granted root. Links and addresses are not followed, and a file may be no larger than a mesh. The reader opens each copy and lists
-the files that it names. Copies have the same relative paths as the files, so that USD finds them. No message reveals whether a
-file outside the roots exists.
+granted root. Links and URLs are not followed, and a file may be no larger than a mesh. The reader opens each copy and lists the
+files that it names. Copies have the same relative paths as the original files, so that USD finds them. No message reveals
+whether a file outside the roots exists.
 
-A .usdz package is unpacked here, never by USD. It is written again as USD expects it: layers only, stored, with plain and unique
-names. Otherwise two readers of one zip file could see different members."""
+A .usdz package is unpacked here, never by USD. It is then rebuilt as USD expects it: layers only, uncompressed, with plain and
+unique names. Otherwise, two readers of the same zip file could see different members."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ LayerLocation = tuple[str, str]  # the full path of a file, and for a package th
 
 
 class UsdFileClosure:
-    """The files that make up the USD file `text`. Raises UsdError if one cannot be read.
+    """The copies of all files of which the USD file `text` consists. Raises UsdError if a file cannot be read.
 
-    `path`: its copy in the private `folder`.
+    `path`: the copy of the USD file in the private `folder`.
     `hashes`: the hashes of all files, by their names in a scene.
-    `size`: the total bytes of all files.
-    The copies are removed with this object."""
+    `size`: the total size of all files in bytes.
+    The copies are deleted together with this object."""
 
     def __init__(self, roots: Roots, text: str) -> None:
         self.text, self.size = text, 0
@@ -73,11 +73,11 @@ class UsdFileClosure:
 
     @property
     def closure_digest(self) -> str:
-        """Return a hash of all files with their names."""
+        """Return a hash of the names and contents of all files."""
         return blake2b(repr(sorted(self.hashes.items())).encode(), digest_size=16).hexdigest()
 
     def _collect_files(self, text: str) -> str:
-        """Copy the file and all files that it consists of. Return the path of its copy."""
+        """Copy the file and all files that it refers to. Return the path of the file's copy."""
         waiting = [self._copy_file(text, None)]
         known_places = set(waiting)
         while waiting:
@@ -91,7 +91,7 @@ class UsdFileClosure:
         return self._make_copy_path(self._top_path)
 
     def _make_copy_path(self, path: str) -> str:
-        """Return the path of a file's copy, whether it exists or not."""
+        """Return the path of a file's copy. The copy need not exist."""
         try:
             below = os.path.relpath(path, os.path.commonpath([*self._folders.values()]))
         except ValueError:  # the files may be on several drives
@@ -100,8 +100,8 @@ class UsdFileClosure:
         return os.path.join(self.folder, below)
 
     def _make_full_path(self, text: str, naming_layer: LayerLocation | None) -> str:
-        """Return the full path of a file from its name in a scene. Only the text is checked. `naming_layer`: the layer that names
-        the file."""
+        """Return the full path of a file with the name `text` in a scene. Only the text is checked. `naming_layer`: the layer
+        that names the file; None for the scene."""
         if not text.lower().endswith(USD_SUFFIXES):
             raise UsdError(
                 "bad-usd",
@@ -115,8 +115,8 @@ class UsdFileClosure:
             raise _make_refusal_error(error, naming_layer) from None
 
     def _copy_file(self, text: str, naming_layer: LayerLocation | None) -> LayerLocation:
-        """Copy a file and return the copy's location. `text`: its name in a scene; `naming_layer`: the layer that names the
-        file."""
+        """Copy a file and return the location of the copy. `text`: its name in a scene. `naming_layer`: the layer that names the
+        file; None for the scene."""
         path = self._make_full_path(text, naming_layer)
         if path not in self._files:
             try:
@@ -150,7 +150,7 @@ class UsdFileClosure:
             raise UsdError("bad-usd", words, "set TMPDIR to a folder with room", "usd") from None
 
     def _find_named_files(self, layer: LayerLocation) -> Iterator[LayerLocation]:
-        """Yield the files, or layers of the same package, that a layer names."""
+        """Yield the files, or the layers in the same package, that a layer names."""
         path, inside = layer
         copy, name = self._make_copy_path(path), f"{self._files[path]}{f'[{inside}]' if inside else ''}"
         document = {"path": f"{copy}[{inside}]" if inside else copy, "folder": self.folder, "text": name}
@@ -171,7 +171,7 @@ class UsdFileClosure:
             raise UsdError("bad-usd", f"`{name}` cannot be read: {error}", "export it again", "usd") from None
 
     def _find_package_layer(self, layer: LayerLocation, asset: str) -> LayerLocation:
-        """Return the layer of a package that another layer of the package names."""
+        """Return the layer in a package that another layer of this package names."""
         path, inside = layer
         target = posixpath.normpath(posixpath.join(posixpath.dirname(inside), asset))
         parts = self._packages[path]
@@ -183,9 +183,9 @@ class UsdFileClosure:
         return path, target
 
     def _find_file(self, layer: LayerLocation, asset: str) -> LayerLocation:
-        """Copy a file that a layer names, and return its location.
+        """Copy a file that a layer names, and return the location of the copy.
 
-        Raises UsdError for an address, or for a text that USD would evaluate on opening."""
+        Raises UsdError for a URL, or for a text that USD would evaluate when it opens the file."""
         named = f"`{_shorten_text(asset)}`{_describe_naming_layer(layer)}"
         if "`" in asset or ":SDF_FORMAT_ARGS:" in asset:
             raise UsdError("bad-path", f"{named} is an expression, not a file", "write the path in full", "usd")
@@ -202,7 +202,7 @@ class UsdFileClosure:
         return file_place[0], inner.removesuffix("]")
 
     def _resolve_name(self, path: str, asset: str, asset_path: str) -> str:
-        """Return the name of the file that USD would find for an asset path: next to the layer, else next to the top layer."""
+        """Return the name of the file that USD would find for an asset path: relative to the layer, or else to the top layer."""
         folders = [os.path.dirname(path)] + ([] if asset.startswith(".") else [os.path.dirname(self._top_path)])
         names = [self._find_scene_name(os.path.normpath(os.path.join(folder, asset))) for folder in folders]
         inside = [name for name in names if name is not None]
@@ -211,8 +211,8 @@ class UsdFileClosure:
         return next((name for name in inside if self._has_file(name)), inside[0])
 
     def _has_file(self, name: str) -> bool:
-        """Return whether a file with this name exists below a root. Unreadable files also count; reading them reports the
-        reason."""
+        """Return whether a file with this name exists below a root. An unreadable file also counts, because reading it reports
+        the reason."""
         try:
             return self._roots.measure_file_size(name) >= 0
         except PathRefused as error:
@@ -224,8 +224,8 @@ class UsdFileClosure:
         raise UsdError("bad-path", message, help, "usd")
 
     def _find_scene_name(self, path: str) -> str | None:
-        """Return the name by which a scene would refer to a file. Return None for a file outside all roots. The disk is not
-        accessed."""
+        """Return the name by which a scene would refer to a file, or None for a file outside all roots. Only the path is used,
+        not the disk."""
         for name, folder in self._folders.items():
             if path.startswith(folder.rstrip(os.sep) + os.sep):
                 below = Path(path).relative_to(folder).as_posix()
@@ -246,7 +246,7 @@ def _make_refusal_error(refusal: PathRefused, naming_layer: LayerLocation | None
 
 
 def _describe_naming_layer(layer: LayerLocation | None) -> str:
-    """Return words that say which layer names a file. They fit between the file's name and the problem."""
+    """Return words for the layer that names a file. They fit between the file's name and the problem."""
     return f", named by {_format_layer_name(layer)}," if layer else ""
 
 
@@ -260,13 +260,13 @@ def _shorten_text(text: str) -> str:
 
 
 class PackageError(Exception):
-    """Error for a package that is not read. The message is the reason, and fits after the package's name."""
+    """Error for a package that cannot be read. The message is a reason that fits after the package's name."""
 
 
 def read_layers(data: bytes) -> dict[str, bytes]:
-    """Return the layers of a package, by name. The first layer is the root layer. Other members, such as textures, are omitted.
+    """Return the layers of a package by name. The first one is the root layer. Other members, such as textures, are omitted.
 
-    Raises PackageError if the file is not a package, or if it has a forbidden member."""
+    Raises PackageError if the data is not a package or contains a forbidden member."""
     _check_end(data)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -276,7 +276,8 @@ def read_layers(data: bytes) -> dict[str, bytes]:
 
 
 def _check_end(data: bytes) -> None:
-    """Compare the number of members and the size of the directory with the limits before any member is read."""
+    """Check the number of members and the size of the directory against the limits, before any member is read. Raises
+    PackageError."""
     place = data.rfind(b"PK\5\6", max(0, len(data) - _END_RECORD_STRUCT.size - 0xFFFF))
     if place < 0 or place + _END_RECORD_STRUCT.size > len(data):
         raise PackageError("is damaged, or not a zip file")
@@ -319,7 +320,7 @@ def _check_member(entry: zipfile.ZipInfo, known_names: set[str]) -> None:
 
 
 def make_package(layers: dict[str, bytes]) -> bytes:
-    """Return the bytes of a package with these layers."""
+    """Return the bytes of a package with the given layers."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         for name, data in layers.items():

@@ -1,6 +1,6 @@
-"""Errors of USD files, and the only place that imports usd-core.
+"""Errors about USD files. This is the only module that imports usd-core.
 
-usd-core is imported in the reader process for reading, and in any process for writing."""
+usd-core is imported in the reader process to read, and in any process to write."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _MEMORY_ADDRESS_PATTERN = re.compile(r"(?:\banon:0x[0-9a-fA-F]+:?)|(?: ?<0x[0-9a
 
 
 class UsdError(RefusalError):
-    """An error about a key of the scene: `prim`, `usd` or `kind`."""
+    """An error about one of the scene's keys `prim`, `usd` or `kind`."""
 
     def __init__(self, code: str, message: str, help: str | None = None, key: str = "prim") -> None:
         super().__init__(code, message, help, key)
 
 
 def format_usd_error(problem: Exception, folder: str) -> str:
-    """Return the message of a USD exception, without the location in USD's source code. `folder`: as for `clean_usd_text`."""
+    """Return the message of a USD exception without the location in USD's source code. `folder`: as in `clean_usd_text`."""
     messages = re.findall(r"in file \S+ : '(.*?)'\s*(?:\n|$)", str(problem), re.DOTALL)
     return clean_usd_text(messages[-1] if messages else type(problem).__name__, folder)
 
 
 def clean_usd_text(text: str, folder: str) -> str:
-    """Return a text of USD as one line of a message that is the same in each run.
+    """Return a text from USD as one line for a message. The line is the same in each run.
 
-    Paths of copies in `folder` become names of files. Memory addresses are removed."""
+    Paths of copies in `folder` are replaced by the names of the files. Memory addresses are removed."""
     line = " ".join(text.replace(folder.rstrip(os.sep) + os.sep, "").split())
     line = _SESSION_LAYER_PATTERN.sub("", line)
     line = _MEMORY_ADDRESS_PATTERN.sub("", line)
@@ -57,7 +57,7 @@ def import_pxr_module(module: str) -> Any:
 
 
 def make_missing_extra_error(reason: str = "") -> UsdError:
-    """Return the error for a missing usd-core. `reason`: the reason if it is installed but cannot be loaded."""
+    """Return the error for a missing usd-core. `reason`: why it cannot be loaded, if it is installed."""
     return UsdError(
         "missing-extra", f"USD files need the package usd-core{reason}", 'install it: pip install "antdsl[usd]"', "usd"
     )

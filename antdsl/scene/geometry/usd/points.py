@@ -1,4 +1,4 @@
-"""Points and empties of a USD stage. The reader process collects them, and this process checks them."""
+"""The points and empties of a USD stage, which the reader process collects and this process checks."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdPoints:
-    """Points or empties.
+    """Points or empties of a USD file.
 
-    `positions` (frames, n, 3): in mm; one frame if all are static.
+    `positions` (frames, n, 3): in mm; a single frame if all are static.
     `radius` (n,): in mm; nan if the file has none.
-    `values`: by name, primvars and user properties with one number per point, in the file's units; nan where a point has none.
-    `texts`: by name, user properties that are words; "" where a point has none.
-    `ahead` (n, 3): the direction of the empty's +x at the first frame; nan for points, which have no direction.
+    `values`: by name, primvars and user properties with one number per point, in the file's units; nan for points without a
+    number.
+    `texts`: by name, user properties that are words; "" for points without a word.
+    `ahead` (n, 3): the direction of an empty's +x at the first frame; nan for points, which have no direction.
     `unit`: the file's unit of length in mm."""
 
     names: tuple[str, ...]

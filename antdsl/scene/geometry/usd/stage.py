@@ -1,4 +1,4 @@
-"""Requests to the reader process about a USD file: for one prim, at frames, in the scene's axes."""
+"""Requests to the reader process about one prim of a USD file, at given frames and in the scene's axes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ _FRAMES_PER_EXTRA_SECOND = 8  # optional fields of a request
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdStage:
-    """The contents of a USD file at and below one prim. `frames`: the requested frames; at the first, everything is at rest."""
+    """The contents of a USD file at and below one prim. `frames`: the requested frames. Geometry at the first one is the rest
+    position."""
 
     closure: UsdFileClosure
     prim: str
@@ -38,9 +39,9 @@ class UsdStage:
         return self.closure.hashes
 
     def send_request(self, kind: str, document: Mapping[str, Any] | None = None) -> ReaderMessage:
-        """Return the reader's answer about this stage. The answer is not checked.
+        """Return the reader's answer to a request about this stage. The answer is not checked.
 
-        Raises UsdError, or MeshError for an invalid mesh. A RefusalError about anything else passes to the caller."""
+        Raises UsdError, or MeshError for an invalid mesh. A RefusalError about anything else is passed on to the caller."""
         said = {
             "path": self.closure.path,
             "folder": self.closure.folder,
@@ -77,11 +78,11 @@ class UsdStage:
             raise UsdError(error.code, str(error), error.help, error.key) from None
 
     def make_error(self, message: str, help: str | None = None) -> UsdError:
-        """Return an error about the prim. `message`: a text that fits after the prim's name."""
+        """Return an error about the prim. `message`: a text that fits after the name of the prim."""
         return UsdError("bad-usd", f"`{self.prim}` of `{self.closure.text}` {message}", help)
 
     def make_answer_error(self, error: ProtocolError) -> UsdError:
-        """Return an error for an answer that does not match the request."""
+        """Return an error for an answer that does not fit the request."""
         return self.make_error(f"cannot be read: the reader sent an invalid answer ({error})", "export it again")
 
 
@@ -96,13 +97,13 @@ def open_stage(
     purpose: str = "render",
     closures: dict[str, UsdFileClosure | UsdError] | None = None,
 ) -> UsdStage:
-    """Open a file for the contents at and below a prim path.
+    """Return a stage for the contents of a file at and below a prim.
 
-    `closures`: stores collected files by name, or the error why they cannot be collected.
+    `closures`: a cache of collected files by name. For files that cannot be collected, it stores the error.
 
-    Frame f is USD's time code f · timeCodesPerSecond / fps. They are equal if the rates are equal. Raises UsdError if a file may
-    not be opened, or if there is no such prim. Also raises it if the system has no sandbox and the user does not trust USD
-    files."""
+    Frame f is USD's time code f · timeCodesPerSecond / fps. The two are equal if the rates are equal. Raises UsdError if a file
+    may not be opened, or if there is no such prim. Also raises it if the system has no sandbox and the user has not allowed USD
+    files without one."""
     _check_sandbox(text)
     stored = {} if closures is None else closures
     if text not in stored:
@@ -121,7 +122,8 @@ def open_stage(
 def _check_sandbox(text: str) -> None:
     """Raise UsdError if usd-core is not installed.
 
-    Also raise it if the system cannot confine the process that reads USD, unless the user trusts USD files."""
+    Also raise it if the system cannot confine the process that reads USD, unless the user has allowed USD files without a
+    sandbox."""
     if find_spec("pxr") is None:
         raise make_missing_extra_error()
     try:

@@ -1,4 +1,4 @@
-"""Reads a curve prim as a polyline at every frame, in mm and the scene's axes."""
+"""Reads a curve prim as a polyline at each frame, in mm and the scene's axes."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ _CUBIC_BASES = {
 
 
 def read_curve_positions(stage: OpenStage) -> Floats:
-    """Return the points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame if it is static.
+    """Return the points (frames, k, 3) of the only BasisCurves prim at or below the stage's prim. A static curve has a single
+    frame.
 
-    Raises UsdError if there is none or more than one."""
+    Raises UsdError if there is no such prim, or more than one."""
     geom = import_pxr_module("UsdGeom")
     curves = [prim for prim in stage.find_visible_prims(stage.prim) if prim.IsA(geom.BasisCurves)]
     path = stage.prim.GetPath()
@@ -101,5 +102,5 @@ def _cut_cubic(points: Floats, basis: str, wrap: str, prim: Any) -> Floats:
 
 
 def _sum_arrays(terms: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return the sum of arrays, added in order, starting with 0."""
+    """Return the sum of arrays. They are added in order, starting with 0."""
     return reduce(np.add, terms, np.zeros(()))

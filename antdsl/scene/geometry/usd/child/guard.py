@@ -1,4 +1,4 @@
-"""Conversion of USD's own exceptions to ReadRefusals, for all functions that answer requests about USD files."""
+"""Converts USD's own exceptions to refusals, for all functions that answer requests about USD files."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ ReaderAnswer = tuple[dict[str, Any], Mapping[str, Any]]
 
 
 def wrap_refusals(read: Callable[[ReaderMessage], ReaderAnswer]) -> Callable[[ReaderMessage], ReaderAnswer]:
-    """Return a reader like `read` that raises every problem of the file as a RefusalError.
+    """Return a reader that does the same as `read` but raises a RefusalError for every problem of the file.
 
-    The `about` of the RefusalError is `mesh` for unusable meshes, and `exception` for errors of USD."""
+    The `about` of the RefusalError is `mesh` for unusable meshes, and `exception` for USD's own errors."""
 
     @wraps(read)
     def answer_request(request: ReaderMessage) -> ReaderAnswer:

@@ -1,4 +1,5 @@
-"""The meshes at and below a prim, joined: triangles in mm and the scene's axes, their motion, and painted values on vertices."""
+"""Reads and joins the meshes at and below a prim: triangles in mm and the scene's axes, their motion, and painted values on
+vertices."""
 
 from __future__ import annotations
 
@@ -53,7 +54,7 @@ class JoinedMesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MeshShape:
-    """A mesh prim with all transforms at which it appears in the scene.
+    """A mesh prim with all transforms with which it appears in the scene.
 
     `points`: its vertices at the first frame. `is_deformed`: whether the vertices move relative to the prim."""
 
@@ -64,14 +65,14 @@ class _MeshShape:
 
     @property
     def count(self) -> int:
-        """Return how often the mesh appears in the scene."""
+        """Return how many times the mesh appears in the scene."""
         return len(self.placed_mesh.transforms)
 
 
 def join_meshes(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
-    """Return all meshes at and below the stage's prim, joined. `primvars`: the names of primvars to read.
+    """Return all meshes at and below the stage's prim, joined into one. `primvars`: the names of the primvars to read.
 
-    Raises UsdError if there are no meshes, MeshError if they are not usable."""
+    Raises UsdError if there are no meshes, and MeshError if they are unusable."""
     path = stage.prim.GetPath()
     shapes, faces, points = [], 0, 0
     for placed in find_placed_meshes(stage):
@@ -94,7 +95,8 @@ def join_meshes(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
 
 
 def _read_shape(stage: OpenStage, placed_mesh: PlacedUsdMesh) -> _MeshShape:
-    """Return the points and triangles of a mesh prim. Holes and left-handed orientation are respected, subdivision is not."""
+    """Return the points and triangles of a mesh prim. Holes and left-handed orientation are taken into account, subdivision is
+    not."""
     prim, mesh = placed_mesh.prim, import_pxr_module("UsdGeom").Mesh(placed_mesh.prim)
     path = prim.GetPath()
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(stage.first_time) or [], np.int64)
@@ -137,9 +139,9 @@ def _make_triangles(
     is_reversed: bool,
     path: Any,
 ) -> Faces:
-    """Return triangles (m, 3) of the polygons that are `is_filled`.
+    """Return the triangles (m, 3) of the polygons for which `is_filled` is true.
 
-    With `is_reversed`, the corners of each polygon are read in reverse order, beginning with its first corner."""
+    If `is_reversed` is true, the corners of each polygon are read in reverse order, starting with its first corner."""
     at = np.arange(len(corners))
     if is_reversed:
         start, count = np.repeat(np.cumsum(counts) - counts, counts), np.repeat(counts, counts)
@@ -154,7 +156,8 @@ def _make_triangles(
 
 
 def _join_shapes(shapes: list[_MeshShape]) -> tuple[Floats, Faces]:
-    """Return vertices and faces of every shape at every place, at the first frame. A mirrored shape keeps its outside."""
+    """Return the vertices and faces of every copy of every shape at the first frame. The outside of a mirrored shape remains
+    outside."""
     vertices, faces, vertex_count = [], [], 0
     for shape in shapes:
         transforms, count = shape.placed_mesh.transforms[:, 0], len(shape.points)
@@ -167,9 +170,9 @@ def _join_shapes(shapes: list[_MeshShape]) -> tuple[Floats, Faces]:
 
 
 def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray[Any]] | None:
-    """Return the arrays of a `MeshMotion`, or None if nothing moves. Each place that moves has one track.
+    """Return the arrays of a `MeshMotion`, or None if nothing moves. Each moving copy of a shape has one track.
 
-    If points deform, or a place begins without a size, each vertex moves separately."""
+    Each vertex of a copy moves separately if its points deform, or if the first transform of the copy has no inverse."""
     frames = len(stage.times)
     if not any(shape.is_deformed or shape.placed_mesh.transforms.shape[1] > 1 for shape in shapes):
         return None
@@ -203,7 +206,7 @@ def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray
 
 
 def _find_undeformed_vertices(shape: _MeshShape) -> NDArray[np.bool_]:
-    """Return whether the vertices of a shape move separately, for each of its places."""
+    """Return, for each copy of a shape, whether its vertices move separately."""
     transforms = shape.placed_mesh.transforms
     if shape.is_deformed:
         return np.ones(len(transforms), np.bool_)
@@ -211,7 +214,7 @@ def _find_undeformed_vertices(shape: _MeshShape) -> NDArray[np.bool_]:
 
 
 def _compute_free_offsets(stage: OpenStage, shape: _MeshShape, is_free: NDArray[np.bool_], k: int) -> Floats:
-    """Return the offsets of vertices from their rest positions at frame `k`, for the places in `is_free`."""
+    """Return the offsets of vertices from their rest positions at frame `k`, for the copies in `is_free`."""
     points = (
         _read_points(import_pxr_module("UsdGeom").Mesh(shape.placed_mesh.prim), stage.times[k])
         if shape.is_deformed
@@ -228,7 +231,8 @@ def _compute_free_offsets(stage: OpenStage, shape: _MeshShape, is_free: NDArray[
 
 
 def _read_values(stage: OpenStage, shape: _MeshShape, name: str) -> Floats:
-    """Return a primvar on the points of a shape, at each of its places. Vectors rotate with the mesh and keep their length."""
+    """Return the values of a primvar on the points of a shape, for each copy. Vectors rotate with the mesh and retain their
+    length."""
     prim = shape.placed_mesh.prim
     primvar = import_pxr_module("UsdGeom").PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
@@ -256,7 +260,7 @@ def _rotate_vectors(transforms: Floats, vectors: Floats) -> Floats:
 
 
 def _find_hidden_reason(stage: OpenStage) -> str | None:
-    """Return a help text for a prim without readable meshes. Either they have another purpose, are invisible, or do not exist."""
+    """Return help text if a prim has no readable meshes. They have another purpose, are invisible, or do not exist."""
     usd, geom = import_pxr_module("Usd"), import_pxr_module("UsdGeom")
     every = [p for p in usd.PrimRange(stage.prim, usd.TraverseInstanceProxies()) if p.IsA(geom.Mesh)]
     if not every:

@@ -1,4 +1,4 @@
-"""Points prims and empties as items: positions at every frame, directions, radii, numbers and words."""
+"""Reads Points prims and empties as items: positions at each frame, directions, radii, numbers and words."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _MAX_LISTED_KINDS = 12
 
 
 def read_point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
-    """Return the points of all Points prims at or below the stage's prim. Without such prims, return one for each child with a
-    position.
+    """Return the points of all Points prims at or below the stage's prim. If there are none, return one point for each child
+    prim with a position.
 
-    With `kind`, return all prims at any depth below it that have this text as `userProperties:kind`."""
+    `kind`: if set, return instead all prims below it, at any depth, with this text as `userProperties:kind`."""
     geom = import_pxr_module("UsdGeom")
     clouds = [prim for prim in stage.find_visible_prims(stage.prim) if prim.IsA(geom.Points)] if kind is None else []
     empties = [] if clouds else _find_placed_children(stage) if kind is None else _find_prims_of_kind(stage, kind)
@@ -88,7 +88,7 @@ def _read_points_prim(stage: OpenStage, prim: Any) -> UsdPoints:
 
 
 def _read_point_names(prim: Any, count: int) -> list[str]:
-    """Return the primvar `name` if it has one word per point, else the prim's name with numbers."""
+    """Return the primvar `name` if it has one word per point, else the name of the prim with a number for each point."""
     primvar = import_pxr_module("UsdGeom").PrimvarsAPI(prim).GetPrimvar("name")
     words = list(primvar.ComputeFlattened() or []) if primvar and primvar.HasValue() else []
     if len(words) == count and len(set(words)) == count:
@@ -97,7 +97,7 @@ def _read_point_names(prim: Any, count: int) -> list[str]:
 
 
 def _read_numeric_primvars(stage: OpenStage, prim: Any, count: int) -> dict[str, Floats]:
-    """Return the primvars of a prim with one number, or one number per point, as arrays (count,) by name."""
+    """Return, by name, the primvars of a prim that have one number, or one number per point, as arrays (count,)."""
     values_by_name = {}
     for primvar in import_pxr_module("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues():
         value = primvar.ComputeFlattened(stage.first_time)
@@ -117,8 +117,8 @@ def _find_placed_children(stage: OpenStage) -> list[Any]:
 
 
 def _find_prims_of_kind(stage: OpenStage, kind: str) -> list[Any]:
-    """Return the prims below the stage's prim that declare this kind. If there are none, raise UsdError that lists the existing
-    kinds."""
+    """Return the prims below the stage's prim that declare the kind `kind`. If there are none, raise a UsdError that lists the
+    existing kinds."""
     prims: list[Any] = []
     others: set[str] = set()
     for prim in stage.find_visible_prims(stage.prim):
@@ -141,7 +141,7 @@ def _find_prims_of_kind(stage: OpenStage, kind: str) -> list[Any]:
 
 
 def _read_empty(stage: OpenStage, prim: Any) -> UsdPoints:
-    """Return a prim that has only a position, as one point: an Xform, a locator, or an empty of Blender."""
+    """Return a prim that has only a position (an Xform, a locator, or an empty of Blender) as one point."""
     transforms = stage.compute_scene_transforms(prim, stage.is_moving(prim))
     values = _read_numeric_primvars(stage, prim, 1)
     texts: dict[str, tuple[str, ...]] = {}

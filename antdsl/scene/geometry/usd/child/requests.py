@@ -1,4 +1,5 @@
-"""Answers of the reader process to requests about a prim of a USD stage, as arrays and texts. Cameras are read here as well."""
+"""Answers to requests about a prim of a USD stage, as arrays and texts. They run in the reader process. Cameras are also read
+here."""
 
 from __future__ import annotations
 
@@ -26,18 +27,18 @@ _DEFAULT_FOCUS_MM = 1000.0  # mm; distance of `look_at` for a camera without a f
 
 @wrap_refusals
 def open_stage(request: ReaderMessage) -> ReaderAnswer:
-    """Open the stage to check that this is possible, and answer without data."""
+    """Open the stage to check that it can be opened, and answer without data."""
     stages.open_stage(request)
     return {}, {}
 
 
 @wrap_refusals
 def read_mesh(request: ReaderMessage) -> ReaderAnswer:
-    """Answer with the joined meshes.
+    """Return an answer with the joined meshes.
 
     `vertices`, `faces`, `unread_shape_types`: as in `JoinedMesh`.
     `moves:NAME`: the arrays of the motion, if the mesh moves.
-    `value:N`: the values of the N-th of the requested `primvars`."""
+    `value:N`: the values of primvar number N in the list `primvars` of the request."""
     names = [str(name) for name in request.document["primvars"]]
     mesh = join_meshes(stages.open_stage(request), names)
     moves = {f"moves:{name}": array for name, array in (mesh.motion_arrays or {}).items()}
@@ -47,11 +48,11 @@ def read_mesh(request: ReaderMessage) -> ReaderAnswer:
 
 @wrap_refusals
 def read_points(request: ReaderMessage) -> ReaderAnswer:
-    """Answer with points or empties.
+    """Return an answer with points or empties.
 
-    `names`, `places`, `radius`, `ahead`, `unit`: as in `UsdPoints`; `places` are its positions.
-    `values`, `texts`: the names of numbers and words.
-    `value:N`, `text:N`: the N-th of these."""
+    `names`, `radius`, `ahead`, `unit`: as in `UsdPoints`. `places`: the positions of `UsdPoints`.
+    `values`, `texts`: the names of the numbers and words.
+    `value:N`, `text:N`: the values of entry number N in these lists."""
     points = read_point_arrays(stages.open_stage(request), request.document["of_kind"])
     arrays = {"places": points.positions, "radius": points.radius, "ahead": points.ahead}
     arrays |= {f"value:{number}": array for number, array in enumerate(points.values.values())}
@@ -63,18 +64,18 @@ def read_points(request: ReaderMessage) -> ReaderAnswer:
 
 @wrap_refusals
 def read_curve(request: ReaderMessage) -> ReaderAnswer:
-    """Answer with the points of a curve, `places` (frames, k, 3)."""
+    """Return an answer with the points of a curve, `places` (frames, k, 3)."""
     return {}, {"places": read_curve_positions(stages.open_stage(request))}
 
 
 @wrap_refusals
 def read_camera(request: ReaderMessage) -> ReaderAnswer:
-    """Answer with a camera: `at`, `look_at`, `up` and `focal`."""
+    """Return an answer with a camera: `at`, `look_at`, `up` and `focal`."""
     return {}, read_camera_arrays(stages.open_stage(request))
 
 
 def read_camera_arrays(stage: OpenStage) -> dict[str, Floats]:
-    """Return the camera at the stage's prim, or the only camera below it: `at`, `look_at`, `up` (frames, 3) and `focal`
+    """Return the camera at the stage's prim, or the only camera below it: `at`, `look_at` and `up` (frames, 3), and `focal`
     (frames,)."""
     geom = import_pxr_module("UsdGeom")
     cameras = [prim for prim in stage.find_visible_prims(stage.prim) if prim.IsA(geom.Camera)]

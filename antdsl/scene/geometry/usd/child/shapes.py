@@ -1,4 +1,5 @@
-"""Mesh prims of a stage with every place in which they appear: directly, as native instances, or by point instancers."""
+"""Finds the mesh prims of a stage and every transform with which they appear: directly, as native instances, or by point
+instancers."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ _MAX_NESTED_INSTANCERS = 8  # maximum nesting of point instancers
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedUsdMesh:
-    """A mesh prim and all positions at which it appears. `transforms` (places, frames, 3, 4): into the scene; a single frame if
-    nothing moves."""
+    """A mesh prim and all transforms with which it appears. `transforms` (copies, frames, 3, 4): into the scene. There is a
+    single frame if nothing moves."""
 
     prim: Any
     transforms: Floats
@@ -29,21 +30,21 @@ class PlacedUsdMesh:
 
 @dataclass(slots=True)
 class PlacedMeshCounter:
-    """The number of places that point instancers create below `path`. Nested instancers multiply.
+    """Counter of the mesh copies that point instancers create below `path`. The counts of nested instancers are multiplied.
 
-    Places are counted before they are built."""
+    Copies are counted before they are made, so that a limit can be checked."""
 
     path: str
     instances: int = 0
     meshes: int = 0
 
     def add_instances(self, count: int) -> None:
-        """Add the instances of one instancer, for all places of this instancer. Raises UsdError above the limit."""
+        """Add the instances of one instancer, for all copies of this instancer. Raises UsdError if the limit is exceeded."""
         self.instances += count
         self._check_limit(self.instances, "instances")
 
     def add_mesh(self, count: int) -> None:
-        """Add the places of one mesh. Raises UsdError above the limit."""
+        """Add the copies of one mesh. Raises UsdError if the limit is exceeded."""
         self.meshes += count
         self._check_limit(self.meshes, "instances of meshes")
 
@@ -54,7 +55,7 @@ class PlacedMeshCounter:
 
 
 def find_placed_meshes(stage: OpenStage) -> Iterator[PlacedUsdMesh]:
-    """Yield every mesh at or below the stage's prim, in the order of the file."""
+    """Yield every mesh at or below the stage's prim with its transforms, in the order of the file."""
     count = PlacedMeshCounter(str(stage.prim.GetPath()))
     for prim in stage.find_visible_prims(stage.prim):
         if prim.IsA(import_pxr_module("UsdGeom").Mesh):
@@ -66,7 +67,7 @@ def find_placed_meshes(stage: OpenStage) -> Iterator[PlacedUsdMesh]:
 
 
 def list_unread_types(stage: OpenStage) -> list[str]:
-    """Return the types of the shapes at or below the prim that are not read, since they are not meshes."""
+    """Return the types of the shapes at or below the prim that are not read, because they are not meshes."""
     geom = import_pxr_module("UsdGeom")
     read = (geom.Mesh, geom.PointInstancer, geom.Curves, geom.Points)
     type_names = {
@@ -80,7 +81,7 @@ def list_unread_types(stage: OpenStage) -> list[str]:
 def _find_placed_instances(
     stage: OpenStage, prim: Any, transforms: Floats, count: PlacedMeshCounter, depth: int
 ) -> Iterator[PlacedUsdMesh]:
-    """Yield the meshes that a point instancer places. `transforms`: from the instancer's space to the scene."""
+    """Yield the meshes that a point instancer creates. `transforms`: from the instancer's space to the scene."""
     if depth > _MAX_NESTED_INSTANCERS:
         raise UsdError(
             "too-large", f"`{prim.GetPath()}` has point instancers nested more than {_MAX_NESTED_INSTANCERS} levels deep"
@@ -109,9 +110,9 @@ def _find_placed_instances(
 
 
 def _compose_all_transform_pairs(outer: Floats, inner: Floats) -> Floats:
-    """Return the product of each outer with each inner transform, which is applied first.
+    """Return the product of each outer transform with each inner transform. The inner transform is applied first.
 
-    Transforms (a, f, 3, 4) and (b, g, 3, 4) of f and g frames give (a·b, max(f, g), 3, 4)."""
+    `outer` (a, f, 3, 4) and `inner` (b, g, 3, 4), with f and g frames, give (a·b, max(f, g), 3, 4)."""
     check_motion_bytes(len(outer) * len(inner) * max(outer.shape[1], inner.shape[1]) * 96, "instances")
     composed = compose_transforms(outer[:, None], inner[None])
     return composed.reshape(-1, *composed.shape[2:])
@@ -123,9 +124,9 @@ def _find_unmasked_instances(stage: OpenStage, instancer: Any, count: int) -> ND
 
 
 def _compute_instance_transforms(stage: OpenStage, instancer: Any, count: int) -> Floats:
-    """Return the transforms (instances, frames, 3, 4) of all instances into the instancer's space.
+    """Return the transforms (instances, frames, 3, 4) from all instances to the instancer's space.
 
-    They include the prototypes' own transforms."""
+    They include the transforms of the prototypes' roots."""
     usd, path = import_pxr_module("Usd"), instancer.GetPath()
     attributes = (instancer.GetPositionsAttr(), instancer.GetOrientationsAttr(), instancer.GetScalesAttr())
     roots = [instancer.GetPrim().GetStage().GetPrimAtPath(p) for p in instancer.GetPrototypesRel().GetForwardedTargets()]
@@ -161,9 +162,9 @@ BAKE_HELP = "export it with one set of faces for all frames, or name a part that
 
 
 def _find_prototype_meshes(stage: OpenStage, root: Any) -> Iterator[tuple[Any, Floats]]:
-    """Yield the meshes and instancers of a prototype, with transforms (frames, 3, 4) into the space of its root.
+    """Yield the meshes and instancers of a prototype, with transforms (frames, 3, 4) to the space of the prototype's root.
 
-    The root's own transform is not included."""
+    The transform of the root itself is not included."""
     usd, geom = import_pxr_module("Usd"), import_pxr_module("UsdGeom")
     # `over` and `class` prims are not drawn on their own, but can be prototypes
     walk = iter(usd.PrimRange(root, usd.TraverseInstanceProxies(usd.PrimIsActive & usd.PrimIsLoaded)))
@@ -194,7 +195,8 @@ def _compute_relative_transforms(stage: OpenStage, prim: Any, root: Any) -> Floa
 
 
 def check_motion_bytes(size: int, noun: str) -> None:
-    """Raise UsdError if motion of `size` bytes exceeds the limit. Otherwise raise the process's memory limit for it."""
+    """Raise UsdError if motion of `size` bytes exceeds the limit. Otherwise, raise the memory limit of the process
+    accordingly."""
     if size > limits.MAX_MOTION_BYTES:
         words = (
             f"the frames of {noun} would take {size / limits.GIB:.1f} GiB, more than {limits.MAX_MOTION_BYTES / limits.GIB:.0f}"

@@ -1,6 +1,6 @@
-"""A USD stage opened for one prim: its layers, units, axes and time, and the visible prims below the prim.
+"""Opens a USD stage for one prim: its layers, units, axes and time, and the visible prims below the prim.
 
-Each layer is compared with the limits."""
+The size of each layer is compared with the limits."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenStage:
-    """A stage, opened for one prim.
+    """A stage that is open for one prim.
 
     `prim`: the requested prim.
-    `to_scene` (3, 4): from positions of the stage to mm and the scene's axes.
-    `times`: the time codes of the requested frames. At the first, everything is at rest."""
+    `to_scene` (3, 4): the transform from positions in the stage to mm and the scene's axes.
+    `times`: the time codes of the requested frames. Geometry at the first one is the rest position."""
 
     prim: Any
     to_scene: Floats
@@ -53,7 +53,7 @@ class OpenStage:
         return image.ComputePurpose() in ("default", self.purpose) and image.ComputeVisibility(self.first_time) != "invisible"
 
     def find_visible_prims(self, prim: Any) -> Iterator[Any]:
-        """Yield the prim and its visible descendants. Instances are included, prototypes of point instancers are not."""
+        """Yield a prim and its visible descendants. Instances are included, but prototypes of point instancers are not."""
         usd, geom = import_pxr_module("Usd"), import_pxr_module("UsdGeom")
         walk = iter(usd.PrimRange(prim, usd.TraverseInstanceProxies()))
         for descendant in walk:
@@ -68,7 +68,7 @@ class OpenStage:
     def compute_scene_transforms(self, prim: Any, all_frames: bool) -> Floats:
         """Return the transforms (frames, 3, 4) from a prim's own space to the scene.
 
-        `all_frames`: return all frames; otherwise only the first."""
+        `all_frames`: whether to return all frames or only the first."""
         cache = import_pxr_module("UsdGeom").XformCache()
         found = []
         for time in self.times if all_frames else self.times[:1]:
@@ -91,7 +91,7 @@ class OpenStage:
 
 
 def to_column_matrix(matrix: Any) -> Floats:
-    """Return USD's matrix for row vectors as (3, 4) for column vectors."""
+    """Return USD's matrix, which is for row vectors, as a matrix (3, 4) for column vectors."""
     rows = np.array(matrix, np.float64)
     return np.ascontiguousarray(rows[:, :3].T)
 
@@ -100,13 +100,13 @@ _last_stage: tuple[tuple[object, ...], OpenStage] | None = None  # successive re
 
 
 def open_stage(request: ReaderMessage) -> OpenStage:
-    """Open a stage for the contents at and below a prim. The request has these fields:
+    """Return a stage that is open for the contents at and below a prim. The request has these fields:
 
-    `path`: the top file; `folder`: the folder of all files of the stage.
+    `path`: the top file; `folder`: the folder with all files of the stage.
     `prim`: the path of the prim; `text`: the file's name in messages.
 
-    Frame f is USD's time code f · timeCodesPerSecond / fps. They are equal if the rates are equal. Raises UsdError if the stage
-    uses a file outside the folder, exceeds the limits, or has no such prim."""
+    Frame f is USD's time code f · timeCodesPerSecond / fps. The two are equal if the rates are equal. Raises UsdError if the
+    stage uses a file outside the folder, exceeds the limits, or has no such prim."""
     global _last_stage
     said, frames = request.document, request.require_array("frames", "<i8", None)
     path, folder, text, prim, up, purpose = (str(said[key]) for key in ("path", "folder", "text", "prim", "up", "purpose"))
@@ -121,7 +121,8 @@ def open_stage(request: ReaderMessage) -> OpenStage:
 def _open_prim_stage(
     path: str, folder: str, text: str, prim: str, up: str, purpose: str, fps: Fraction, frames: list[int]
 ) -> OpenStage:
-    """Return a stage of the layer at `path`, opened for one prim. Raises UsdError as `open_stage` does."""
+    """Return a stage with the layer at `path` as its root, open for one prim. Raises UsdError for the reasons that `open_stage`
+    lists."""
     usd, geom, sdf = import_pxr_module("Usd"), import_pxr_module("UsdGeom"), import_pxr_module("Sdf")
     if not prim.startswith("/") or not sdf.Path.IsValidPathString(prim)[0] or not sdf.Path(prim).IsAbsoluteRootOrPrimPath():
         raise UsdError("no-such-prim", f"`{prim}` is not the path of a prim", "write it from the root: `/set/stones`")
@@ -163,7 +164,8 @@ def _check_prim_count(stage: Any, text: str, prim: str) -> None:
 
 
 def _make_scene_transform(factor: float, own_up: str, up: str) -> Floats:
-    """Return the transform (3, 4) from a stage to the scene. `factor`: mm per unit; `own_up`: the stage's up axis."""
+    """Return the transform (3, 4) from a stage to the scene. `factor`: mm per unit of the stage. `own_up`: the stage's up
+    axis."""
     matrix = np.zeros((3, 4))
     if own_up == up:
         rows = [(0, 1.0), (1, 1.0), (2, 1.0)]
@@ -177,7 +179,7 @@ def _make_scene_transform(factor: float, own_up: str, up: str) -> Floats:
 
 
 def _make_missing_prim_error(layer: Any, text: str, path: Any, inactive: bool) -> UsdError:
-    """Return an error for a missing prim. It lists the children of the longest existing part of the path."""
+    """Return an error for a prim that does not exist. It lists the children of the longest part of the path that exists."""
     from antdsl.diagnostics.suggestion import find_nearest_name
 
     if inactive:
@@ -202,10 +204,10 @@ def _make_missing_prim_error(layer: Any, text: str, path: Any, inactive: bool) -
 
 @wrap_refusals
 def read_layer(request: ReaderMessage) -> ReaderAnswer:
-    """Answer with `assets`, the asset paths in a layer, as they are in the file.
+    """Return an answer with `assets`: the asset paths in a layer, as in the file.
 
     They include sublayers, references, payloads and paths in variants. The request has these fields:
-    `path`: the layer; `folder`: the folder of all files of the stage; `text`: the layer's name in messages."""
+    `path`: the layer; `folder`: the folder with all files of the stage; `text`: the layer's name in messages."""
     said = request.document
     path, folder, text = (str(said[key]) for key in ("path", "folder", "text"))
     layer = open_layer(path, folder, text)
@@ -226,7 +228,7 @@ def read_layer(request: ReaderMessage) -> ReaderAnswer:
 
 
 def open_layer(path: str, folder: str, text: str) -> Any:
-    """Open a layer below a folder, close the layers of other folders, and return it. Raises UsdError if USD cannot read the
+    """Return the open layer at `path`. Layers from other folders are closed before. Raises UsdError if USD cannot read the
     layer."""
     global _current_folder
     if folder != _current_folder:
