@@ -1,9 +1,9 @@
-"""`python -m antdsl.machine_code.build_objects [--host]`: compile all kernels and texts of the package in advance.
+"""`python -m antdsl.machine_code.build_objects [--host]`: compile all kernels and LLVM IR texts of the package in advance.
 
-It writes one file into the installation for each target of `shipped_objects`, or with `--host` only for this machine's target.
-The build and the installation of the package run it. It needs only NumPy and llvmlite. Objects with existing keys are not
-compiled again: delete the folder to start from scratch. The same sources and LLVM give the same bytes: no file depends on the
-time, a path or the compilation order."""
+For each target in `shipped_objects`, it writes one file into the installation. With `--host`, it writes only the file for this
+machine's target. The build and the installation of the package run it. It needs only NumPy and llvmlite. Objects with keys
+that already exist are not compiled again; to start from scratch, delete the folder. The same sources and LLVM give the same
+bytes: no file depends on the time, a path or the compilation order."""
 
 from __future__ import annotations
 
@@ -27,10 +27,9 @@ _CompileTask = tuple[_QualifiedName, tuple[str, ...]]  # an entry, and the names
 
 
 def build_object_files(folder: Path, entries: Sequence[library.LibraryEntry], targets: Iterable[str], processes: int = 1) -> int:
-    """Write the object files of targets into a folder, which is created if needed. Return the number of newly compiled objects.
-
-    `entries`: the kernels and texts to compile; with several `processes`, those of the package. `targets`: names in
-    `TARGET_BY_NAME`. Objects that exist in the folder are not compiled again."""
+    """Write one file of compiled objects per target into `folder`, and return the number of newly compiled objects. The folder
+    is created if needed. `entries`: the kernels and texts to compile; with more than one process, they must be entries of the
+    package. `targets`: names in `TARGET_BY_NAME`. Objects that are already in the folder are not compiled again."""
     keys: dict[str, dict[_QualifiedName, str]] = {}
     objects_by_target: dict[str, dict[str, bytes]] = {}
     for name in targets:
@@ -59,12 +58,12 @@ def build_object_files(folder: Path, entries: Sequence[library.LibraryEntry], ta
 
 
 def _get_qualified_name(entry: library.LibraryEntry) -> _QualifiedName:
-    """Return the module and the name of a kernel or text."""
+    """Return the module name and the name of a kernel or LLVM IR text."""
     return entry.__module__, entry.__name__
 
 
 def _compile_tasks(tasks: list[_CompileTask], entries: Sequence[library.LibraryEntry], processes: int) -> Iterator[list[bytes]]:
-    """Compile tasks, and yield for each task, in order, the object code for each of its targets."""
+    """Compile tasks. Yield one list per task, in order: the object code for each of the task's targets."""
     if processes < 2 or len(tasks) < 2:
         known = {_get_qualified_name(each): each for each in entries}
         for place, names in tasks:
@@ -75,19 +74,19 @@ def _compile_tasks(tasks: list[_CompileTask], entries: Sequence[library.LibraryE
 
 
 def _compile_task(task: _CompileTask) -> list[bytes]:
-    """Compile one kernel or text for each of its targets. This runs in a worker process."""
+    """Compile one kernel or text for each target of the task, and return the object codes. Runs in a worker process."""
     place, names = task
     return _compile_for_targets(_load_library()[place], names)
 
 
 @cache
 def _load_library() -> dict[_QualifiedName, library.LibraryEntry]:
-    """Return the package's kernels and texts by module and name, for a process of the pool."""
+    """Return the package's kernels and texts by (module, name), for use in a worker process."""
     return {_get_qualified_name(each): each for each in library.load_entries()}
 
 
 def _compile_for_targets(entry: library.LibraryEntry, names: tuple[str, ...]) -> list[bytes]:
-    """Return the object code of an entry for each of the named targets."""
+    """Return the object code of an entry, compiled for each of the targets `names`."""
     return [
         llvm_compiler.compile_object(entry.text(shipped_objects.TARGET_BY_NAME[name]), shipped_objects.TARGET_BY_NAME[name])
         for name in names

@@ -1,5 +1,5 @@
-"""Finds or compiles the code of a text: from memory, the installation (`shipped_objects`), an earlier run (`object_cache`), or
-LLVM."""
+"""Returns compiled code for LLVM IR. It comes from memory, the installation (`shipped_objects`) or an earlier run
+(`object_cache`); otherwise LLVM compiles it now."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ _code_lock = Lock()
 
 
 def load_code(text_or_name: str, build_text: Callable[[], str] | None = None) -> llvm_compiler.LoadedCode:
-    """Return the functions of a text, ready to run on this processor. Raises RuntimeError for an invalid text.
-
-    `text_or_name`: the text; with `build_text`, a unique name of the text. `build_text`: returns the text if it must be
-    compiled."""
+    """Return the compiled functions of a text in LLVM IR, ready to run on this processor. Raises RuntimeError if the text is
+    invalid. `text_or_name`: the text, or its unique name if `build_text` is set. `build_text`: a function that returns the
+    text; only called if the text must be compiled."""
     target = llvm_compiler.find_host_target()
     key = object_cache.compute_object_key(text_or_name, target, versions=object_cache.list_environment_versions())
     with _code_lock:
@@ -41,7 +40,8 @@ def load_code(text_or_name: str, build_text: Callable[[], str] | None = None) ->
 
 
 def is_code_available(text_or_name: str) -> bool:
-    """Return whether code is in memory or stored. The code is identified by its text, or by the text's unique name."""
+    """Return whether the compiled code of a text is in memory or stored in a file. `text_or_name`: the text in LLVM IR, or its
+    unique name."""
     target = llvm_compiler.find_host_target()
     key = object_cache.compute_object_key(text_or_name, target, versions=object_cache.list_environment_versions())
     with _code_lock:
@@ -51,30 +51,30 @@ def is_code_available(text_or_name: str) -> bool:
 
 
 def _find_stored_code(text_or_name: str, target: llvm_compiler.Target, key: str) -> bytes | None:
-    """Return the object file of a text. It is taken from the installation, or from the cache under `key`."""
+    """Return the stored object file of a text, from the installation or from the cache under `key`; None if neither has it."""
     shipped_object = shipped_objects.find_object(text_or_name, target)
     return _get_object_cache().get(key) if shipped_object is None else shipped_object
 
 
 def load_stored_data(key: str) -> bytes | None:
-    """Return the bytes stored under a key with `store_data`, in this run or an earlier one; None if there are none."""
+    """Return the bytes stored under a key with `store_data`, in this run or an earlier one; None if nothing is stored."""
     return _get_object_cache().get(key)
 
 
 def store_data(key: str, data: bytes) -> None:
-    """Store data that belongs to compiled code. The data is signed in the same way as stored code."""
+    """Store data that belongs to compiled code under `key`, signed in the same way as the code."""
     _get_object_cache().store_bytes(key, data)
 
 
 def take_messages() -> list[str]:
-    """Return messages for the user on why stored code was not used, or why new code is not stored."""
+    """Return and clear the messages that tell the user why stored code was not used or new code could not be stored."""
     return shipped_objects.take_messages() + (
         list(_get_object_cache().messages) if _get_object_cache.cache_info().currsize else []
     )
 
 
 def release_unused_code() -> None:
-    """Release unused code from memory, as if the process had just started. Stored files are unchanged."""
+    """Remove unused code from memory, so that it is loaded as in a new process. Stored files are unchanged."""
     with _code_lock:
         _code_by_key.clear()
     _get_object_cache.cache_clear()

@@ -1,8 +1,8 @@
-"""Functions that are called from outside: each sets the processor's float mode, and restores it at the end.
+"""Writes the entry functions of machine code: each sets the processor's floating-point mode, and restores it at the end.
 
-A host may flush denormal numbers to zero or round upward, and a thread inherits that mode from its creator. So the outer function
-sets the mode register, and calls an inner function that does the work. Because of this call, LLVM does not move operations across
-a change of the mode."""
+A host may flush denormal numbers to zero or round upward, and a thread inherits that mode from its creator. So the outer
+(entry) function sets the mode register and calls an inner function that does the work. LLVM does not move floating-point
+operations across this call, so all of them run in the required mode."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _DEFAULT_MXCSR = 0x1F80  # no flush to zero, rounding to nearest, no traps
 
 
 def write_inner_function(module: LlvmModule, name: str, body: str, line_table: str = "") -> str:
-    """Return the text of an inner function with the instructions `body`. Its parameters are a table of addresses, the first row,
-    and the row after the last.
+    """Return the LLVM IR of an inner function with the instructions `body`. Its parameters are a table of addresses, the first
+    row, and the row after the last one.
 
-    `line_table`: the suffix of the function's head with its debug metadata, or empty."""
+    `line_table`: a suffix of the function's header that refers to its debug metadata, or an empty string."""
     inside = f"define internal void @{name}.inside({ENTRY_ARGUMENTS}) noinline{line_table} {{\nentry:\n{body}\n  ret void\n}}"
     return write_outer_function(module, name) + inside
 
 
 def write_outer_function(module: LlvmModule, name: str) -> str:
-    """Return the text of the function that is called from outside. It calls the inner function, named with the suffix
+    """Return the LLVM IR of the entry function `name`. It calls the inner function, which has the same name with the suffix
     `.inside`."""
     prologue, epilogue = (
         _write_x86_float_mode(module)
@@ -37,7 +37,7 @@ def write_outer_function(module: LlvmModule, name: str) -> str:
 
 
 def _write_x86_float_mode(module: LlvmModule) -> tuple[str, str]:
-    """Return the text that sets the float mode of x86, and the text that restores it."""
+    """Return the LLVM IR that sets the floating-point mode of x86 processors, and the LLVM IR that restores the old mode."""
     module.declare("llvm.x86.sse.stmxcsr", "void", [PTR])
     module.declare("llvm.x86.sse.ldmxcsr", "void", [PTR])
     prologue = (
@@ -48,7 +48,7 @@ def _write_x86_float_mode(module: LlvmModule) -> tuple[str, str]:
 
 
 def _write_arm_float_mode(module: LlvmModule) -> tuple[str, str]:
-    """Return the text that sets the float mode of ARM, and the text that restores it."""
+    """Return the LLVM IR that sets the floating-point mode of ARM processors, and the LLVM IR that restores the old mode."""
     module.declare("llvm.aarch64.get.fpcr", I64, [])
     module.declare("llvm.aarch64.set.fpcr", "void", [I64])
     prologue = f"  %saved = call {I64} @llvm.aarch64.get.fpcr()\n  call void @llvm.aarch64.set.fpcr({I64} 0)\n"

@@ -1,8 +1,8 @@
-"""Values of eight agents at once, and the builder of a plan's functions.
+"""SIMD values with one lane for each of eight agents, and the builder of a plan's functions.
 
-`Lanes` supports the operators and the NumPy functions of the project's formulas (`_EMITTER_BY_UFUNC`). A function of `numerics`
-that is called with lanes instead of arrays adds its operations, in NumPy's order and with its roundings. So an operation has the
-same meaning for lanes and arrays."""
+`Lanes` supports the operators and the NumPy functions of the project's formulas (`_EMITTER_BY_UFUNC`). A function of
+`numerics` can be called with lanes instead of arrays. It then emits its operations, in the same order and with the same
+rounding as in NumPy. So lanes and arrays give equal results."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _make_operator(word: str, *, is_swapped: bool = False) -> Callable[[Lanes, A
 
 
 class Lanes(Number):
-    """A number in a plan's function: one value for each of eight agents, or a single value that operators broadcast if needed."""
+    """A number in a plan's function: one value per agent in eight lanes, or a single value that operators broadcast."""
 
     __slots__ = ("builder",)
     builder: LaneBuilder
@@ -73,7 +73,7 @@ class Lanes(Number):
 
 
 class LaneBuilder(VectorBuilder[Lanes]):
-    """Writer of one function of eight lanes. `known` is a stack of the values of nested blocks, valid only in their block."""
+    """Builder of one function of eight lanes. `known`: a stack of the reusable values in each open block."""
 
     def __init__(self, module: LlvmModule) -> None:
         super().__init__("plan", "plan")
@@ -85,13 +85,13 @@ class LaneBuilder(VectorBuilder[Lanes]):
         return Lanes(self, kind, name, lanes, literal_value)
 
     def add_at_entry(self, op: str, kind: str, *operands: Number, x: Any = "") -> Lanes:
-        """Add an instruction at the start of the function, with a single number as its result."""
+        """Add an instruction at the start of the function, and return its result, one number. `x`: the immediate constant."""
         output = self.named_number(kind, self.make_name("e"))
         self._entry_instructions.append(Instruction(op, output, operands, x, 0))
         return output
 
     def end(self, name: str, arguments: Sequence[Number], *results: Number, attribute: str = "", caller_text: str = "") -> None:
-        """Add the function to the module as `name`. `caller_text`: the text of the function that calls it from outside."""
+        """Add the function to the module as `name`. `caller_text`: the LLVM IR of the entry function that calls it."""
         self.emit_void("return", *results)
         self.blocks[0].body[:0] = self._entry_instructions
         result, full_name = results[0].type if results else "void", f"@{name}.inside" if caller_text else f"@{name}"
@@ -103,7 +103,7 @@ class LaneBuilder(VectorBuilder[Lanes]):
 
     @contextmanager
     def write_if(self, condition: Lanes) -> Iterator[None]:
-        """Write the code of the context, which runs only if a condition with one value for all lanes holds."""
+        """Emit the code of the `with` block, to run only if `condition` (one value for all lanes) is true."""
         then, end = self.make_label("then"), self.make_label("done")
         self.branch(condition, then, end)
         self.begin_block(then)
@@ -115,7 +115,7 @@ class LaneBuilder(VectorBuilder[Lanes]):
 
     @contextmanager
     def write_loop(self, count: Lanes | int, step: int = 1) -> Iterator[Lanes]:
-        """Write a loop from 0 to before `count` (one value for all lanes), in steps of `step`. Yield its number."""
+        """Emit a loop from 0 to before `count` (one value for all lanes). Yield its variable; the `with` block emits the body."""
         head, body, end = self.make_label("head"), self.make_label("body"), self.make_label("done")
         place = self.allocate_slot(I64)
         self.store_number(place, self.make_constant(0, I64, 1))
@@ -132,7 +132,7 @@ class LaneBuilder(VectorBuilder[Lanes]):
         self.begin_block(end)
 
     def get_or_make(self, key: Any, make: Callable[[], Any]) -> Any:
-        """Return the value of `key` in this block or an enclosing one. If there is none, store the result of `make`."""
+        """Return the value stored under `key` in this block or an enclosing one, or store and return the result of `make`."""
         for names in reversed(self.known):
             if key in names:
                 return names[key]
@@ -140,11 +140,11 @@ class LaneBuilder(VectorBuilder[Lanes]):
         return value
 
     def call_function(self, name: str, kind: str, *arguments: Number, lanes: int = LANE_COUNT) -> Lanes:
-        """Call a function of the module that returns a number."""
+        """Emit a call of the module's function `name`, and return the resulting number."""
         return self.op("call", kind, *arguments, x=f"@{name}", lanes=lanes)
 
     def apply_function(self, function: Any, *inputs: Any) -> Any:
-        """Return the result of a NumPy function for lanes; NotImplemented for an unsupported function."""
+        """Emit a NumPy function for lanes, and return the result; NotImplemented if the function is not supported."""
         return _EMITTER_BY_UFUNC[function](self, *inputs) if function in _EMITTER_BY_UFUNC else NotImplemented
 
     # --- values --------------------------------------------------------------------------------------------------------
@@ -154,11 +154,11 @@ class LaneBuilder(VectorBuilder[Lanes]):
         return self.named_number(kind, text if lanes == 1 else f"splat ({kind} {text})", lanes, value)
 
     def make_lane_numbers(self) -> Lanes:
-        """Return the lane numbers, 0 in the first lane."""
+        """Return the number of each lane: 0 in the first lane, 1 in the second, and so on."""
         return self.named_number(I64, f"<{', '.join(f'i64 {k}' for k in range(LANE_COUNT))}>", LANE_COUNT)
 
     def _as_operand(self, value: Any, model: Lanes) -> Lanes:
-        """Return a value as an operand next to `model`. A Python number takes the kind of `model`, as in NumPy."""
+        """Return a value as an operand of an operation with `model`. A Python number takes the kind of `model`, as in NumPy."""
         if isinstance(value, Lanes):
             return value
         kind = model.kind
@@ -169,7 +169,7 @@ class LaneBuilder(VectorBuilder[Lanes]):
         return self.make_constant(value, kind, model.lanes)
 
     def match_kinds(self, a: Any, b: Any) -> tuple[Lanes, Lanes]:
-        """Convert two values to NumPy's common kind. If one has eight lanes, both get eight."""
+        """Convert two values to the common kind that NumPy would use. If one has eight lanes, the other is broadcast."""
         left, right = (a, self._as_operand(b, a)) if isinstance(a, Lanes) else (self._as_operand(a, b), b)
         if left.lanes != right.lanes:
             left, right = self.broadcast(left), self.broadcast(right)
@@ -185,13 +185,13 @@ class LaneBuilder(VectorBuilder[Lanes]):
         return self.convert(left, kind), self.convert(right, kind)
 
     def apply_binary(self, word: str, a: Any, b: Any) -> Lanes:
-        """Return the result of an operation. `word`: its name in `OPERATION_BY_NAME` without the letter for the kind."""
+        """Emit an operation, and return its result. `word`: its name in `OPERATION_BY_NAME` without the letter for the kind."""
         left, right = self.match_kinds(a, b)
         row = f"f{word}" if left.kind in number_kinds.FLOAT_KINDS else _INTEGER_COMPARISONS.get(word, word)
         return self.op(row, BOOL if word in _INTEGER_COMPARISONS else left.kind, left, right)
 
     def emit_clamp(self, value: Lanes, low: Lanes, high: Lanes) -> Lanes:
-        """Return a value limited to bounds, which must not be NaN."""
+        """Return a value clamped to the bounds `low` and `high`, which must not be NaN."""
         above = self.select_lanes(value > low, value, low)
         return self.select_lanes(above < high, above, high)
 
@@ -210,7 +210,7 @@ class LaneBuilder(VectorBuilder[Lanes]):
         return self.op("select", a.kind, condition, a, b)
 
     def convert(self, value: Lanes, kind: str) -> Lanes:
-        """Convert a value as NumPy's `astype` does; floats saturate, and NaN becomes 0."""
+        """Convert a value as NumPy's `astype` does, except that floats outside an integer's range saturate and NaN becomes 0."""
         if value.kind == kind:
             return value
         if kind == BOOL:
@@ -226,48 +226,48 @@ class LaneBuilder(VectorBuilder[Lanes]):
         return self.op(row, kind, value)
 
     def to_int32(self, value: Lanes) -> Lanes:
-        """Convert an integer in float64, below 2**31, to i32 by the bits of its sum with 1.5 * 2**52. Other values give an
-        unspecified number, but never an undefined one."""
+        """Convert a float64 with an integer value below 2**31 to i32. It adds 1.5 * 2**52 and takes the low bits of the sum.
+        Other values give an unspecified number, but no undefined behaviour."""
         return self.convert(self.reinterpret_bits(value + _ROUNDING_MAGIC, I64), I32)
 
     def to_int64(self, value: Lanes) -> Lanes:
-        """Return an integer in float64, below 2**51, as i64."""
+        """Convert a float64 with an integer value below 2**51 to i64."""
         return self.reinterpret_bits(np.rint(value) + _ROUNDING_MAGIC, I64) - self.reinterpret_bits(
             self.make_constant(_ROUNDING_MAGIC, F64), I64
         )
 
     def reinterpret_bits(self, value: Lanes, kind: str) -> Lanes:
-        """Return the same bits as another kind of equal width."""
+        """Return a value with the same bits, read as another kind of equal width."""
         return self.op("bitcast", kind, value)
 
     def any_lane(self, mask: Lanes) -> Lanes:
-        """Return whether a mask holds in at least one lane."""
+        """Return whether a mask is true in at least one lane."""
         return self.mask_to_i8(mask) != 0
 
     def mask_to_i8(self, mask: Lanes) -> Lanes:
-        """Return a mask as the bits of one i8; the first lane is the lowest bit."""
+        """Return a mask as one i8 with a bit per lane; the first lane is the lowest bit."""
         return self.op("lanes", I8, mask, lanes=1)
 
     def mask_to_i64(self, mask: Lanes) -> Lanes:
-        """Return a mask as the low bits of one i64; the first lane is the lowest bit."""
+        """Return a mask as one i64 with a bit per lane; the first lane is the lowest bit."""
         return self.op("zext", I64, self.mask_to_i8(mask))
 
     def mask_from_i8(self, bits: Lanes) -> Lanes:
-        """Return the mask that the bits of one i8 represent."""
+        """Return the mask of an i8 that has one bit per lane; the inverse of `mask_to_i8`."""
         return self.op("mask", BOOL, bits, lanes=LANE_COUNT)
 
     def emit_bit_test(self, word: Lanes, lane: Lanes) -> Lanes:
-        """Return, for each lane, whether bit number `lane` of the single i64 `word` is 1."""
+        """Return a mask: for each lane, whether the bit with the number `lane` of the single i64 `word` is 1."""
         return self.op("trunc", BOOL, word >> lane)
 
     def emit_lane_maximum(self, value: Lanes) -> Lanes:
-        """Return the greatest of eight integers."""
+        """Return the greatest of the eight lanes of an integer value."""
         return self.op("reduce.smax", value.kind, value, lanes=1)
 
     # --- memory --------------------------------------------------------------------------------------------------------
 
     def address(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
-        """Return the address of the element at a single index."""
+        """Return the address of the element at `index`, a single number."""
         if isinstance(index, int):
             index = self.make_constant(index, I64, 1)
         return self.op("element", PTR, base, index, x=kind)
@@ -277,26 +277,26 @@ class LaneBuilder(VectorBuilder[Lanes]):
         return self.address(base, offset, I8)
 
     def load_lanes(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
-        """Load eight elements from a single index on; for BOOL, bytes become conditions."""
+        """Load eight consecutive elements; the first is at `index`, a single number. For BOOL, bytes become conditions."""
         stored = I8 if kind == BOOL else kind
         value = self.op("load", stored, self.address(base, index, stored), x=", align 1", lanes=LANE_COUNT)
         return self.convert(value, kind)
 
     def store_lanes(self, base: Number, index: Lanes | int, value: Lanes) -> None:
-        """Store eight elements from a single index on; conditions become bytes."""
+        """Store eight consecutive elements; the first is at `index`, a single number. Conditions become bytes."""
         stored = self.to_stored_form(value)
         place = self.address(base, index, stored.kind)
         self.emit_void("store", self.broadcast(stored), place, x=", align 1")
 
     def store_masked(self, mask: Lanes, base: Number, index: Lanes, value: Lanes) -> None:
-        """Store those of eight elements in lanes where `mask` holds. No other thread may write to the eight meanwhile."""
+        """Store eight consecutive elements, but only lanes in `mask`. No other thread may write to any of them meanwhile."""
         stored = self.to_stored_form(value)
         place = self.address(base, index, stored.kind)
         old_value = self.op("load", stored.kind, place, x=", align 1", lanes=LANE_COUNT)
         self.emit_void("store", self.select_lanes(mask, stored, old_value), place, x=", align 1")
 
     def to_stored_form(self, value: Lanes) -> Lanes:
-        """Return a condition as a byte, any other value unchanged."""
+        """Return a condition as bytes, as arrays store it. Return any other value unchanged."""
         return self.convert(value, I8) if value.kind == BOOL else value
 
     def prefetch(self, place: Number) -> None:
@@ -308,15 +308,15 @@ class LaneBuilder(VectorBuilder[Lanes]):
         return self.convert(self.load(self.address(base, index, stored), stored), kind)
 
     def gather(self, base: Number, index: Lanes, kind: str) -> Lanes:
-        """Load elements at indices within an array. Eight single loads are faster than the gather instruction of many
-        processors."""
+        """Load one element per lane, at the index of the lane, which must be within the array. It uses eight single loads,
+        which are faster than the gather instruction of many processors."""
         stored = I8 if kind == BOOL else kind
         each = (self.load_scalar(base, self.convert(self.extract_lane(index, lane), I64), stored) for lane in range(LANE_COUNT))
         return self.convert(self.combine_lanes(each), kind)
 
 
 def add_elementwise_function(module: LlvmModule, name: str, kinds: tuple[str, ...], formula: Callable[..., Any]) -> str:
-    """Add a function of lanes that computes a NumPy formula, unless it exists; return its name."""
+    """Add a function that computes a NumPy formula for lanes to the module, unless it exists. Return its name."""
     if name not in module.functions:
         e = LaneBuilder(module)
         inputs = [e.named_number(kind, f"%x{k}", LANE_COUNT) for k, kind in enumerate(kinds)]
@@ -325,7 +325,7 @@ def add_elementwise_function(module: LlvmModule, name: str, kinds: tuple[str, ..
 
 
 def _emit_minimum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
-    """Return the lesser number; NaN if one of them is NaN."""
+    """Return the lesser of two numbers in each lane; NaN if one of them is NaN."""
     left, right = e.match_kinds(a, b)
     output = e.select_lanes(left > right, right, left)
     return output if right.literal_value is not None else e.select_lanes(e.emit_is_nan(right), right, output)
@@ -338,7 +338,7 @@ def _emit_maximum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
 
 
 def _emit_fmin(e: LaneBuilder, a: Any, b: Any) -> Lanes:
-    """Return the lesser number; if one of them is NaN, the other one."""
+    """Return the lesser of two numbers in each lane; if one of them is NaN, return the other."""
     left, right = e.match_kinds(a, b)
     return e.select_lanes(e.emit_is_nan(right), left, e.select_lanes(left < right, left, right))
 
@@ -349,19 +349,19 @@ def _emit_fmax(e: LaneBuilder, a: Any, b: Any) -> Lanes:
 
 
 def _emit_frexp(e: LaneBuilder, a: Lanes) -> tuple[Lanes, Lanes]:
-    """Split a normal float64 into its fraction in [0.5, 1) and its exponent of 2 as i32."""
+    """Split a normal float64 into a fraction in [0.5, 1) and a power of two. Return the fraction and the exponent (i32)."""
     bits = e.reinterpret_bits(a, I64)
     power = e.convert((bits >> 52) & 0x7FF, I32) - 1022
     return e.reinterpret_bits((bits & ~(0x7FF << 52)) | (1022 << 52), F64), power
 
 
 def _emit_ldexp(e: LaneBuilder, a: Lanes, power: Lanes) -> Lanes:
-    """Return a times 2**power, with a power between -1022 and 1023."""
+    """Return `a * 2**power`. `power`: an integer from -1022 to 1023."""
     return a * e.reinterpret_bits((e.convert(power, I64) + 1023) << 52, F64)
 
 
 def _emit_fmod(e: LaneBuilder, a: Any, b: Any) -> Lanes:
-    """Return the exact remainder, with the sign of a. Most values are already less than b; others are computed lane by lane."""
+    """Return the exact remainder of `a / b`, with the sign of `a`. The lanes run one by one unless each |a| is below |b|."""
     left, right = e.match_kinds(a, b)
     result = e.allocate_slot(left.kind, LANE_COUNT)
     e.store_number(result, left)

@@ -1,7 +1,7 @@
-"""All machine code of the package itself: its kernels (`@kernel`) and its texts (`@make_library_text`).
+"""Lists all machine code of the package: its kernels (`@kernel`) and its LLVM IR texts (`@make_library_text`).
 
-`build_objects` compiles it in advance, on installation. Each kernel and text adds itself when its module is imported.
-`load_entries` imports all modules that have one, so there is no list to maintain."""
+`build_objects` compiles them in advance, during installation. Each kernel and text registers itself when its module is
+imported. `load_entries` imports all modules with kernels or texts, so no list of them has to be maintained."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _DECORATOR_PATTERN: Final = re.compile(rb"^@(kernel|make_library_text)\b", re.MU
 
 
 class LibraryEntry(Protocol):
-    """A kernel or a text of the package.
+    """A kernel or an LLVM IR text of the package.
 
-    `text_key` returns the text, or a key that identifies it. Both may depend on the target. The text is empty for a processor
-    that cannot run it."""
+    `text_key` returns the LLVM IR, or a key that identifies it. Both may depend on the target. The LLVM IR is empty for
+    processors that cannot run it."""
 
     __module__: str
     __name__: str
@@ -38,19 +38,19 @@ _library_entries: WeakSet[Any] = WeakSet()
 
 
 def register_entry(entry: LibraryEntry) -> None:
-    """Register a kernel or a text, for as long as the object exists."""
+    """Register a kernel or an LLVM IR text. It stays registered as long as the object exists."""
     _library_entries.add(entry)
 
 
 def list_modules() -> list[str]:
-    """Return the names of all modules of the package that have a kernel or a text, in order."""
+    """Return the names of all modules of the package that define a kernel or an LLVM IR text, in sorted order."""
     package = Path(antdsl.__file__).parent
     paths = [path for path in package.rglob("*.py") if _DECORATOR_PATTERN.search(read_size_limited(path, MIB))]
     return sorted(".".join(path.relative_to(package.parent).with_suffix("").parts) for path in paths)
 
 
 def load_entries() -> list[LibraryEntry]:
-    """Import all modules that have kernels or texts. Return these kernels and texts, in the order of their modules and names."""
+    """Import all modules that have kernels or LLVM IR texts. Return these entries, sorted by module and name."""
     names = list_modules()
     for name in names:
         import_module(name)
@@ -62,12 +62,12 @@ def load_entries() -> list[LibraryEntry]:
 
 
 def read_llvm_file(name: str) -> str:
-    """Return the text of a file of the package in LLVM's language. The caller replaces its placeholders `$NAME$`."""
+    """Return the content of an LLVM IR file of the package. The caller replaces the placeholders `$NAME$` in it."""
     return (Path(__file__).parent / name).read_text(encoding="utf-8")
 
 
 class LibraryText:
-    """A text of the package in LLVM's language: the function that writes it for a target."""
+    """An LLVM IR text of the package, defined by a function that writes it for a target."""
 
     def __init__(self, write: Callable[[llvm_compiler.Target], str]) -> None:
         self._write_text = write
@@ -84,7 +84,7 @@ class LibraryText:
 
 
 def make_library_text(write: Callable[[llvm_compiler.Target], str]) -> LibraryText:
-    """Return and register the text that a function writes for a target."""
+    """Register and return the LLVM IR text that the function `write` writes for a target. Used as a decorator."""
     entry = LibraryText(write)
     register_entry(entry)
     return entry

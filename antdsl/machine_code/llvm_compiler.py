@@ -1,6 +1,6 @@
-"""Compiles text in LLVM's language to machine code, with llvmlite. No other module uses llvmlite.
+"""Compiles LLVM IR to machine code with llvmlite. No other module uses llvmlite.
 
-No flag lets LLVM change the result of a float operation: no fast-math flags, no contraction to fused operations."""
+LLVM may not change the result of a float operation: there are no fast-math flags, and operations are not fused."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PROBE_MODULE_TEXT = '\n@"a number" = global i64 1\n'
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """The target of compiled code: a triple, the processor and its features, as LLVM names them."""
+    """The target of compiled code: target triple, processor and processor features, with LLVM's names."""
 
     triple: str
     cpu: str
@@ -57,12 +57,13 @@ PORTABLE_TARGET = Target("x86_64-unknown-linux-gnu", "x86-64-v3", "+avx2,-fma")
 
 
 class MachineCodeUnavailableError(RuntimeError):
-    """Error if machine code is needed but cannot be compiled on this machine. The message has the reason and the remedy."""
+    """Error raised if machine code is needed but cannot be compiled on this machine. The message has the reason and the
+    remedy."""
 
 
 @cache
 def _import_llvm() -> Any:
-    """Return llvmlite's binding after its initialisation for this machine."""
+    """Import llvmlite's LLVM binding, initialise it for this machine and return it."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
@@ -108,8 +109,8 @@ def find_host_target() -> Target:
 
 
 def format_features(features: Mapping[str, bool]) -> str:
-    """Return a processor's features in LLVM's form. Features that could fuse operations are disabled, except with 512-bit
-    registers.
+    """Return a processor's features as a text in LLVM's format. Features with fused operations are disabled, except on
+    processors with 512-bit registers.
 
     Disabled features come last: one feature may imply another (`xop` implies `fma4`), and later entries override earlier ones."""
     missing = ("fma4",) if features.get(_DISABLED_WIDE_FEATURE) else _DISABLED_FUSED_FEATURES
@@ -118,7 +119,7 @@ def format_features(features: Mapping[str, bool]) -> str:
 
 
 def compile_object(text: str, target: Target) -> bytes:
-    """Compile a text to an object file. Raises RuntimeError for an invalid text, which is a mistake in antdsl."""
+    """Compile LLVM IR to an object file. Raises RuntimeError if `text` is invalid, which is a mistake in antdsl."""
     with _LLVM_LOCK:
         machine, module = _optimise_text(text + _PROBE_MODULE_TEXT, target)
         code: bytes = machine.emit_object(module)
@@ -126,7 +127,7 @@ def compile_object(text: str, target: Target) -> bytes:
 
 
 def compile_assembly(text: str, target: Target) -> str:
-    """Compile a text to assembly."""
+    """Compile LLVM IR to assembly code."""
     with _LLVM_LOCK:
         machine, module = _optimise_text(text, target)
         assembly_text: str = machine.emit_assembly(module)
@@ -134,7 +135,7 @@ def compile_assembly(text: str, target: Target) -> str:
 
 
 def _optimise_text(text: str, target: Target) -> tuple[Any, Any]:
-    """Return the code generator of a target, and the module of a text after LLVM's passes."""
+    """Return LLVM's code generator for a target, and the module of `text` after LLVM's optimisation passes."""
     llvm = _import_llvm()
     machine = _make_target_machine(target)
     module = llvm.parse_assembly(text)
@@ -176,7 +177,7 @@ class LoadedCode:
     _functions: dict[str, Any] = field(default_factory=dict)
 
     def function(self, name: str) -> Any:
-        """Return the function `name`. Its arguments are the address of a table, the first row, and the row after the last."""
+        """Return the function `name`. It takes the address of a table, the first row, and the row after the last one."""
         if name not in self._functions:
             made = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self.get_function_address(name))
             made.code = self._engine  # type: ignore[attr-defined] # the function holds its code
@@ -189,7 +190,7 @@ class LoadedCode:
         return location
 
     def read_constant_text(self, name: str) -> str:
-        """Return the text of a constant."""
+        """Return the value of a text constant in the code."""
         return ctypes.string_at(self.get_constant_address(name)).decode("utf-8", "surrogateescape")
 
     def get_constant_address(self, name: str) -> int:
@@ -202,9 +203,9 @@ def load_object(code: bytes) -> LoadedCode:
     """Load an object file into memory, ready to run.
 
     Code and constants are in one block (`use_lmm`), because code refers to its constants by 32-bit offsets. In a process with
-    gigabytes of arrays, separate blocks may be too far from each other, and then LLVM ends the process. LLVM receives the file as
-    the compiled code of an empty text. Otherwise it would compile that text, which takes three times as long as everything else.
-    """
+    gigabytes of arrays, separate blocks may be too far from each other; LLVM would then abort the process. LLVM receives the
+    object file as the cached compilation of an empty module. Otherwise it would compile that module, which takes three times
+    as long as everything else."""
     llvm = _import_llvm()
     with _LLVM_LOCK:
         loader = llvm.Target.from_triple(find_host_target().triple).create_target_machine(opt=0, reloc="pic", codemodel="default")

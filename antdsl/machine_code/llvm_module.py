@@ -1,4 +1,4 @@
-"""Functions of one text in LLVM's language, for a processor."""
+"""The functions of one LLVM IR text for a given processor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _NAME_PATTERN = re.compile(r"@[\w.]+")
 
 
 class LlvmModule:
-    """The texts of functions by name, and the declarations of the LLVM functions that they call."""
+    """The LLVM IR of functions by name, and the declarations of the LLVM functions that they call."""
 
     def __init__(self, target: Target) -> None:
         self.target = target
@@ -26,15 +26,15 @@ class LlvmModule:
         self.declarations.setdefault(f"@{name}", f"declare {result} @{name}({', '.join(arguments)})")
 
     def text(self) -> str:
-        """Return the complete text."""
+        """Return the complete LLVM IR."""
         return "\n".join((*self.declarations.values(), *self.functions.values())) + "\n"
 
     def list_entry_names(self) -> list[str]:
-        """Return the names of the functions that are called from outside."""
+        """Return the names of the entry functions, which callers outside the module use."""
         return [name for name, text in self.functions.items() if text.startswith("define void")]
 
     def extract_unit_text(self, entry: str) -> str:
-        """Return the text of the function `entry` with all functions that it calls. It can be compiled alone."""
+        """Return LLVM IR that can be compiled alone: the function `entry` and all functions that it calls."""
         output: dict[str, set[str]] = {}
         coming = [entry]
         while coming:

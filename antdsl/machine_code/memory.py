@@ -1,4 +1,4 @@
-"""Padding and addresses of arrays, for machine code that reads eight rows at once."""
+"""Pads arrays and returns their addresses, for machine code that reads eight rows at once."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def copy_padded(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def gather_padded(array: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
-    """Return the selected numbers of an array [n], followed by eight spare zeros in memory."""
+    """Return the elements of an array [n] at the indices `rows`, followed by eight spare zeros in memory."""
     output = allocate_padded(len(rows), array.dtype)
     array.take(rows, out=output, mode="clip")
     return output
@@ -39,7 +39,7 @@ def allocate_padded(count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
 
 
 def has_padding(array: NDArray[Any]) -> bool:
-    """Return whether an array is the start of a larger array, which has eight more rows."""
+    """Return whether an array is the first part of a larger one with at least eight more rows."""
     padded = array.base
     if not isinstance(padded, np.ndarray) or padded.ndim != 1 or padded.dtype != array.dtype or not array.flags.c_contiguous:
         return False

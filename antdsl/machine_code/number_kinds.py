@@ -1,4 +1,4 @@
-"""Kinds of numbers in machine code, and the number of SIMD lanes."""
+"""The kinds of numbers in machine code, such as float64, and the number of SIMD lanes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BITS_BY_KIND = {BOOL: 1, I8: 8, I32: 32, I64: 64}
 
 
 def format_literal(value: Any, kind: str) -> str:
-    """Return a number as a literal of LLVM's language; a float is written by its bits."""
+    """Return a number as a literal in LLVM IR. Floats are written by their bits."""
     if kind in FLOAT_KINDS:
         number = float(np.float32(value)) if kind == F32 else float(value)
         return f"0x{struct.unpack('>Q', struct.pack('>d', number))[0]:016X}"

@@ -1,9 +1,8 @@
-"""A cache of results across runs: key → bytes, in memory or in a folder. The results are mainly object files from LLVM.
-
-Files in the folder are executed, or read by code that trusts them. So each begins with a signature that only this user's antdsl
-can make on this machine (`signing`). A file without a valid signature is never used, wherever the file or the folder comes from.
-It is removed, and the result is computed again. Without a signing key or a folder, code stays in memory and `messages` reports
-why. No file system error is raised."""
+"""A cache that stores results between runs: key → bytes, in a folder or in memory. The results are mainly object files from
+LLVM. Files in the folder are executed, or read by code that trusts them. So each begins with a signature that only this user's
+antdsl can make on this machine (`signing`). A file without a valid signature is never used. It is removed, and the result is
+computed again. Without a signing key or a folder, code stays in memory and `messages` reports why. No file system error is
+raised."""
 
 from __future__ import annotations
 
@@ -44,11 +43,11 @@ ABI_VERSION: Final = "1"  # change it if the location of arguments or of called 
 
 
 class StoreKind(NamedTuple):
-    """A kind of cache.
+    """One kind of cache, with its folder and the words of its messages.
 
-    - `folder`: its folder within antdsl's cache folder
+    - `folder`: its subfolder of antdsl's cache folder
     - `variable`: the environment variable that overrides the folder
-    - `suffix`: the suffix of its files
+    - `suffix`: the suffix of its file names
     - `name`, `verb`, `usage`, `result_noun`, `recompute_phrase`, `fallback`: words of its messages"""
 
     folder: str
@@ -76,10 +75,10 @@ CODE_STORE: Final = StoreKind(
 
 
 def compute_object_key(text: str, target: Target, *, versions: tuple[str, ...]) -> str:
-    """Return the key of the object file for a text and a target: 64 hexadecimal digits.
+    """Return the key, 64 hexadecimal digits, of the object file for a target and the LLVM IR `text`.
 
-    `versions` is the result of `list_environment_versions()`. The key need not contain the data layout, which follows from
-    the triple and LLVM's version."""
+    `versions` is the result of `list_environment_versions()`. The key need not contain the data layout, which follows from the
+    triple and LLVM's version."""
     hashed = blake2b(digest_size=32)
     for part in (text, target.triple, target.cpu, target.features, *versions):
         data = part.encode("utf-8", "surrogatepass")
@@ -90,8 +89,8 @@ def compute_object_key(text: str, target: Target, *, versions: tuple[str, ...]) 
 
 @cache
 def list_code_versions() -> tuple[str, ...]:
-    """Return the versions that an object file depends on, apart from the target: texts, calls, passes and LLVM. Imports
-    llvmlite."""
+    """Return the versions that an object file depends on, apart from the target: of the LLVM IR, calls, passes and LLVM.
+    Imports llvmlite."""
     import llvmlite.binding as llvm
 
     from antdsl.machine_code import llvm_compiler
@@ -105,8 +104,8 @@ def list_code_versions() -> tuple[str, ...]:
 
 @cache
 def list_environment_versions() -> tuple[str, ...]:
-    """Return the versions of `list_code_versions`, and others that may change a text or its compilation: antdsl, llvmlite,
-    Python and NumPy."""
+    """Return the versions of `list_code_versions`, and those of antdsl, llvmlite, Python and NumPy. These may also change the
+    LLVM IR or its compilation."""
     import llvmlite
     import numpy as np
 
@@ -117,14 +116,14 @@ def list_environment_versions() -> tuple[str, ...]:
 
 
 class ObjectCache:
-    """Object files in a folder, by key. Several threads may use one cache; several processes and users may share a folder. Files
-    are written atomically, and no user can derive the file names of another.
+    """Object files in a folder, by key. Several threads may use one cache; several processes and users may share a folder.
+    Files are written atomically. A user cannot derive another user's file names.
 
-    - `folder`: None means the folder in the environment variable of the `kind`, or no folder if the variable is empty. Without
-      the variable, it is the kind's folder in the user's cache folder.
+    - `folder`: the cache folder. None means the folder that the environment variable of `kind` names, or no folder if the
+      variable is empty. Without the variable, it is a subfolder of the user's cache folder.
     - `max_bytes`: the maximum size of all files together, in bytes; the least recently used are removed first
     - `max_result_bytes`: the maximum size of one result, in bytes
-    - `messages`: sentences for the user on why a result is not stored or was not used, each once"""
+    - `messages`: sentences that tell the user why a result was not stored or not used; none is repeated"""
 
     def __init__(
         self,
@@ -156,7 +155,7 @@ class ObjectCache:
             self._folder = None
 
     def get(self, key: str) -> bytes | None:
-        """Return the object file of a key, or None. Raises ValueError for a string that is not a key."""
+        """Return the object file stored under `key`, or None. Raises ValueError if `key` does not have the form of a key."""
         _require_key(key)
         with self._lock:
             if key in self._memory:
@@ -166,7 +165,8 @@ class ObjectCache:
         return None if self._folder is None or signer is None else self._read(self._folder, signer, key)
 
     def store_bytes(self, key: str, code: bytes) -> None:
-        """Store an object file; without a folder, in memory. Raises ValueError for a string that is not a key."""
+        """Store an object file in the folder, or in memory if there is no folder. Raises ValueError if `key` does not have the
+        form of a key."""
         _require_key(key)
         signer = self._get_signer(create=True)
         if self._folder is None or signer is None or not self._write(self._folder, signer, key, code):
@@ -182,9 +182,8 @@ class ObjectCache:
             self._make_folder(self._folder)
 
     def _get_signer(self, *, create: bool) -> signing.Signer | None:
-        """Return the user's signer; None if there is no key. It is read once.
-
-        `create`: create a missing key. After an error, which is reported, the folder is no longer used."""
+        """Return the user's signer, or None if there is no key. The key is read once. `create`: create a missing key. If an
+        error occurs, it is reported, and the folder is not used any longer."""
         folder = self._folder
         if self._signer is None and folder is not None:
             try:
@@ -196,7 +195,8 @@ class ObjectCache:
         return self._signer
 
     def _read(self, folder: Path, signer: signing.Signer, key: str) -> bytes | None:
-        """Return the code in the file of a key; None if there is no file, or if it cannot be trusted, which is reported."""
+        """Return the code stored in the file of `key`, or None if there is no file. Also return None if the file cannot be
+        trusted; this is reported."""
         path = folder / (signer.make_file_name(key) + self._kind.suffix)
         try:
             handle = open_regular_file(path, follows_links=False)
@@ -216,7 +216,7 @@ class ObjectCache:
         return code
 
     def _write(self, folder: Path, signer: signing.Signer, key: str, code: bytes) -> bool:
-        """Store code in the folder, and return whether it is stored; a failure is reported."""
+        """Store code in the folder, and return whether this succeeded. A failure is reported."""
         data = signer.sign(key, code) + code
         if len(code) > self._max_result_bytes or len(data) > self._max_bytes:
             self._report_not_stored(
@@ -235,7 +235,7 @@ class ObjectCache:
         return True
 
     def _make_folder(self, folder: Path) -> bool:
-        """Create the folder if necessary, and return whether it exists; a failure is reported."""
+        """Create the folder if necessary, and return whether it exists now. A failure is reported."""
         try:
             os.makedirs(folder, 0o700, exist_ok=True)
         except (OSError, ValueError) as problem:
@@ -248,7 +248,7 @@ class ObjectCache:
         return f"{'make room there, or ' if full else ''}name another folder in {self._kind.variable}"
 
     def _reject_file(self, path: Path, reason: str) -> None:
-        """Report a file that is not used, and remove it. For a link, the link is removed, not its target."""
+        """Report that a file is not used, and remove it. If it is a link, the link is removed, not its target."""
         with suppress(OSError, ValueError):
             os.unlink(path)
         kind = self._kind
@@ -264,11 +264,10 @@ class ObjectCache:
 
 
 def _remove_oldest(folder: Path, max_bytes: int, retained_name: str) -> None:
-    """Remove the least recently used files until at most `max_bytes` bytes are left. Remove also the temporary files of killed
-    runs.
+    """Remove the least recently used files until at most `max_bytes` bytes are left.
 
-    The file `retained_name` stays. Files with other suffixes stay too. Files that another run removes meanwhile, or that belong
-    to another user of a shared folder, are skipped."""
+    Also remove temporary files of killed runs. The file `retained_name` and files with other suffixes are not removed. Files
+    that another run removes meanwhile, or that belong to another user of a shared folder, are skipped."""
     stored_name = re.compile(f"[0-9a-f]{{64}}{re.escape(Path(retained_name).suffix)}")
     stored_files: list[tuple[int, str, int]] = []
     with os.scandir(folder) as entries:

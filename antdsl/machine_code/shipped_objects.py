@@ -1,9 +1,8 @@
-"""Object files of the package's own kernels and texts, which `build_objects` compiled when the package was installed.
-
-The folder `objects` of this package has one file per target: an index (key → position, size, hash), then the object files. Object
-code is executed, so these files are read from the installation only. No variable, option or working directory can name another
-folder. Each object file is compared with its hash before use. Files for other versions of LLVM, the texts or the sources have
-other keys, so they are never used. No file system error is raised."""
+"""Reads the object files of the package's own kernels and LLVM IR texts. `build_objects` compiled them when the package was
+installed. The folder `objects` of this package has one file per target. It consists of an index (key → position, size, hash)
+and the object files. Object code is executed, so these files are read from the installation only. No variable, option or
+working directory can name another folder. Each object file is compared with its hash before use. Object files for other
+versions of LLVM or of the sources have other keys, so they are never used. No file system error is raised."""
 
 from __future__ import annotations
 
@@ -44,7 +43,7 @@ _X86_V4_FEATURES: Final = (
 
 
 def _format_feature_text(present_features: tuple[str, ...], absent_features: tuple[str, ...]) -> str:
-    """Return features in LLVM's form: the present ones with `+`, the absent ones with `-`."""
+    """Return processor features as a text in LLVM's format: `+` before present features, `-` before absent ones."""
     return ",".join([*(f"+{name}" for name in present_features), *(f"-{name}" for name in absent_features)])
 
 
@@ -60,7 +59,7 @@ TARGET_BY_NAME: Final[Mapping[str, Target]] = {
 
 @cache
 def find_target_name(host: Target) -> str | None:
-    """Return the name of a shipped target that `host` can run with equal results, or None."""
+    """Return the name of a shipped target with code that `host` can run with equal results; None if there is none."""
     if "linux" not in host.triple:
         return None
     present = _list_present_features(host)
@@ -77,12 +76,14 @@ def _list_present_features(target: Target) -> set[str]:
 
 
 def compute_shipped_key(text_or_name: str, target: Target) -> str:
-    """Return the key of an object file, for a text or its name, and a target."""
+    """Return the key of an object file. `text_or_name`: the LLVM IR or its unique name. `target`: the target it is compiled
+    for."""
     return object_cache.compute_object_key(text_or_name, target, versions=object_cache.list_code_versions())
 
 
 def find_object(text_or_name: str, host: Target) -> bytes | None:
-    """Return the object file for this processor, by a text or its name; None if the installation has none."""
+    """Return the installed object file of an LLVM IR text for the processor `host`; None if the installation has none.
+    `text_or_name`: the text or its unique name."""
     name = find_target_name(host)
     return (
         None if name is None else _open_objects(OBJECTS_FOLDER, name).get(compute_shipped_key(text_or_name, TARGET_BY_NAME[name]))
@@ -90,12 +91,12 @@ def find_object(text_or_name: str, host: Target) -> bytes | None:
 
 
 def make_objects_path(folder: Path, name: str) -> Path:
-    """Return the path of a target's file."""
+    """Return the path of the file with the compiled objects of the target `name`."""
     return folder / f"{name}.objects"
 
 
 def take_messages() -> list[str]:
-    """Return sentences for the user on why object files of the installation are not used, each once."""
+    """Return and clear the sentences that tell the user why object files of the installation are not used. None is repeated."""
     return (
         []
         if _damaged_file is None
@@ -116,7 +117,8 @@ def _open_objects(folder: Path, name: str) -> ObjectFile:
 
 
 class ObjectFile:
-    """The object files in one file, by key. Its index is read once. A missing or invalid file counts as empty."""
+    """One file of the installation with many object files, by key. Its index is read once. A missing or invalid file is
+    treated as empty."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -143,7 +145,7 @@ class ObjectFile:
         return len(self._index)
 
     def get(self, key: str) -> bytes | None:
-        """Return the object file of a key; None if there is none, or if it is damaged."""
+        """Return the object file stored under `key`, or None if it is missing or damaged."""
         entry = self._index.get(bytes.fromhex(key))
         if entry is None:
             return None
@@ -161,7 +163,7 @@ class ObjectFile:
 
 
 def pack_objects(codes: Mapping[str, bytes]) -> bytes:
-    """Return the content of a file with these object files, by key. The content depends only on them."""
+    """Return the content of a file that stores these object files by key. The content depends on nothing else."""
     index, position = [], 0
     for key, code in sorted(codes.items()):
         index.append(_ENTRY_STRUCT.pack(bytes.fromhex(key), position, len(code), _hash_data(code)))

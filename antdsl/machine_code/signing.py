@@ -1,8 +1,8 @@
-"""Signatures of stored machine code with a secret key of the user, so that code from any other source is never run.
+"""Signs stored machine code with a secret key of the user, so that code from any other source is never run.
 
-The key is 32 random bytes in a file that only the user may read, below the user's home folder in the password database. The
-signing key is derived from these bytes, the user's number and the machine's identifier. So a copy of key and cache is useless
-elsewhere."""
+The secret is 32 random bytes in a file that only the user may read, in the home folder that the password database names. The
+signing key is derived from these bytes, the user's number and the machine's identifier. So copies of secret and cache are
+useless on other machines."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _MACHINE_ID_FILES = ("/etc/machine-id", "/var/lib/dbus/machine-id", "/etc/hostid
 
 
 class Signer:
-    """Makes and checks signatures, with a key that is derived from `secret`, this user and this machine."""
+    """A signer that makes and checks signatures, with a key derived from `secret`, this user and this machine."""
 
     def __init__(self, secret: bytes) -> None:
         user = os.geteuid() if hasattr(os, "geteuid") else os.environ.get("USERNAME", "")
         self._key = blake2b(f"{user}\n{find_machine_id()}".encode(), key=secret, person=b"antdsl code").digest()
 
     def make_file_name(self, key: str) -> str:
-        """Return the file name for a key: 64 hexadecimal digits, different for each user and machine."""
+        """Return the file name for `key`: 64 hexadecimal digits that differ for each user and machine."""
         return blake2b(key.encode(), key=self._key, digest_size=32, person=b"name").hexdigest()
 
     def sign(self, key: str, data: bytes) -> bytes:
@@ -45,7 +45,7 @@ class Signer:
         return hashed.digest()
 
     def is_signed(self, key: str, data: bytes, signature: bytes) -> bool:
-        """Return whether a signature is the result of `sign` for this data. The comparison takes constant time."""
+        """Return whether `signature` is the one that `sign` gives for this key and data. The comparison takes constant time."""
         return compare_digest(self.sign(key, data), signature)
 
 
@@ -55,10 +55,10 @@ def find_key_path() -> Path:
 
 
 def get_signer(*, create: bool) -> Signer | None:
-    """Return the signer of this user; None if there is no usable key and `create` is false.
+    """Return the signer of this user, or None if there is no usable key and `create` is false.
 
-    With `create`, a missing key is created. A key that has another length, or that others may know, is replaced. Raises OSError
-    with the reason if no key is possible."""
+    With `create`, a missing key is created. A key of wrong length, or one that other users could have read, is replaced.
+    Raises OSError with the reason if no key can be created."""
     path = find_key_path()
     for attempt in range(_MAX_KEY_ATTEMPTS):
         try:
@@ -79,7 +79,8 @@ def get_signer(*, create: bool) -> Signer | None:
 
 
 def _read_key(path: Path) -> bytes:
-    """Return the bytes of the key file. Raises OSError if it is not private or has another length."""
+    """Return the bytes of the key file. Raises OSError if the file is not private or the key does not have the required
+    length."""
     secret = read_private(path, _KEY_BYTES)
     if len(secret) != _KEY_BYTES:
         raise OSError(0, "its length is wrong")
@@ -87,7 +88,7 @@ def _read_key(path: Path) -> bytes:
 
 
 def _has_hard_links(path: Path) -> bool:
-    """Return whether a file has two names, as while another process creates it."""
+    """Return whether a file has more than one name (hard link). This is so while another process creates it."""
     with suppress(OSError):
         return os.lstat(path).st_nlink == 2
     return False
@@ -95,7 +96,7 @@ def _has_hard_links(path: Path) -> bool:
 
 @cache
 def find_machine_id() -> str:
-    """Return an identifier of this machine that survives a restart, or an empty text."""
+    """Return an identifier of this machine that stays the same after a restart; empty if there is none."""
     if sys.platform == "win32":
         import winreg
 

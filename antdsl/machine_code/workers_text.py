@@ -1,15 +1,15 @@
-"""A job on several threads, as text in LLVM's language. Workers wait for a job without holding the interpreter's lock.
+"""LLVM IR of functions that run a job on several threads. Workers wait for a job without holding the interpreter's lock.
 
 A job has a number of parts, and any free thread takes the next part. The word `left` changes atomically. Its low half is the
-number of parts left, which counts down to 0; its high half is the first part left. The caller takes the first part, a worker the
+number of parts that are left; its high half is the index of the first of them. The caller takes the first part, a worker the
 last one. So each thread mostly processes the same agents in consecutive jobs, and has their data in its cache.
 
-The description of a job is written before `left` is raised. No other job starts before `done` has counted all parts of this one,
-so a thread that has taken a part may read the description.
+The description of a job is written before `left` is set. No other job starts before `done` has counted all parts of this job.
+So a thread that has taken a part can safely read the description.
 
-A worker polls `left` for some turns, then sleeps on its own lock (one of CPython's, which needs no interpreter). A thread that
-wakes a worker lowers that worker's flag first, so that each lock is released once per wait. A wake-up takes longer than
-everything else: the caller wakes the first worker, and each woken worker wakes two more."""
+A worker polls `left` for some turns, then blocks on its own lock. It is a CPython lock, usable without the interpreter's lock.
+A thread that wakes a worker lowers that worker's flag first, so that each lock is released once per wait. A wake-up is the
+slowest operation here. So the caller wakes only the first worker, and each woken worker wakes two more."""
 
 from __future__ import annotations
 
@@ -39,12 +39,14 @@ PART_ALIGNMENT = 16  # parts of a kernel begin at multiples of it: at whole regi
 def load_code() -> llvm_compiler.LoadedCode:
     """Return the code of the workers' functions.
 
-    - `run(pool, code, table, words, parts)` does a job together with the workers. It runs a kernel's code for the numbers from 0
-      to the last word of its table. The last two words of the table are the begin and end of a part.
-    - Other jobs are prepared in advance: their table has three words for each part, the arguments of its call.
-    - `all(pool, 0, 0)` does a prepared job.
-    - `start(pool, 0, 0)` lets the workers begin with a prepared job.
-    - `finish(pool, 0, 0)` takes back the parts that no thread has taken, and waits for the others.
+    - `run(pool, code, table, words, parts)` runs a kernel's code in parts, on this thread and the workers. The last two words
+      of the table hold the begin and end of a part; initially the last word is the end of the complete range, which starts at
+      0.
+    - Other jobs are prepared in advance. Their table has three words for each part, which are the arguments of that part's
+      call.
+    - `all(pool, 0, 0)` runs a prepared job.
+    - `start(pool, 0, 0)` starts a prepared job on the workers and returns.
+    - `finish(pool, 0, 0)` ends a started job: it withdraws the parts that no thread has taken, and waits for the others.
     - `worker(pool, number, 0)` runs worker `number`, and returns after `end(pool, 0, 0)` has been called.
     - `turns(pool, count, 0)` waits for `count` turns."""
     return build_llvm_text.code()
@@ -52,7 +54,7 @@ def load_code() -> llvm_compiler.LoadedCode:
 
 @make_library_text
 def build_llvm_text(target: llvm_compiler.Target) -> str:
-    """Return the text to compile, in LLVM's language."""
+    """Return the LLVM IR to compile for `target`."""
     pause = (
         "  call void @llvm.x86.sse2.pause()\n"
         if target.is_x86

@@ -1,4 +1,4 @@
-"""Operations on numbers, for one iteration of a loop or for several in SIMD lanes."""
+"""Emits the instructions of arithmetic, either for one iteration of a loop or for several in SIMD lanes."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ _INT64_RANGE = range(-(1 << 63), 1 << 63)
 
 
 class ArithmeticEmitter(VectorBuilder[Number]):
-    """Writer of operations on numbers.
+    """Emits arithmetic instructions.
 
-    `mask`: the iterations that run the current code; None if code for one iteration is written. `reached_mask`: `mask` while the
-    current code runs only if the mask holds for some iteration."""
+    `mask`: the iterations for which the current code has an effect; None if the code is for one iteration. `reached_mask`: the
+    same object as `mask` if a branch skips the current code when no iteration is in the mask."""
 
     mask: Number | None = None  # the active iterations; None if code for one iteration is written
     # a condition that is true if the mask holds for at least one iteration, while `mask` is the mask
     reached_mask: Number | None = None
 
     def emit_any_lane(self, mask: Number) -> Number:
-        """Write a test whether a mask holds in at least one lane. Return the resulting condition."""
+        """Emit a test of whether a mask is true in at least one lane, and return its result as a condition."""
         bits = self.op("lanes", f"i{LANE_COUNT}", mask, lanes=1)
         return self.op("ne", TRUTH, bits, Number(bits.kind, "0"))
 
@@ -45,14 +45,15 @@ class ArithmeticEmitter(VectorBuilder[Number]):
         return self.mask is None or self.mask.literal_value is not None or self.mask is self.reached_mask
 
     def get_active_mask(self) -> Number | None:
-        """Return the condition under which the current code runs for at least one iteration; None if it always does."""
+        """Return the condition that the current code has an effect for at least one iteration; None if this is always so."""
         return None if self.mask is None or self.is_always_reached else self.emit_any_lane(self.mask)
 
     def named_number(self, kind: str, name: str, lanes: int = 1, literal_value: Any = None) -> Number:
         return Number(kind, name, literal_value, lanes)
 
     def convert(self, value: Number, kind: str) -> Number:
-        """Convert a number as a NumPy cast does; floats saturate, and NaN becomes 0."""
+        """Convert a number to `kind` as a NumPy cast does, except that floats outside an integer's range saturate and NaN
+        becomes 0."""
         if value.kind == kind:
             return value
         if (
@@ -94,7 +95,7 @@ class ArithmeticEmitter(VectorBuilder[Number]):
     def match_kinds(self, a: Number, b: Number) -> tuple[Number, Number]:
         """Convert two numbers to one kind by NumPy's rules: a literal takes the type of the other number.
 
-        Raises NotInSubsetError for a float32 with another type, or for a literal that float32 cannot represent."""
+        Raises NotInSubsetError for a float32 and a number of another type, or for a literal that float32 cannot represent."""
         if FLOAT in (a.kind, b.kind) and TRUTH not in (a.kind, b.kind):
             a, b = self._to_float32(a), self._to_float32(b)
         kinds = {a.kind, b.kind}
@@ -110,7 +111,7 @@ class ArithmeticEmitter(VectorBuilder[Number]):
         return self.convert(a, kind), self.convert(b, kind)
 
     def _to_float32(self, value: Number) -> Number:
-        """Return a literal as float32. Raises NotInSubsetError if float32 does not have this number."""
+        """Return a literal as float32. Raises NotInSubsetError if float32 cannot represent it exactly."""
         if value.kind == FLOAT:
             return value
         if value.literal_value is None:
@@ -125,7 +126,7 @@ class ArithmeticEmitter(VectorBuilder[Number]):
         return self.broadcast(literal) if value.has_several_lanes else literal
 
     def to_kind(self, value: Number, kind: str) -> Number:
-        """Convert a number to a kind. Raises NotInSubsetError for a literal that the kind would change."""
+        """Convert a number to `kind`. Raises NotInSubsetError if the conversion would change the value of a literal."""
         if value.kind == kind or value.literal_value is None:
             return self.convert(value, kind)
         if kind == FLOAT:
@@ -136,7 +137,7 @@ class ArithmeticEmitter(VectorBuilder[Number]):
         return converted_number
 
     def apply_operator(self, node: ast.AST, operator: ast.operator, a: Number, b: Number) -> Number:
-        """Return the result of a Python operator for two numbers. Operations on literals give a literal."""
+        """Return the result of a Python operator for two numbers. If both numbers are literals, the result is a literal."""
         word = type(operator)
         folded = not (a.has_several_lanes or b.has_several_lanes)
         if (
@@ -189,8 +190,8 @@ class ArithmeticEmitter(VectorBuilder[Number]):
     def _emit_floor_division(self, node: ast.AST, is_remainder: bool, a: Number, b: Number) -> Number:
         """Return the quotient of two integers, rounded down, or with `is_remainder` the remainder.
 
-        The checked build reports division by 0; other builds divide by 1 instead. All builds divide by 1 if the least integer is
-        divided by -1, which wraps around."""
+        The checked build reports division by 0; other builds divide by 1 instead. If the least integer is divided by -1, all
+        builds divide by 1 instead, which gives the wrapped result."""
         if b.literal_value == 0:
             self.fail(node, "division by 0")
         if b.literal_value is None:
@@ -216,15 +217,15 @@ class ArithmeticEmitter(VectorBuilder[Number]):
         return self.op("sub", INT, self.op("sdiv", INT, a, b), self.convert(down, INT))
 
     def emit_logical_and(self, a: Number, b: Number) -> Number:
-        """Return the condition that both conditions hold."""
+        """Emit the logical `and` of two conditions, and return the result."""
         for one, other in ((a, b), (b, a)):
             if one.literal_value is not None:
                 return other if one.literal_value else make_literal_number(False)
         return self.op("and", TRUTH, *self.match_lanes(a, b))
 
     def _add_to_first_lane(self, word: type[ast.operator], a: Number, b: Number) -> Number | None:
-        """Return the sum or difference in the first lane, or None. It exists if one operand increases by one per lane and the
-        other is loop-invariant.
+        """Return the first lane of a sum or difference that increases by one per lane; None if it does not. It does if one
+        operand increases by one per lane and the other is loop-invariant.
 
         `word`: the class of the Python operator."""
         if word not in (ast.Add, ast.Sub) or a.lane_type != "i64" or b.lane_type != "i64" or (b.first_lane and word is ast.Sub):
@@ -247,7 +248,7 @@ class ArithmeticEmitter(VectorBuilder[Number]):
         return self.op("sub", INT, Number(INT, "zeroinitializer" if a.has_several_lanes else "0", lanes=a.lanes), a)
 
     def compare(self, word: str, a: Number, b: Number) -> Number:
-        """Return the condition of a comparison; `word` is its name, such as `lt`."""
+        """Emit a comparison of `a` and `b`, and return its result. `word`: the name of the comparison, such as `lt`."""
         if a.literal_value is not None and b.literal_value is not None and not (a.has_several_lanes or b.has_several_lanes):
             x, y = a.literal_value, b.literal_value
             held = {"lt": x < y, "le": x <= y, "gt": x > y, "ge": x >= y, "eq": x == y, "ne": x != y}
@@ -259,7 +260,7 @@ class ArithmeticEmitter(VectorBuilder[Number]):
         return self.op(f"{sign}{word}", TRUTH, a, b)
 
     def select(self, condition: Number, true_value: Number, false_value: Number) -> Number:
-        """Return `true_value` in lanes where the condition holds, and `false_value` elsewhere."""
+        """Return `true_value` in lanes where `condition` is true, and `false_value` in the others."""
         if condition.literal_value is not None:
             return true_value if condition.literal_value else false_value
         true_value, false_value = (
@@ -273,6 +274,6 @@ class ArithmeticEmitter(VectorBuilder[Number]):
 
 
 def wrap_to_integer_kind(number: int, kind: str) -> int:
-    """Wrap an integer to 64 bits, signed or unsigned."""
+    """Return an integer wrapped to 64 bits, signed or unsigned as `kind` requires."""
     number &= (1 << 64) - 1
     return number if kind == UNSIGNED or number < 1 << 63 else number - (1 << 64)

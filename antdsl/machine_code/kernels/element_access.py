@@ -1,7 +1,7 @@
-"""Loads and stores of array elements, for one iteration of a loop or for several in SIMD lanes.
+"""Emits loads and stores of array elements, either for one iteration of a loop or for several in SIMD lanes.
 
-If the elements of all lanes are contiguous in memory, they are loaded or stored at once, else one by one. For inactive lanes,
-another address is read, and nothing is stored."""
+If the elements of all lanes are contiguous in memory, they are loaded or stored at once, else one by one. Inactive lanes read
+from a dummy address and store nothing."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ ALL_LANES = Number(TRUTH, "splat (i1 true)", True, LANE_COUNT)  # all iterations
 
 
 class ElementAccess(ArithmeticEmitter):
-    """Writer of loads and stores of array elements."""
+    """Emits loads and stores of array elements."""
 
     def check_index(self, node: ast.AST, index: Number, length: Number, count: int = 1) -> None:
-        """Write the check that `index` to `index + count - 1` are within an axis of `length`. Raises NotInSubsetError if an
-        index is certainly outside."""
+        """Emit a check that the indices `index` to `index + count - 1` are within an axis of `length` elements. Raises
+        NotInSubsetError if a constant index is outside."""
         if index.literal_value is not None and (
             index.literal_value < 0 or (length.literal_value is not None and index.literal_value + count > length.literal_value)
         ):
@@ -47,7 +47,7 @@ class ElementAccess(ArithmeticEmitter):
         self.emit_void("span", first, *array.lengths, x=count)
 
     def emit_index_offset(self, node: ast.AST, array: Array, numbers: list[Number]) -> Number:
-        """Return the offset, in elements, of the element with the indices `numbers` from the first element."""
+        """Return the offset of the element with indices `numbers`, counted in elements from the start of the array."""
         for each in numbers:
             if each.lane_type != "i64":
                 self.fail(node, "an index must be an integer of at least 0")
@@ -89,7 +89,7 @@ class ElementAccess(ArithmeticEmitter):
         return element
 
     def _load_lanes(self, array: Array, kind: str, place: Number) -> Number:
-        """Load consecutive elements from the address `place` on, one for each lane."""
+        """Load consecutive elements, one per lane. The first one is at the address `place`."""
         return self.op("load", kind, place, x=_find_element_alignment(array), lanes=LANE_COUNT)
 
     def store_element(self, node: ast.AST, array: Array, index: Number, item: Number) -> None:
@@ -121,14 +121,14 @@ class ElementAccess(ArithmeticEmitter):
                 self.begin_block(next_block)
 
     def to_stored_kind(self, scalar: ScalarType, item: Number) -> Number:
-        """Convert a number to the form in which an array of this type stores it."""
+        """Convert a number to the form in which an array with elements of type `scalar` stores it."""
         value = self.convert(item, scalar.kind)
         if value.kind == TRUTH:
             return self.op("zext", "i8", value)
         return value if value.lane_type == scalar.stored_type else self.op("trunc", scalar.stored_type, value)
 
     def get_row(self, node: ast.AST, array: Array, index: Number) -> Array:
-        """Return the subarray at an index of the first axis. It has one axis fewer."""
+        """Return the subarray at `index` along the first axis. It has one axis fewer than `array`."""
         if index.has_several_lanes:
             self.fail(node, "all lanes use the same part of an array: its index cannot depend on the iteration")
         self.check_index(node, index, array.lengths[0])
@@ -141,7 +141,7 @@ class ElementAccess(ArithmeticEmitter):
         )
 
     def _offset_address(self, array: Array, index: Number) -> Number:
-        """Return the address of the element at an offset."""
+        """Return the address of the element at an offset of `index` elements."""
         return self._element_address(array, array.address, index)
 
     def _element_address(self, array: Array, address: Number, offset: Number | int) -> Number:
@@ -150,10 +150,9 @@ class ElementAccess(ArithmeticEmitter):
         return self.op("element", "ptr", address, index, x=array.element_type.stored_type, lanes=index.lanes)
 
     def _guarded_address(self, array: Array, index: Number) -> Number:
-        """Return the address of the element at a loop-invariant index.
-
-        If no iteration is active, the index may be out of range; the result is then the address of zeros. The index is compared
-        with the array's length instead of being combined with the mask, so that LLVM can move the load out of loops."""
+        """Return the address of the element at a loop-invariant index. If no iteration is active, the index may be out of
+        range; the result is then the address of a block of zeros. The index is compared with the array's length instead of
+        being combined with the mask, because LLVM can then move the load out of loops."""
         place = self._offset_address(array, index)
         if self.mask is None or self.is_always_reached:
             return place
@@ -166,7 +165,8 @@ class ElementAccess(ArithmeticEmitter):
         return place if counts.literal_value is not None else self.op("select", "ptr", counts, place, ZEROS_CONSTANT)
 
     def _emit_lane_addresses(self, array: Array, index: Number) -> Number:
-        """Return the addresses of elements, one per lane. Inactive lanes get the address of zeros, which no code writes to."""
+        """Return the addresses of elements, one per lane. Inactive lanes get the address of a block of zeros that no code
+        writes to."""
         addresses = self._offset_address(array, index)
         if self.mask is None or self.mask.literal_value is not None:
             return addresses
@@ -184,8 +184,8 @@ class ElementAccess(ArithmeticEmitter):
         return tuple(each for k in range(0, count, 4) for each in self._load_four_columns(array, lanes, k))
 
     def _load_four_columns(self, array: Array, lanes: list[Number], offset: int) -> list[Number]:
-        """Return the elements at the offsets `offset` to `offset + 3`, one number of eight lanes for each offset. `lanes`: the
-        base address of each lane."""
+        """Return the elements at the offsets `offset` to `offset + 3`, as one eight-lane number per offset. `lanes`: the base
+        address of each lane."""
         rows = []
         for lane in lanes:
             place = self._element_address(array, lane, offset)
@@ -213,7 +213,7 @@ class ElementAccess(ArithmeticEmitter):
         return tuple(columns)
 
     def _rows_address(self, array: Array, first: Number) -> Number:
-        """Return the address of row `first` of an array (n, 3), after a check that all lanes' rows are in the array."""
+        """Return the address of row `first` of an array (n, 3). Emit a check that the rows of all lanes are in the array."""
         start = self.op("mul", INT, first, Number(INT, "3"))
         self._emit_span_check(array, start, 3 * LANE_COUNT)
         return self._offset_address(array, start)
@@ -250,7 +250,7 @@ class ElementAccess(ArithmeticEmitter):
         return ()
 
     def _emit_gather(self, array: Array, index: Number) -> Number:
-        """Load the element at each lane's offset, one by one."""
+        """Load one element per lane, each at its own offset, with single loads."""
         addresses = self._emit_lane_addresses(array, index)
         return self.combine_lanes(
             self.op("load", array.element_type.loaded_kind, self.extract_lane(addresses, lane)) for lane in range(LANE_COUNT)
@@ -258,5 +258,5 @@ class ElementAccess(ArithmeticEmitter):
 
 
 def _find_element_alignment(array: Array) -> str:
-    """Return the alignment of a vector load or store: the size of one element."""
+    """Return the alignment to use for vector loads and stores, in bytes: the size of one element."""
     return f", align {array.element_type.dtype.itemsize}"

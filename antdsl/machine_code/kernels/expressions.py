@@ -1,4 +1,4 @@
-"""Writes the expressions of kernels: operators, conditions, indices and calls."""
+"""Emits the instructions of the expressions in kernels: operators, conditions, indices and calls."""
 
 from __future__ import annotations
 
@@ -30,40 +30,40 @@ _COMPARISON_WORDS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", a
 
 
 class ExpressionEmitter(ElementAccess, ABC):
-    """Writer of Python expressions.
+    """Emits the instructions of Python expressions.
 
-    `variables`: the value of each local name. `module_names`: the names of the function's module. `unit`: the functions of the
-    text."""
+    `variables`: the value of each local name. `module_names`: the global names of the kernel's module. `unit`: the functions
+    of the LLVM IR text."""
 
     module_names: dict[str, Any]
     unit: KernelUnit
 
     @abstractmethod
     def lookup_name(self, name: str) -> Any:
-        """Return the value of a name. If the value has variables, they stay unloaded."""
+        """Return the value of a name. Stack variables in the value are returned as they are, without loading their numbers."""
 
     @abstractmethod
     def load_variables(self, item: Any) -> KernelItem:
-        """Return the result of `lookup_name` with the numbers of its variables loaded."""
+        """Return an item with its stack variables replaced by their loaded numbers."""
 
     @abstractmethod
     def call_function(self, node: ast.Call, function: Any, inputs: list[KernelItem]) -> KernelItem:
-        """Write the call of a kernel function, and return its result."""
+        """Emit a call of a kernel function, and return its result."""
 
     def emit_number(self, node: ast.expr) -> Number:
-        """Write an expression, and return its number. Raises NotInSubsetError for another item."""
+        """Emit an expression, and return its value as a number. Raises NotInSubsetError if the value is not a number."""
         value = self.emit_item(node)
         if not isinstance(value, Number):
             self.fail(node, "this must be a number")
         return value
 
     def emit_condition(self, node: ast.expr) -> Number:
-        """Write an expression, and return its number as a condition."""
+        """Emit an expression, and return its value as a condition."""
         value = self.emit_number(node)
         return make_literal_number(bool(value.literal_value)) if value.literal_value is not None else self.convert(value, TRUTH)
 
     def emit_item(self, node: ast.expr) -> KernelItem:
-        """Write an expression, and return its item. Raises NotInSubsetError for unsupported syntax."""
+        """Emit an expression, and return its value. Raises NotInSubsetError for unsupported syntax."""
         match node:
             case ast.Constant(value=bool() | int() | float() as known):
                 return make_literal_number(known)
@@ -92,7 +92,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         self.fail(node, f"`{ast.unparse(node)}` is not in the subset")
 
     def _emit_tuple_items(self, node: ast.expr) -> Any:
-        """Return the items that an expression adds to a tuple."""
+        """Return the items that one element of a tuple expression adds to the tuple; `*value` adds several."""
         if not isinstance(node, ast.Starred):
             return (self.emit_item(node),)
         spread = self.emit_item(node.value)
@@ -101,7 +101,8 @@ class ExpressionEmitter(ElementAccess, ABC):
         return spread
 
     def _emit_unloaded(self, node: ast.expr) -> Any:
-        """Return the value of an expression. A part of a variable stays unloaded, so that the other parts need not be loaded."""
+        """Return the value of an expression without loading stack variables. So an index or attribute loads only the part that
+        it selects."""
         match node:
             case ast.Name(id=name):
                 return self.lookup_name(name)
@@ -132,7 +133,8 @@ class ExpressionEmitter(ElementAccess, ABC):
         return conjunction
 
     def _emit_boolean(self, is_and: bool, parts: list[ast.expr]) -> Number:
-        """Return `and` (with `is_and`) or `or` of conditions. As in Python, later ones are evaluated only if needed."""
+        """Emit `and` (if `is_and`) or `or` of conditions, and return the result. As in Python, later conditions are evaluated
+        only if needed."""
         first = self.emit_condition(parts[0])
         if len(parts) == 1 or (first.literal_value is not None and bool(first.literal_value) != is_and):
             return first
@@ -150,7 +152,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         return self.load(place, TRUTH)
 
     def _emit_conditional(self, node: ast.expr, test: ast.expr, true_expr: ast.expr, false_expr: ast.expr) -> KernelItem:
-        """Emit `true_expr if test else false_expr`. Only the needed expression is evaluated."""
+        """Emit `true_expr if test else false_expr`. Only the selected expression is evaluated."""
         condition = self.emit_condition(test)
         if condition.literal_value is not None:
             return self.emit_item(true_expr if condition.literal_value else false_expr)
@@ -183,7 +185,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         return load_again(first)
 
     def _find_common_kind(self, a: Number, b: Number) -> str:
-        """Return the kind to which both numbers are converted before one of them is selected."""
+        """Return the kind to which both alternatives of a selection are converted."""
         kinds = {a.kind, b.kind}
         if FLOAT in kinds or UNSIGNED in kinds:
             return self.match_kinds(a, b)[0].kind
@@ -196,13 +198,13 @@ class ExpressionEmitter(ElementAccess, ABC):
             self.store_number(place, self.broadcast(value) if each > 1 else value)
 
     def emit_not(self, value: Number) -> Number:
-        """Return the negation of a condition, or the bitwise complement of a number."""
+        """Emit the negation of a condition, or the bitwise complement of a number, and return the result."""
         ones = Number(value.kind, "true" if value.kind == TRUTH else "-1")
         return self.op("xor", value.kind, value, self.broadcast(ones) if value.has_several_lanes else ones)
 
     @contextmanager
     def restrict_lanes(self, condition: Number) -> Iterator[None]:
-        """Write the code of the context for those lanes only in which a condition holds."""
+        """Restrict the code emitted within the `with` block to the lanes in which `condition` is true."""
         outer_mask = self.mask
         assert outer_mask is not None
         self.mask = self.emit_logical_and(outer_mask, condition)
@@ -210,7 +212,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         self.mask = outer_mask
 
     def _emit_boolean_lanes(self, first: Number, is_and: bool, parts: list[ast.expr]) -> Number:
-        """Write `and` (with `is_and`) or `or` of conditions, the first of which differs between lanes."""
+        """Emit `and` (if `is_and`) or `or` of conditions, of which the first differs between lanes, and return the result."""
         first = self.broadcast(first)
         with self.restrict_lanes(first if is_and else self.emit_not(first)):
             rest = self._emit_boolean(is_and, parts)
@@ -219,7 +221,8 @@ class ExpressionEmitter(ElementAccess, ABC):
         return self.op("or", TRUTH, *self.match_lanes(first, rest))
 
     def _emit_conditional_lanes(self, node: ast.expr, condition: Number, true_expr: ast.expr, false_expr: ast.expr) -> KernelItem:
-        """Write `true_expr if condition else false_expr` with a condition for each lane, which evaluates both."""
+        """Emit `true_expr if condition else false_expr` for a condition that differs between lanes. Both expressions are
+        evaluated."""
         with self.restrict_lanes(condition):
             first = self.emit_item(true_expr)
         with self.restrict_lanes(self.emit_not(condition)):
@@ -251,7 +254,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         self.fail(node, f"no `{attribute}`")
 
     def compute_offset(self, node: ast.AST, array: Array, index: ast.expr) -> Number:
-        """Return the offset of an index from the first element of an array, in elements."""
+        """Return the offset of the indexed element, counted in elements from the start of the array."""
         parts = index.elts if isinstance(index, ast.Tuple) else [index]
         if len(parts) != len(array.lengths):
             self.fail(node, "an array needs one index for each axis")
@@ -282,7 +285,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         return known
 
     def _emit_call(self, node: ast.Call, function: ast.expr, arguments: list[ast.expr]) -> KernelItem:
-        """Write a call of a built-in function, a record class or a kernel function, and return its result."""
+        """Emit a call of a built-in function, a record class or a kernel function, and return its result."""
         known = self.resolve_name(node, function)
         if is_record(known):
             return self._build_record(node, known)
@@ -310,7 +313,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         return self.call_function(node, known, inputs)
 
     def _build_record(self, node: ast.Call, record: Any) -> KernelItem:
-        """Return the record that a call of its class builds, from positional and keyword fields."""
+        """Return the record that a call of its class creates from positional and keyword arguments."""
         names = record._fields
         if len(node.args) > len(names):
             self.fail(node, f"`{record.__name__}` has {len(names)} fields, not {len(node.args)}")
@@ -347,7 +350,8 @@ class ExpressionEmitter(ElementAccess, ABC):
         return record(**{name: self.fit_to_type(node, name, item, types[name]) for name, item in fields.items()})
 
     def fit_to_type(self, node: ast.AST, name: str, item: KernelItem, type_: Any) -> KernelItem:
-        """Return an item with a required type: a constant is converted, any other item must already have the type."""
+        """Return an item as `type_`. A constant is converted; any other item must already have this type. `name`: the name for
+        error messages."""
         if type_ is Any:
             return item
         if isinstance(type_, ScalarType) and isinstance(item, Number):
@@ -363,7 +367,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         self.fail(node, f"`{name}` gets a value of another type")
 
     def _load_elements(self, node: ast.Call, literal_value: Any, inputs: list[KernelItem]) -> KernelItem:
-        """Return consecutive elements of an array as a tuple, for a call of `load_consecutive`."""
+        """Emit a call of `load_consecutive`, and return the consecutive elements as a tuple."""
         if len(inputs) < 2 or not (isinstance(inputs[0], Array) and isinstance(inputs[1], Number)):
             self.fail(node, "this needs an array and an index")
         array, at, *others = inputs
@@ -383,7 +387,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         return ()
 
     def resolve_name(self, node: ast.AST, name: ast.expr) -> Any:
-        """Return the object of a name in the kernel's module, an imported package or Python's built-ins."""
+        """Return the Python object that a global name refers to, in the kernel's module, an imported package or the built-ins."""
         if isinstance(name, ast.Attribute) and isinstance(name.value, ast.Name):
             package = self.module_names.get(name.value.id)
             if isinstance(package, ModuleType):

@@ -1,4 +1,4 @@
-"""The typed instructions of kernels and plans: functions of blocks, with a builder and a verifier."""
+"""The typed instructions of kernels and plans: functions that consist of basic blocks, with a builder and a verifier."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ _GLOBAL_TYPES = {ZEROS_CONSTANT.name: "ptr", LANE_ORDERS_CONSTANT.name: "ptr"}
 
 
 class NotInSubsetError(Exception):
-    """Error for a kernel that uses constructs outside the supported subset. It is a mistake in antdsl; the message has the
-    location."""
+    """Error for a kernel that uses constructs outside the supported subset. The cause is a mistake in antdsl's source; the
+    message has the location."""
 
 
 class InvalidCodeError(Exception):
-    """Error for instructions with invalid types or order. It is a mistake in the code that writes them."""
+    """Error for instructions with wrong types or in a wrong order. The cause is a mistake in the code that emits them."""
 
 
 class Instruction(NamedTuple):
     """An operation of `OPERATION_BY_NAME` with its operands.
 
-    - `immediate`: the immediate `x` of the operation
-    - `line`: a line of the kernel's file"""
+    - `immediate`: the constant that replaces the field `x` in the operation's text
+    - `line`: the line in the kernel's source file"""
 
     op: str
     result: Number | None
@@ -54,7 +54,7 @@ class Instruction(NamedTuple):
 
 
 class BasicBlock(NamedTuple):
-    """A sequence of instructions; the last one names the next block."""
+    """A labelled sequence of instructions that ends with a branch or a return."""
 
     label: str
     body: list[Instruction]
@@ -64,9 +64,9 @@ class BasicBlock(NamedTuple):
 class IrFunction:
     """A function of typed instructions.
 
-    - `file`: the file of its Python source
-    - `attribute`: its attribute in LLVM's language
-    - `result`: its result types, as text
+    - `file`: its Python source file
+    - `attribute`: its attribute in LLVM IR
+    - `result`: its result type, as LLVM IR text
     - `slots`: the instructions that allocate its stack slots"""
 
     name: str
@@ -97,18 +97,17 @@ class IrBuilder(ABC, Generic[NumberType]):
 
     @abstractmethod
     def named_number(self, kind: str, name: str, lanes: int = 1, literal_value: Any = None) -> NumberType:
-        """Return a number with this name in the text."""
+        """Return the number that is called `name` in the LLVM IR."""
 
     def op(self, op: str, kind: str, *operands: Number, x: Any = "", lanes: int = 0) -> NumberType:
-        """Add an instruction, and return its result. `op`: the operation. `kind`: the kind of the result. `x`: the immediate.
-
-        The result has as many lanes as the first operand, or `lanes` if that is not 0."""
+        """Add an instruction, and return its result. `op`: the operation. `kind`: the kind of the result. `x`: the immediate
+        constant. The result has `lanes` lanes, or as many as the first operand if `lanes` is 0."""
         output = self.named_number(kind, self.make_name(), lanes or operands[0].lanes)
         self.current_block.body.append(Instruction(op, output, operands, x, self.line))
         return output
 
     def emit_void(self, op: str, *operands: Number, x: Any = "", node: ast.AST | None = None) -> None:
-        """Add an instruction without a result. `op`: the operation. `x`: the immediate. `node`: the source location."""
+        """Add an instruction without a result. `op`: the operation. `x`: the immediate constant. `node`: the source location."""
         line = getattr(node, "lineno", self.line)
         self.current_block.body.append(Instruction(op, None, operands, x, line))
 
@@ -139,7 +138,7 @@ class IrBuilder(ABC, Generic[NumberType]):
         return f"{stem}{self._name_count}"
 
     def begin_block(self, label: str) -> None:
-        """Begin a block with this label. Further instructions are added to it."""
+        """Begin a block with this label; later instructions are added to this block."""
         self.current_block = BasicBlock(label, [])
         self.blocks.append(self.current_block)
 
@@ -150,7 +149,7 @@ class IrBuilder(ABC, Generic[NumberType]):
         self.emit_void("branch", condition, x=(true_label, false_label))
 
     def fail(self, node: ast.AST, reason: str) -> NoReturn:
-        """Raise NotInSubsetError with the location of a node."""
+        """Raise NotInSubsetError with `reason` and the source location of `node`."""
         line = getattr(node, "lineno", self.line)
         raise NotInSubsetError(f"{self.file}, line {line}, `{self.function_name}`: {reason}")
 
@@ -158,8 +157,8 @@ class IrBuilder(ABC, Generic[NumberType]):
 def verify_functions(functions: Sequence[IrFunction], others: Mapping[str, IrFunction] | None = None) -> None:
     """Verify the types and the order of instructions. Raises InvalidCodeError.
 
-    Each operand must have a type that fits the operation. Each register must be defined once, before it is read. Only the last
-    instruction of a block may be a branch. `others`: further functions that these functions call, by name."""
+    Operands must have types that fit their operation. Each register must be defined once, before it is read. Only the last
+    instruction of a block may be a branch. `others`: further functions that may be called, by name."""
     known = {**(others or {}), **{each.name: each for each in functions}}
     for each in functions:
         _Verifier(each, known).verify_function()
@@ -207,7 +206,7 @@ class _Verifier:
             known[result.name] = gives
 
     def _check_extra_rules(self, instruction: Instruction, types: tuple[str, ...], result_type: str) -> None:
-        """Check the rules of an instruction that concern more than types."""
+        """Check the rules of an instruction that the table of operand types does not express."""
         op, _, operands, extra, _ = instruction
         if op in ("load", "store"):
             slot = self.slots.get(operands[-1].name)
@@ -229,7 +228,7 @@ class _Verifier:
 
 @cache
 def _matches_operation(op: str, types: tuple[str, ...], result: str) -> bool:
-    """Return whether the types of operands and result match an operation."""
+    """Return whether the types of the operands and of the result match the table entry of an operation."""
     takes, gives, lanewise = (
         OPERATION_BY_NAME[op].operand_types,
         OPERATION_BY_NAME[op].result_type,
@@ -255,13 +254,13 @@ def _matches_operation(op: str, types: tuple[str, ...], result: str) -> bool:
 
 
 def split_type(type: str) -> tuple[int, str]:
-    """Split a vector type. Return its number of lanes and the type of one lane."""
+    """Split an LLVM type into its number of lanes and the type of one lane."""
     lanes, _, base = type.strip("<>").partition(" x ") if type[0] == "<" else ("1", "", type)
     return int(lanes), base
 
 
 def _matches_class(class_letter: str, base: str, first: str) -> bool:
-    """Return whether a type belongs to the class of a letter; `first` is the type of the first operand."""
+    """Return whether the type `base` belongs to the class of types `class_letter`. `first`: the type of the first operand."""
     if class_letter in "v*":
         return True
     return (

@@ -35,14 +35,15 @@ DecoratedFunction = TypeVar("DecoratedFunction", bound=PythonFunction)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KernelPart:
-    """A Python function that kernels call. `attribute`: `alwaysinline`, or empty if LLVM decides about inlining."""
+    """A Python function that kernels can call. `attribute`: `alwaysinline`, or empty if LLVM decides about inlining."""
 
     function: FunctionType
     attribute: str = ""
 
     @lru_cache(maxsize=512)  # noqa: B019 - a part lives as long as its module
     def source(self) -> tuple[str, ast.FunctionDef, dict[str, Any]]:
-        """Return the function's file, its definition with line numbers of that file, and the names of its module."""
+        """Return the function's source file, its syntax tree with line numbers of that file, and the global names of its
+        module."""
         code = self.function.__code__
         tree = ast.parse(textwrap.dedent(inspect.getsource(self.function))).body[0]
         assert isinstance(tree, ast.FunctionDef)
@@ -50,7 +51,8 @@ class KernelPart:
 
     @lru_cache(maxsize=512)  # noqa: B019
     def types(self) -> dict[str, Any]:
-        """Return the annotated types by parameter; `return` is the result. Parameters without an annotation are left out."""
+        """Return the annotated types by parameter name; the key `return` has the type of the result. Parameters without an
+        annotation are left out."""
         function = self.function
         return {
             name: () if annotation in ("None", None) else resolve_annotation(annotation, function.__globals__)
@@ -73,9 +75,9 @@ kernel_helper = _make_decorator("")
 
 
 class Kernel:
-    """A function of arrays and numbers that returns numbers. It is compiled to machine code at its first call.
+    """A function that takes arrays and numbers and returns numbers; it is compiled to machine code at its first call.
 
-    Raises ValueError for an array with another type or memory layout than its annotation."""
+    A call raises ValueError for an array with a type or memory layout that does not match its annotation."""
 
     # `__call__` is an instance attribute, so the interpreter calls a built-in function without a Python frame.
     __slots__ = ("__call__", "__dict__", "__weakref__")
@@ -91,7 +93,7 @@ class Kernel:
         library.register_entry(self)
 
     def _first_call(self, *arguments: Any) -> Any:
-        """Load the machine code, then call it."""
+        """Load the machine code at the first call, then call it."""
         return self.load_function()(*arguments)
 
     def load_function(self) -> Callable[..., Any]:
@@ -111,7 +113,7 @@ class Kernel:
             return self._loaded_call
 
     def make_caller(self, code: llvm_compiler.LoadedCode, checked: bool = CHECKS_ENABLED) -> Callable[..., Any]:
-        """Return a Python function that calls this kernel in loaded code."""
+        """Return a Python function that calls this kernel in the loaded `code`."""
         guarded_call: Callable[..., Any] = _add_fault_guard(
             make_caller(self.__name__, code, self.types(), self._read_description(code)), code, checked
         )
@@ -121,36 +123,36 @@ class Kernel:
         return KernelDescription.from_text(code.read_constant_text(_description_name(self.__name__)))
 
     def get_parallel_call(self) -> Callable[..., list[Any]] | None:
-        """Return the function that runs the kernel in parts on a pool of workers, as made by `kernel_calls.make_parallel_caller`;
-        None if there is none."""
+        """Return the function that runs the kernel in parts on a pool of workers (see `kernel_calls.make_parallel_caller`).
+        None if the kernel cannot run in parts."""
         if self._get_parallel_call is None:
             self.load_function()
         assert self._get_parallel_call is not None
         return self._get_parallel_call()
 
     def has_code(self) -> bool:
-        """Return whether its machine code is available, in memory or from another run."""
+        """Return whether the kernel's machine code is available without compilation, in memory or stored in a file."""
         if self._loaded_call is not None:
             return True
         return code_cache.is_code_available(self.text_key(llvm_compiler.find_host_target()))
 
     def text_key(self, target: llvm_compiler.Target) -> str:
-        """Return the key of its sources, or its text if the sources have no key."""
+        """Return the key of the kernel's sources, or its LLVM IR if the sources have no key."""
         return source_key.compute_source_key(self.part, self.types()) or self.text(target)
 
     def types(self) -> list[Any]:
-        """Return the types of its annotations; for a record, the types of its fields."""
+        """Return the types of the kernel's annotations. A record is given by the types of its fields."""
         function = self.part.function
         named = function.__code__.co_varnames[: function.__code__.co_argcount]
         return [resolve_annotation(function.__annotations__.get(name), function.__globals__) for name in named]
 
     def text(self, target: llvm_compiler.Target = llvm_compiler.PORTABLE_TARGET) -> str:
-        """Return the text to compile, in LLVM's language."""
+        """Return the LLVM IR to compile."""
         return render_kernels([self], target)
 
     def build_instructions(self) -> tuple[str, KernelItem, list[IrFunction]]:
-        """Return the kernel's instructions without SIMD lanes, for the interpreter: the name of its function, its result, and all
-        functions, callees first."""
+        """Return the kernel's instructions without SIMD lanes, for the interpreter. The result is the name of the kernel's
+        function, its result, and all functions, called functions first."""
         unit = KernelUnit(lanes=1)
         words, arrays = count(), count()
         name, result = write_function(unit, self.part, [_read_argument(each, words, [], arrays) for each in self.types()])
@@ -159,7 +161,7 @@ class Kernel:
 
 
 def render_kernels(kernels: Sequence[Kernel], target: llvm_compiler.Target, checked: bool = CHECKS_ENABLED) -> str:
-    """Return one text of several kernels with different names, in LLVM's language."""
+    """Return the LLVM IR of several kernels with different names, as one text."""
     unit, module, tables = KernelUnit(), LlvmModule(target), LineTables() if checked else None
     entries = [line for each in kernels for line in _build_entry(each, unit, module, tables)]
     verify_functions(unit.functions)
@@ -179,7 +181,7 @@ def render_kernels(kernels: Sequence[Kernel], target: llvm_compiler.Target, chec
 
 
 def _build_entry(kernel: Kernel, unit: KernelUnit, module: LlvmModule, tables: LineTables | None) -> tuple[str, str]:
-    """Return the text of a constant that describes a kernel, and the text of its entry function."""
+    """Return the LLVM IR of the constant that describes a kernel, and the LLVM IR of its entry function."""
     words, arrays, body = count(RESULT_WORDS), count(), list[str]()
     inputs = [_read_argument(each, words, body, arrays) for each in kernel.types()]
     name, result = write_function(unit, kernel.part, inputs)
@@ -211,25 +213,25 @@ def _build_entry(kernel: Kernel, unit: KernelUnit, module: LlvmModule, tables: L
 
 
 def _description_name(name: str) -> str:
-    """Return the name of the constant that describes a kernel."""
+    """Return the name of the LLVM constant that describes the kernel `name`."""
     return f"about.{name}"
 
 
 def _add_fault_guard(run: Any, code: llvm_compiler.LoadedCode, checked: bool) -> Any:
-    """Return `run`; in a checked build, a function that calls it and raises KernelFault for failed checks."""
+    """Return `run`, or in a checked build a function that calls `run` and raises KernelFault for failed checks."""
     return guard_call(run, code) if checked and run is not None else run
 
 
 def kernel(function: PythonFunction) -> Kernel:
-    """Return the kernel of a function with annotated arguments."""
+    """Make a kernel of a function with annotated arguments. Used as a decorator."""
     return Kernel(function)  # type: ignore[arg-type]
 
 
 def _read_argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterator[int]) -> KernelItem:
-    """Return an argument as an item, and append the instructions that read its numbers to `body`.
+    """Return an argument as an item, and append the instructions that read it from the table to `body`.
 
-    `type`: the argument's type. `words`: the numbers of the next words of the table. `numbers`: the numbers of the next
-    arrays."""
+    `type`: the argument's type. `words`: yields the indices of the next words in the table. `numbers`: yields the numbers of
+    the next arrays."""
 
     def read_number(kind: str) -> Number:
         k = next(words)

@@ -1,7 +1,7 @@
-"""Calls of a kernel's code: arguments are checked and written into a table of words, which the code reads.
+"""Calls a kernel's machine code. Arguments are checked and written into a table of 64-bit words, which the code reads.
 
-Machine code (`direct`) handles most calls. The functions of this module handle the others, and report mistakes, such as arrays of
-another type or memory layout."""
+Machine code (`direct`) handles most calls. The functions of this module handle the others, and report wrong arguments, such as
+arrays of another type or memory layout."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _RESULT_KINDS = {"double": REAL_KIND, "float": REAL_KIND, "i64": INTEGER_KIND, "
 
 @dataclass(frozen=True, slots=True)
 class KernelDescription:
-    """The signature of a kernel's text.
+    """The results of a kernel and the arrays that it writes to, as stored with its compiled code.
 
     - `result_kinds`: the kinds of its results
     - `has_several_results`: whether the kernel returns a tuple
@@ -35,7 +35,7 @@ class KernelDescription:
     written_arrays: tuple[int, ...]
 
     def text(self) -> str:
-        """Return the description as one line of text without quotes."""
+        """Return the description as one line of text; `from_text` reads it. The line has no quotation marks."""
         return ";".join(
             (",".join(self.result_kinds), str(int(self.has_several_results)), ",".join(map(str, self.written_arrays)))
         )
@@ -50,7 +50,7 @@ class KernelDescription:
 def make_caller(
     name: str, code: llvm_compiler.LoadedCode, types: Sequence[Any], description: KernelDescription
 ) -> Callable[..., Any]:
-    """Return a function that calls a kernel with its arguments. `types` are the types of the kernel's annotations."""
+    """Return a Python function that calls the machine code of a kernel. `types`: the types of the kernel's annotations."""
     specs = list(_argument_specs(types, description.written_arrays))
     words = RESULT_WORDS + sum(_word_count(each) for each in specs)
     result_kinds, several = list(description.result_kinds), description.has_several_results
@@ -68,11 +68,10 @@ def make_parallel_caller(
     description: KernelDescription,
     single_call: Callable[..., Any],
 ) -> Callable[..., Any] | None:
-    """Return a function that runs a kernel in parts on a pool, or None if the kernel cannot be run in parts.
-
-    The function takes the kernel's arguments without the last two, the begin and the end of its loop. Then follow the begin and
-    the end of the complete loop, the number of parts, and the address of the pool. It returns a list with the kernel's results
-    for each part. If it cannot read the arguments, it calls `single_call` with all of them, as one part."""
+    """Return a function that runs a kernel in parts on a pool of workers, or None if the kernel cannot run in parts. The
+    function takes the kernel's arguments except the last two, which are the begin and end of its loop. Instead come the begin
+    and end of the complete loop, the number of parts, and the address of the pool. It returns a list with the kernel's results
+    for each part. If machine code cannot read the arguments, the function calls `single_call` once, for the complete loop."""
     specs = list(_argument_specs(types, description.written_arrays))
     words = RESULT_WORDS + sum(_word_count(each) for each in specs)
     if any(not isinstance(each, ScalarType) or each.kind != INT for each in types[-2:]) or (
@@ -91,7 +90,8 @@ def make_parallel_caller(
 
 
 def _argument_specs(types: Sequence[Any], written_arrays: Sequence[int]) -> Iterator[ArgumentSpec]:
-    """Yield the arguments that a kernel expects, with their positions in the table. A tuple comes before its elements."""
+    """Yield the specifications of the arguments that a kernel expects, with their positions in the table. A tuple comes before
+    its elements."""
     place, arrays = RESULT_WORDS, 0
 
     def each_of(types: Sequence[Any], path: tuple[int, ...]) -> Iterator[ArgumentSpec]:
@@ -128,7 +128,7 @@ def _make_python_caller(
     result_kinds: list[str],
     has_several_results: bool,
 ) -> Callable[..., Any]:
-    """Return the function that `make_caller` describes, implemented in Python instead of machine code."""
+    """Return a function that calls a kernel, like `make_caller`, but reads the arguments in Python instead of machine code."""
     word_specs = [each for each in specs if each.count is None]
     results = struct.Struct("=" + "".join(_CTYPES_FORMATS[each] for each in result_kinds))
     truths = [k for k, each in enumerate(result_kinds) if each == "i1"]
@@ -157,8 +157,8 @@ def _make_python_caller(
 
 
 def flatten_arguments(name: str, types: Sequence[Any], arguments: Sequence[Any]) -> Iterator[Any]:
-    """Yield the arguments, and instead of a tuple its elements. Raises TypeError or ValueError for a wrong number of
-    arguments."""
+    """Yield the arguments in order, with each tuple replaced by its elements. Raises TypeError or ValueError for a wrong
+    number of arguments."""
     if len(types) != len(arguments):
         raise TypeError(f"{name} takes {len(types)} arguments, not {len(arguments)}")
     for type, argument in zip(types, arguments, strict=True):
@@ -171,7 +171,8 @@ def flatten_arguments(name: str, types: Sequence[Any], arguments: Sequence[Any])
 
 
 def _describe_array(name: str, spec: ArgumentSpec, array: Any) -> tuple[int, ...]:
-    """Return the words that describe an array. Raises ValueError for another type or memory layout."""
+    """Return the words of the table that describe an array. Raises ValueError if its type or memory layout is not that of
+    `spec`."""
     dtype, shape = spec.dtype, array.shape
     assert dtype is not None
     if (dtype is not array.dtype and dtype != array.dtype) or len(shape) != spec.axes:

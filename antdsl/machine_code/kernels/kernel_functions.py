@@ -1,5 +1,4 @@
-"""The functions that a kernel may call, other than kernel functions: each Python function, and how it is written as
-instructions."""
+"""The built-in and NumPy functions that a kernel may call, each with the function that emits its instructions."""
 
 from __future__ import annotations
 
@@ -21,7 +20,8 @@ _ROUNDING_MAGIC = 1.5 * 2.0**52  # a sum with it has the rounded integer in its 
 
 
 def simd_range(begin: int, end: int) -> Iterator[int]:
-    """Iterate from `begin` to before `end` in a loop with independent iterations: none reads what another one writes."""
+    """Return the numbers from `begin` to `end - 1`, for a loop with independent iterations: none reads what another one
+    writes."""
     return iter(range(begin, end))
 
 
@@ -46,16 +46,16 @@ def store3(array: Any, row: int, items: tuple[Any, Any, Any]) -> None:
 
 
 def prefetch(array: Any, at: int) -> None:
-    """Prefetch the cache line of an element. Any index is allowed."""
+    """Prefetch the cache line of an element. Indices outside the array are allowed."""
 
 
 def round_to_int(value: float) -> int:
-    """Return the integer nearest to a float64, if the result is below 2**51. Other inputs give an unspecified number."""
+    """Return the integer nearest to a float64 of magnitude below 2**51. The result for other inputs is unspecified."""
     return round(value) if abs(value) < 2.0**51 else 0
 
 
 def float_to_bits(value: Any) -> Any:
-    """Return the bits of a float64 as an integer."""
+    """Return the 64 bits of a float64 as an integer."""
     return int(np.float64(value).view(np.int64))
 
 
@@ -65,7 +65,7 @@ def bits_to_float(bits: Any) -> Any:
 
 
 def _make_intrinsic(stem: str) -> Callable[..., Number]:
-    """Return the writer of an LLVM function of one number, such as `llvm.sqrt`."""
+    """Return a function that emits a call of the LLVM function `stem` for one number, such as `llvm.sqrt`."""
 
     def write_call(w: StatementWriter, a: Number) -> Number:
         a = w.to_float(a)
@@ -81,7 +81,7 @@ def _emit_absolute(w: StatementWriter, a: Number) -> Number:
 
 
 def _emit_minimum(w: StatementWriter, *values: Number) -> Number:
-    """Return the minimum as Python defines it: the first value, unless a later value is less."""
+    """Emit the minimum as Python defines it, and return it: the first value, unless a later value is less."""
     best = values[0]
     for each in values[1:]:
         a, b = w.match_kinds(each, best)
@@ -108,7 +108,7 @@ def _emit_is_nan(w: StatementWriter, a: Number) -> Number:
 
 
 def _make_conversion(kind: str) -> Callable[..., Number]:
-    """Return the writer of a conversion to a kind."""
+    """Return a function that emits a conversion of a number to `kind`."""
     return lambda w, a: w.convert(a, kind)
 
 
@@ -130,7 +130,7 @@ def _emit_float_from_bits(w: StatementWriter, a: Number) -> Number:
 
 
 def _make_narrowing(bits: int, is_signed: bool) -> Callable[..., Number]:
-    """Return a function that converts a number to an integer of fewer bits and back, as a cast does."""
+    """Return a function that emits a cast to an integer of `bits` bits, extended to 64 bits again."""
 
     def write_conversion(w: StatementWriter, a: Number) -> Number:
         return w.op("sext" if is_signed else "zext", INT, w.op("trunc", f"i{bits}", w.convert(a, INT)))

@@ -1,4 +1,4 @@
-"""The state of a text while its functions are written; variables and loop labels of one function."""
+"""The state of an LLVM IR text while its functions are written, and the variables and loop labels of one function."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from antdsl.machine_code.number_kinds import LANE_COUNT
 
 @dataclass(slots=True)
 class StackVariable:
-    """A variable on the stack: the kind of its number, the address of its stack slot, and its number of lanes."""
+    """A variable on the stack, with the kind of its number, the address of its stack slot, and its number of lanes."""
 
     kind: str
     slot_address: Number
@@ -20,7 +20,7 @@ class StackVariable:
 
     @property
     def has_several_lanes(self) -> bool:
-        """Return whether the variable has a number for each lane."""
+        """Return whether the variable has a separate number for each SIMD lane."""
         return self.lanes > 1
 
 
@@ -34,11 +34,11 @@ class LoopLabels:
 
 @dataclass(slots=True, eq=False)
 class KernelUnit:
-    """The functions of a text, while they are written.
+    """The functions of an LLVM IR text, while they are written.
 
     - `lanes`: the number of lanes of independent loops, 1 or 8
     - `functions`: the functions that are complete
-    - `specialisations`: the name and the result of each function, by the Python function and the types of its arguments
+    - `specialisations`: the name and result of each translated function, by the Python function and the types of its arguments
     - `written_arrays`: the numbers of the array arguments that some function writes to"""
 
     lanes: int = LANE_COUNT
@@ -48,6 +48,6 @@ class KernelUnit:
 
 
 def result_type(item: KernelItem) -> str:
-    """Return the result type of a function that returns an item."""
+    """Return the LLVM result type of a function that returns `item`."""
     numbers = [each.type for each in flatten_item(item)]
     return "void" if not numbers else numbers[0] if len(numbers) == 1 else f"{{{', '.join(numbers)}}}"

@@ -1,8 +1,8 @@
-"""The table of all operations of kernels and plans: types, text in LLVM's language, and the meaning of one lane in Python.
+"""The table of all operations of kernels and plans: their types, their LLVM IR, and what they compute for one lane, in Python.
 
-Types are those of LLVM: integer types have no sign; operations are signed or unsigned (`sdiv`, `udiv`). Operations on numbers
-apply to each lane, so one table entry is both the scalar and the vector form. Results are exact, or rounded once to nearest, ties
-to even:
+The types are LLVM's. Its integer types have no sign; instead, some operations are signed or unsigned (`sdiv`, `udiv`).
+Operations on numbers work lane by lane, so one table entry covers both the scalar and the vector form. Results are exact, or
+rounded once to nearest, ties to even:
 
 - Integers wrap around. Shift counts are 0 to 63 (`arithmetic` takes them modulo 64).
 - Floats follow IEEE 754, with denormals. No operation is fused. The sign and the payload of a NaN are not defined.
@@ -33,12 +33,13 @@ TYPES_BY_CLASS: Final[Mapping[str, frozenset[str]]] = {
 class Operation(NamedTuple):
     """One operation of kernels and plans.
 
-    - `operand_types`: a class of types for each operand; `=` is the type of the first operand, `n` any number, `v` any type
-    - `result_type`: the class of types of the result; `2` is the type of the second operand
-    - `text`: the text in LLVM's language, with the operands, the result `r` and the immediate `x` as format fields
+    - `operand_types`: one letter per operand, for the types it may have; `=` is the type of the first operand, `n` any number,
+      `v` any type
+    - `result_type`: the letter for the type of the result; `2` is the type of the second operand
+    - `text`: the LLVM IR, with format fields for the operands, the result `r` and the immediate constant `x`
     - `meaning`: a function of NumPy scalars that computes the result; if it is None, the interpreter implements the operation
     - `is_lanewise`: whether each lane of the result depends only on the same lane of the operands
-    - `extra_types`: types after those of the operands in the declaration of an LLVM function"""
+    - `extra_types`: the parameter types after the operands in the declaration of an LLVM function"""
 
     operand_types: str
     result_type: str
@@ -49,18 +50,18 @@ class Operation(NamedTuple):
 
 
 def to_unsigned(a: Any) -> int:
-    """Return an integer as if it were unsigned."""
+    """Return the value of an integer with its bits read as unsigned."""
     ones: int = (1 << 8 * a.dtype.itemsize) - 1
     return int(a) & ones
 
 
 def _apply_unsigned(function: Callable[[int, int], Any]) -> Callable[[Any, Any], Any]:
-    """Return a function of signed integers that reinterprets them as unsigned ones and calls `function`."""
+    """Return a function that reads its signed integers as unsigned and calls `function` with them."""
     return lambda a, b: wrap_to_dtype(function(to_unsigned(a), to_unsigned(b)), a.dtype)
 
 
 def wrap_to_dtype(number: int | bool, dtype: Any = np.int64) -> Any:
-    """Wrap an integer to the bits of a type; a condition is unchanged."""
+    """Return an integer wrapped to the number of bits of `dtype`. A condition (bool) is returned unchanged."""
     if isinstance(number, bool):
         return np.bool_(number)
     dtype = np.dtype(dtype)
@@ -69,19 +70,19 @@ def wrap_to_dtype(number: int | bool, dtype: Any = np.int64) -> Any:
 
 
 def _divide_truncating(a: Any, b: Any) -> Any:
-    """Return the quotient of two integers, rounded to zero."""
+    """Return the quotient of two integers, rounded toward zero."""
     x, y = int(a), int(b)
     return wrap_to_dtype(abs(x) // abs(y) * (1 if (x < 0) == (y < 0) else -1), a.dtype)
 
 
 def _remainder_truncating(a: Any, b: Any) -> Any:
-    """Return the remainder of the quotient that is rounded to zero."""
+    """Return the remainder of a division that rounds toward zero."""
     x, y = int(a), int(b)
     return wrap_to_dtype(abs(x) % abs(y) * (-1 if x < 0 else 1), a.dtype)
 
 
 def _make_saturating_cast(is_signed: bool) -> Callable[[Any, Any], Any]:
-    """Return the meaning of a cast from float to integer that truncates and saturates; NaN becomes 0."""
+    """Return a function that casts a float to an integer. It truncates, saturates, and converts NaN to 0."""
 
     def cast_saturating(a: Any, dtype: Any) -> Any:
         bounds, number = np.iinfo(dtype if is_signed else f"u{np.dtype(dtype).itemsize}"), float(a)
@@ -94,12 +95,12 @@ def _make_saturating_cast(is_signed: bool) -> Callable[[Any, Any], Any]:
 
 
 def _truncate_bits(a: Any, dtype: Any) -> Any:
-    """Return the low bits of an integer, as many as the type has."""
+    """Return the low bits of an integer as a number of `dtype`."""
     return np.bool_(int(a) & 1) if np.dtype(dtype) == np.bool_ else a.astype(dtype)
 
 
 def _reinterpret_bits(a: Any, dtype: Any) -> Any:
-    """Return the number of another type with the same bits."""
+    """Return the number of type `dtype` that has the same bits as `a`."""
     return a.view(dtype)
 
 
@@ -108,12 +109,13 @@ def _cast_to_dtype(a: Any, dtype: Any) -> Any:
 
 
 def _cast_unsigned(a: Any, dtype: Any) -> Any:
-    """Cast an integer as if it were unsigned."""
+    """Return an integer, with its bits read as unsigned, cast to `dtype`."""
     return (a if a.dtype == np.bool_ else a.view(f"u{a.dtype.itemsize}")).astype(dtype)
 
 
 def _make_binary_operations(operand_types: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
-    """Return operations of two operands by LLVM's names. `meanings`: their functions of NumPy scalars, by the same names."""
+    """Return operations with two operands, by their LLVM names. `meanings`: for each name, the function of NumPy scalars that
+    computes the result."""
     return {
         name: Operation(operand_types, "=", name + " {0.typed_name}, {1.name}", meaning) for name, meaning in meanings.items()
     }
@@ -122,7 +124,8 @@ def _make_binary_operations(operand_types: str, meanings: Mapping[str, Callable[
 def _make_comparisons(
     operand_types: str, prefix: str, word: str, sign: str, meanings: Mapping[str, Callable[..., Any]]
 ) -> dict[str, Operation]:
-    """Return the comparisons by name. `prefix` begins their names in the table; `word` and `sign` form LLVM's names."""
+    """Return the comparisons by name. `prefix`: the start of their names in the table. `word` and `sign`: parts of their LLVM
+    names."""
     return {
         f"{prefix}{name}": Operation(operand_types, "b", f"{word} {sign}{name}" + " {0.typed_name}, {1.name}", meaning)
         for name, meaning in meanings.items()
@@ -130,7 +133,7 @@ def _make_comparisons(
 
 
 def _make_casts(operand_types: str, result_type: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
-    """Return the casts. Their meanings are functions of a number and the result type."""
+    """Return the casts by name. `meanings`: for each name, a function of a number and the result type."""
     return {
         name: Operation(operand_types, result_type, name + " {0.typed_name} to {r.type}", meaning)
         for name, meaning in meanings.items()
@@ -138,14 +141,15 @@ def _make_casts(operand_types: str, result_type: str, meanings: Mapping[str, Cal
 
 
 def _make_functions(operand_types: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
-    """Return the operations that call an LLVM function of the same name."""
+    """Return the operations that call an LLVM function, by the function's name."""
     arguments = ", ".join(f"{{{k}.typed_name}}" for k in range(len(operand_types)))
     text = "call {r.type} @llvm.NAME.{0.intrinsic_suffix}(" + arguments + ")"
     return {name: Operation(operand_types, "=", text.replace("NAME", name), meaning) for name, meaning in meanings.items()}
 
 
 def _make_reductions(operand_types: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
-    """Return the reductions of all lanes to one number. The meanings are functions of two numbers."""
+    """Return the operations that reduce all lanes to one number, by name. `meanings`: for each name, a function that combines
+    two numbers."""
     text = "call {r.type} @llvm.vector.reduce.NAME.{0.intrinsic_suffix}({0.typed_name})"
     return {
         f"reduce.{name}": Operation(operand_types, operand_types, text.replace("NAME", name), meaning, is_lanewise=False)

@@ -11,32 +11,32 @@ from typing import Any
 
 
 def is_record(candidate: Any) -> bool:
-    """Return whether an object is the class of a record."""
+    """Return whether an object is a record class, that is, a NamedTuple class."""
     return isinstance(candidate, type) and issubclass(candidate, tuple) and hasattr(candidate, "_fields")
 
 
 def rebuild_like(model: Any, parts: Iterable[Any]) -> Any:
-    """Return `parts` as a tuple; if `model` is a record, as a record of its class."""
+    """Return `parts` as a record of the same class as `model`, or as a tuple if `model` is not a record."""
     kind = type(model)
     return tuple(parts) if kind is tuple else kind._make(parts)
 
 
 @cache
 def get_field_types(record: Any) -> Any:
-    """Return the types of a record class's fields, as a record of this class. Raises TypeError for a field without a kernel
-    type."""
+    """Return a record of the given class in which each field holds that field's type. Raises TypeError for a field without a
+    kernel type."""
     world = vars(sys.modules[record.__module__])
     return record._make(resolve_annotation(_annotation_text(record.__annotations__[name]), world) for name in record._fields)
 
 
 def _annotation_text(annotation: Any) -> Any:
-    """Return the text of an annotation, which `NamedTuple` wraps."""
+    """Return the text of an annotation. `NamedTuple` wraps text annotations in another object."""
     return getattr(annotation, "__forward_arg__", annotation)
 
 
 def resolve_annotation(annotation: Any, module_names: dict[str, Any]) -> Any:
-    """Return the type of an annotation in a module with the names `module_names`: a ScalarType, an ArrayType, a tuple or record
-    of these, or Any."""
+    """Return the type that an annotation means: a ScalarType, an ArrayType, a tuple or record of these, or Any.
+    `module_names`: the global names of the annotation's module."""
     return (
         _resolve_type_node(_parse_annotation(annotation), module_names)
         if isinstance(annotation, str)
@@ -50,7 +50,7 @@ def _parse_annotation(text: str) -> ast.expr:
 
 
 def _resolve_type_node(node: ast.expr | None, module_names: dict[str, Any]) -> Any:
-    """Return the type of an annotation's syntax tree."""
+    """Return the type that an annotation means, given its syntax tree."""
     if isinstance(node, ast.Name):
         if node.id in ("tuple", "Any"):
             return tuple if node.id == "tuple" else Any
@@ -65,7 +65,7 @@ def _resolve_type_node(node: ast.expr | None, module_names: dict[str, Any]) -> A
 
 
 def _expand_records(annotation: Any) -> Any:
-    """Return the type of an annotation, with each record class replaced by the record of its fields' types, also within
+    """Return an annotation with each record class replaced by a record of its field types. This includes classes within
     `tuple[..]`."""
     if isinstance(annotation, GenericAlias):
         return tuple(_expand_records(each) for each in annotation.__args__)

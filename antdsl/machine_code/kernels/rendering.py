@@ -1,4 +1,4 @@
-"""Writes instructions as text in LLVM's language."""
+"""Writes typed instructions as LLVM IR."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ _CONSTANT_TABLES = {
 def render_functions(
     functions: Sequence[IrFunction], checks: CheckRenderer | None = None, tables: LineTables | None = None
 ) -> list[str]:
-    """Return the texts of functions, and the declarations of the LLVM functions that they call.
+    """Return the LLVM IR of functions, and the declarations of the LLVM functions that they call.
 
-    Without `checks`, the checks are left out; without `tables`, the line numbers."""
+    `checks`: writes the checks; None leaves them out. `tables`: the debug line tables; None leaves line numbers out."""
     declared = {ZEROS_CONSTANT.name: _CONSTANT_TABLES[ZEROS_CONSTANT.name]}
     texts = [render_function(each, declared, checks, tables) for each in functions]
     return [*declared.values(), *texts, *([] if checks is None else [checks.render_definitions()])]
@@ -45,7 +45,8 @@ def render_functions(
 def render_function(
     function: IrFunction, declarations: dict[str, str], checks: CheckRenderer | None = None, tables: LineTables | None = None
 ) -> str:
-    """Return the text of a function. Add the LLVM functions that it calls, and the tables that it reads, to `declarations`."""
+    """Return the LLVM IR of a function. Add declarations of the LLVM functions that it calls and of the tables that it reads
+    to `declarations`."""
     arguments = ", ".join(each.typed_name for each in function.arguments)
     metadata = ""
     if tables is not None:
@@ -71,7 +72,7 @@ def render_function(
 
 
 def _render_instruction(instruction: Instruction, declarations: dict[str, str]) -> str:
-    """Return the text of an instruction. Add the LLVM function or table that it uses to `declarations`."""
+    """Return the LLVM IR of an instruction. Add a declaration of the LLVM function or table that it uses to `declarations`."""
     op, result, operands, extra, _ = instruction
     if op in ("jump", "branch"):  # not cached, because lines with unique labels would fill the cache
         return "  " + OPERATION_BY_NAME[op].text.format(*operands, x=extra)
@@ -88,8 +89,8 @@ def _render_instruction(instruction: Instruction, declarations: dict[str, str]) 
 
 @cache
 def _operation_pattern(op: str, types: tuple[str, ...], result_type: str, extra: Any) -> tuple[str, tuple[str, str] | None]:
-    """Return the text of an operation on these types, with `%s` for each operand. Return also the name and the declaration of the
-    LLVM function or table that it uses, or None."""
+    """Return the LLVM IR of an operation on these types, with `%s` for each operand. Also return the name and declaration of
+    the LLVM function or table that it uses, or None."""
     operation = OPERATION_BY_NAME[op]
     operands = [Number(base, "%s", None, lanes) for lanes, base in map(split_type, types)]
     lanes, base = split_type(result_type)

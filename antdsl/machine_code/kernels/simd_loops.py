@@ -1,9 +1,9 @@
-"""Loops with iterations that do not depend on each other: eight run at once in SIMD lanes, the rest one by one.
+"""Emits loops with independent iterations: eight iterations run at once in SIMD lanes, and the remaining ones run one by one.
 
-Each number of an iteration becomes a vector of eight, each condition a mask. Code under a condition runs if its mask holds for at
-least one iteration, and has an effect only for these iterations. Inner loops run until all iterations have left them, and
-functions until all iterations have returned a value (M. Pharr, W. R. Mark, ispc: A SPMD compiler for high-performance CPU
-programming, InPar 2012)."""
+Each number of an iteration becomes a vector of eight, each condition a mask. Code under a condition runs if its mask is true
+for at least one iteration, and it affects only the iterations in the mask. Inner loops run until all iterations have left
+them, and functions until all iterations have returned a value (M. Pharr, W. R. Mark, ispc: A SPMD compiler for
+high-performance CPU programming, InPar 2012)."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _EXIT_STATEMENTS = (ast.Break, ast.Continue, ast.Return)
 
 @dataclass(slots=True)
 class LoopMasks:
-    """The stack slots of two masks of a loop or function.
+    """The stack slots of the two masks that a loop or function uses.
 
-    - `remaining_mask`: the iterations that have not left it
+    - `remaining_mask`: the iterations that have not left the loop or function
     - `active_mask`: the iterations that run the code that follows"""
 
     remaining_mask: Number
@@ -37,7 +37,7 @@ class LoopMasks:
 
 
 class SimdWriter(StatementWriter):
-    """Writer of a function for one iteration, or for several in SIMD lanes."""
+    """Emits the instructions of a function, either for one iteration or for several in SIMD lanes."""
 
     def __init__(self, unit: KernelUnit, part: Any, mask: Number | None = None) -> None:
         super().__init__(unit, *part.source())
@@ -50,7 +50,7 @@ class SimdWriter(StatementWriter):
             self._begin_masks()
 
     def _begin_masks(self) -> LoopMasks:
-        """Begin a loop or a function for the active lanes. Return its masks, in which all these lanes are set."""
+        """Begin a loop or a function for the active lanes. Return its masks, which initially contain all active lanes."""
         assert self.mask is not None
         turns = LoopMasks(self.allocate_slot(TRUTH, LANE_COUNT), self.allocate_slot(TRUTH, LANE_COUNT))
         self.store_number(turns.remaining_mask, self.mask)
@@ -94,7 +94,8 @@ class SimdWriter(StatementWriter):
     # --- statements ----------------------------------------------------------------------------------------------------
 
     def _write_where(self, mask: Number, write: Callable[[], None]) -> None:
-        """Write code by `write` that runs with `mask` as its mask, if the mask holds for at least one iteration."""
+        """Call `write` to emit code that affects only the iterations in `mask`. The code is skipped if no iteration is in the
+        mask."""
         outer_mask, reached, then, end = self.mask, self.reached_mask, self.make_label("then"), self.make_label("done")
         if mask.literal_value is None:
             self.branch(self.emit_any_lane(mask), then, end)
@@ -126,7 +127,7 @@ class SimdWriter(StatementWriter):
         self._write_remaining([*true_body, *false_body])
 
     def _write_remaining(self, body: list[ast.stmt]) -> None:
-        """After `body`, remove from the mask the iterations that `body` has ended by `break`, `continue` or `return`."""
+        """After the code of `body`, remove the iterations from the mask that `body` ended by `break`, `continue` or `return`."""
         if _has_exits(body):
             assert self.mask is not None
             self.mask = self.emit_logical_and(self.mask, self.load(self.loop_masks[-1].active_mask, TRUTH, LANE_COUNT))
@@ -170,7 +171,8 @@ class SimdWriter(StatementWriter):
         self._rejoin_after_loop(outer_mask, body)
 
     def _rejoin_after_loop(self, outer_mask: Number, body: list[ast.stmt]) -> None:
-        """Restore the mask after a loop. Iterations that returned in the loop stay inactive."""
+        """Restore the mask `outer_mask` after a loop. Iterations that returned from the function within the loop stay
+        inactive."""
         self.loop_masks.pop()
         self.mask, self.is_reachable = outer_mask, True
         if any(isinstance(each, ast.Return) for statement in body for each in ast.walk(statement)):
@@ -216,8 +218,8 @@ class SimdWriter(StatementWriter):
         self._rejoin_after_loop(outer_mask, body)
 
     def _write_uniform_loop(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
-        """Write a loop with the same range for all iterations of the outer loop. No iteration leaves it early, so the mask does
-        not change."""
+        """Emit an inner loop with a range that is the same for all lanes. No lane leaves it early, so the mask does not
+        change."""
         with self._write_scalar_loop(begin, end, step) as at:
             self.variables[name] = at
             fresh = set(self.unwritten_slots)
@@ -227,7 +229,7 @@ class SimdWriter(StatementWriter):
 
     @contextmanager
     def _write_scalar_loop(self, begin: Number, end: Number, step: int) -> Iterator[Number]:
-        """Write a loop over numbers that all lanes share. Yield the number; the context writes the body."""
+        """Emit a loop over numbers that all lanes share. Yield the loop variable; the `with` block emits the body."""
         number = self.allocate_slot(INT)
         self.store_number(number, begin)
         head, inner, exit_label = self.make_label("for"), self.make_label("body"), self.make_label("end")
@@ -273,7 +275,7 @@ class SimdWriter(StatementWriter):
             self._clear_mask(turns.remaining_mask)
 
     def _broadcast_item(self, item: KernelItem) -> KernelItem:
-        """Return an item with its numbers broadcast to all lanes."""
+        """Return an item with each of its numbers broadcast to all lanes."""
         return rebuild_like(item, map(self._broadcast_item, item)) if isinstance(item, tuple) else self.broadcast(item)
 
     def end(self) -> None:
@@ -340,15 +342,15 @@ class SimdWriter(StatementWriter):
 
 
 def _has_exits(body: list[ast.stmt]) -> bool:
-    """Return whether these statements may end an iteration, a loop or the function."""
+    """Return whether these statements contain a `break`, `continue` or `return`."""
     return any(isinstance(each, _EXIT_STATEMENTS) for statement in body for each in ast.walk(statement))
 
 
 def write_function(unit: KernelUnit, part: Any, inputs: list[KernelItem], in_lanes: bool = False) -> tuple[str, KernelItem]:
-    """Return the name and the result of the function that `part` becomes for these types of inputs. It is written at the first
-    call.
+    """Return the name and result of the translation of `part` for these types of inputs.
 
-    `in_lanes`: whether it runs several iterations in SIMD lanes. Its last argument is then the mask of the active iterations."""
+    The first call for these types writes the function. `in_lanes`: whether the function runs several iterations in SIMD lanes.
+    Its last argument is then the mask of the active iterations."""
     key = (part, ",".join(make_type_key(each) for each in inputs) + ("," if in_lanes else ""))
     if key not in unit.specialisations:
         name = f"@{part.function.__name__}.{len(unit.specialisations)}"

@@ -1,7 +1,7 @@
-"""A key of all sources of a kernel's text. It identifies cached code, so that the text need not be written.
-
-The key covers the files with the kernel's functions, the values of the names in these functions, and all files of `machine_code`.
-A kernel with a name for a value that cannot be compared between runs has no key; its text identifies it."""
+"""Computes a key from all sources that determine a kernel's LLVM IR. The key identifies cached code, so that the LLVM IR need
+not be written again. The key covers the source files of the kernel's functions, the values of the names in these functions,
+and all files of `machine_code`. A kernel that uses a value without a representation that is equal in all runs has no key. Its
+LLVM IR identifies it instead."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class _UnknownSource(Exception):
 
 
 def compute_source_key(part: Any, types: list[Any]) -> str | None:
-    """Return a key that identifies the text of a kernel with arguments of these types; None if there is none. No text begins like
-    a key."""
+    """Return a key that identifies the LLVM IR of a kernel with arguments of these types, or None if it has no key. LLVM IR
+    never begins like a key."""
     parts: list[str] = [_hash_compiler_sources(), f"checked {CHECKS_ENABLED}", *map(_describe_type, types)]
     known: dict[int, int] = {}
     try:
@@ -76,9 +76,8 @@ def _cached_file_hash(path: str, modified_ns: int, size: int) -> str:
 
 
 def _describe_function(part: Any, parts: list[str], literal_value: dict[int, int]) -> None:
-    """Append a description of a function, and of the values that its names refer to, to `parts`.
-
-    `literal_value`: the number of each function that is already described, by its identity; the number is its description."""
+    """Append a description of a function, and of the values that its names refer to, to `parts`. `literal_value`: numbers for
+    the functions described before, by object identity. The number then stands for the description."""
     function: FunctionType = part.function
     if id(function) in literal_value:
         parts.append(f"function {literal_value[id(function)]}")
@@ -95,7 +94,7 @@ def _describe_function(part: Any, parts: list[str], literal_value: dict[int, int
 
 
 def _list_code_names(code: CodeType) -> Iterator[str]:
-    """Yield all names in the code of a function. The translation may look up each of them in the function's module."""
+    """Yield all names in the code of a function that the translation may look up in the function's module."""
     for names in (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars):
         yield from names
     for each in code.co_consts:
@@ -104,8 +103,8 @@ def _list_code_names(code: CodeType) -> Iterator[str]:
 
 
 def _describe_value(value: Any, names: list[str], parts: list[str], literal_value: dict[int, int]) -> None:
-    """Append the description of a value that kernels use to `parts`. `names`: the names of its attributes that are used. Raises
-    _UnknownSource if it has no description."""
+    """Append the description of a value that a kernel uses to `parts`. `names`: the attributes of the value that may be used.
+    Raises _UnknownSource if it has no description."""
     part = None if is_record(value) else getattr(value, "part", None)
     if part is not None:
         _describe_function(part, parts, literal_value)

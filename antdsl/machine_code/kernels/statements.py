@@ -1,4 +1,4 @@
-"""Writes the statements of a kernel's function, for the types of one call."""
+"""Emits the instructions of a kernel function's statements, for the argument types of one call."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MAX_UNROLLED_ITERATIONS = 4  # longer loops over constants are not unrolled
 
 
 class StatementWriter(ExpressionEmitter):
-    """Writer of one function for arguments of certain types."""
+    """Emits the instructions of one function, for arguments of given types."""
 
     def __init__(self, unit: KernelUnit, file: str, definition: ast.FunctionDef, module_names: dict[str, Any]) -> None:
         super().__init__(definition.name, file)
@@ -41,7 +41,7 @@ class StatementWriter(ExpressionEmitter):
         self.is_reachable = True  # whether the current position can be reached
 
     def run(self, inputs: list[KernelItem]) -> None:
-        """Write the body of the function. `inputs`: its arguments."""
+        """Emit the body of the function. `inputs`: its arguments."""
         names = [each.arg for each in self.definition.args.args]
         if len(names) != len(inputs):
             self.fail(self.definition, f"{len(inputs)} arguments for {len(names)}")
@@ -55,7 +55,7 @@ class StatementWriter(ExpressionEmitter):
         self.end()
 
     def end(self) -> None:
-        """End the function after its body."""
+        """End the function: return from it if the body does not."""
         if self.is_reachable:
             self.write_return(self.definition, ())
 
@@ -67,7 +67,7 @@ class StatementWriter(ExpressionEmitter):
         return self.variables[name]
 
     def _literal_item(self, value: Any) -> KernelItem:
-        """Return a value of the module as literals."""
+        """Return a Python value from the kernel's module as an item of literals."""
         if isinstance(value, tuple):
             return rebuild_like(value, (self._literal_item(each) for each in value))
         return make_literal_number(value)
@@ -82,13 +82,13 @@ class StatementWriter(ExpressionEmitter):
     # --- assignment ----------------------------------------------------------------------------------------------------
 
     def assign(self, node: ast.AST, name: str, item: KernelItem) -> None:
-        """Assign a value to a name; the first assignment decides its type."""
+        """Assign an item to a local name. The first assignment decides the type of the variable."""
         if name not in self.variables:
             self.variables[name] = self._allocate_variable(item)
         self._assign_into(node, name, self.variables[name], item)
 
     def _allocate_variable(self, item: KernelItem) -> Any:
-        """Return new variables for the numbers of an item; arrays stay unchanged."""
+        """Return a copy of an item with new stack variables instead of its numbers; arrays are unchanged."""
         if isinstance(item, tuple):
             return rebuild_like(item, (self._allocate_variable(each) for each in item))
         return item if isinstance(item, Array) else self.make_variable(item)
@@ -118,7 +118,7 @@ class StatementWriter(ExpressionEmitter):
         self.store_number(variable.slot_address, value)
 
     def _assign_target(self, node: ast.AST, target: ast.expr, item: KernelItem) -> None:
-        """Assign an item to a name, a tuple of targets or an element of an array."""
+        """Assign an item to a target: a name, a tuple of targets or an element of an array."""
         match target:
             case ast.Name(id="_"):
                 pass
@@ -145,7 +145,7 @@ class StatementWriter(ExpressionEmitter):
         self.store_element(node, array, index, item)
 
     def _fill_array(self, node: ast.AST, array: KernelItem, item: KernelItem) -> None:
-        """Write `a[:] = number`."""
+        """Emit `a[:] = number`, which stores one number in all elements."""
         if not isinstance(array, Array) or array.steps is not None or not isinstance(item, Number):
             self.fail(node, "`a[:] = number` needs a contiguous array and a number")
         if self.mask is not None:
@@ -164,14 +164,14 @@ class StatementWriter(ExpressionEmitter):
     # --- statements ----------------------------------------------------------------------------------------------------
 
     def write_block(self, body: list[ast.stmt]) -> None:
-        """Write statements up to the first that cannot be reached."""
+        """Emit statements up to the first one that cannot be reached."""
         for each in body:
             if not self.is_reachable:
                 return
             self.write_statement(each)
 
     def write_statement(self, node: ast.stmt) -> None:
-        """Write one statement. Raises NotInSubsetError for unsupported syntax."""
+        """Emit one statement. Raises NotInSubsetError for unsupported syntax."""
         self.node, self.line = node, node.lineno
         match node:
             case ast.Expr(value=ast.Constant()) | ast.Pass():
@@ -211,17 +211,17 @@ class StatementWriter(ExpressionEmitter):
                 self.fail(node, f"`{ast.unparse(node).splitlines()[0]}` is not in the subset")
 
     def exit_loop(self, is_break: bool) -> None:
-        """Leave the innermost loop if `is_break`, else continue with its next iteration."""
+        """Emit a jump out of the innermost loop if `is_break`, else to its next iteration."""
         self.jump(self.loops[-1].end_label if is_break else self.loops[-1].next_label)
         self.is_reachable = False
 
     def _write_augmented(self, node: ast.stmt, name: ast.Name, operator: ast.operator, value: ast.expr) -> None:
-        """Write an augmented assignment to a name, such as `n += 1`."""
+        """Emit an augmented assignment to a name, such as `n += 1`."""
         old_value = self.emit_number(name)
         self.assign(node, name.id, self.apply_operator(node, operator, old_value, self.emit_number(value)))
 
     def write_if(self, test: ast.expr, true_body: list[ast.stmt], false_body: list[ast.stmt]) -> None:
-        """Write an `if`; with a literal condition, only one branch."""
+        """Emit an `if`. If the condition is a literal, only one branch is emitted."""
         condition = self.emit_condition(test)
         if condition.literal_value is not None:
             self.write_block(true_body if condition.literal_value else false_body)
@@ -244,7 +244,7 @@ class StatementWriter(ExpressionEmitter):
             self.begin_block(end)
 
     def write_while(self, test: ast.expr, body: list[ast.stmt]) -> None:
-        """Write a `while` loop."""
+        """Emit a `while` loop."""
         head, inner, end = self.make_label("while"), self.make_label("body"), self.make_label("end")
         self.jump(head)
         self.begin_block(head)
@@ -254,7 +254,7 @@ class StatementWriter(ExpressionEmitter):
         self.begin_block(end)
 
     def _write_iteration(self, loop: LoopLabels, write: Callable[[], None]) -> None:
-        """Write an iteration of a loop, and the jump to the next one."""
+        """Emit the body of a loop, and the jump to the next iteration."""
         self.loops.append(loop)
         write()
         self.loops.pop()
@@ -263,7 +263,7 @@ class StatementWriter(ExpressionEmitter):
         self.is_reachable = True
 
     def _write_for(self, node: ast.For, target: ast.expr, iterable: ast.expr, body: list[ast.stmt]) -> None:
-        """Write a `for` loop over a range, an array or a tuple, and unroll it if it is short."""
+        """Emit a `for` loop over a range, an array or a tuple. Short constant ranges and tuples are unrolled."""
         if isinstance(iterable, ast.Call):
             known, numbers = self.resolve_name(iterable, iterable.func), [self.emit_number(each) for each in iterable.args]
             if known not in (range, simd_range) or not isinstance(target, ast.Name):
@@ -299,15 +299,15 @@ class StatementWriter(ExpressionEmitter):
     def write_range_loop(
         self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt], write: Callable[[], None] | None = None
     ) -> None:
-        """Write a loop over numbers. `write` writes an iteration; None means that an iteration is just `body`."""
+        """Emit a loop over a range. `write`: emits one iteration; if it is None, an iteration is `body`."""
         self._write_counted_loop(name, begin, end, step, write or (lambda: self.write_block(body)))
 
     @abstractmethod
     def write_simd_loop(self, name: str, begin: Number, end: Number, body: list[ast.stmt]) -> None:
-        """Write a loop in which several iterations can run at once."""
+        """Emit a `simd_range` loop, in which several iterations may run at once."""
 
     def write_unrolled_loop(self, node: ast.AST, target: ast.expr, items: list[KernelItem], body: list[ast.stmt]) -> None:
-        """Write the body once for each item."""
+        """Emit the body once for each item."""
         end = self.make_label("end")
         for item in items:
             following = self.make_label("next")
@@ -319,7 +319,7 @@ class StatementWriter(ExpressionEmitter):
         self.unbind_target(target)
 
     def bind_target(self, node: ast.AST, target: ast.expr, item: KernelItem) -> None:
-        """Bind the names of an iteration of an unrolled loop to its item. Literals stay literals."""
+        """Bind the loop target of an unrolled loop to the item of one iteration. Literals stay literals."""
         if isinstance(target, ast.Name):
             self.variables[target.id] = item
         elif isinstance(target, ast.Tuple) and isinstance(item, tuple) and len(item) == len(target.elts):
@@ -329,13 +329,13 @@ class StatementWriter(ExpressionEmitter):
             self.fail(node, "cannot be bound")
 
     def unbind_target(self, target: ast.expr) -> None:
-        """Remove the variables of a loop after the loop, because its last iteration is unknown."""
+        """Remove the loop variables after a loop, because their last values are unknown."""
         for each in ast.walk(target):
             if isinstance(each, ast.Name):
                 self.variables.pop(each.id, None)
 
     def _write_counted_loop(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
-        """Write a loop over numbers."""
+        """Emit a loop with a counter from `begin` to before `end`, in steps of `step`."""
         begin, end = self.convert(begin, INT), self.convert(end, INT)
         number = self.allocate_slot(INT)
         self.store_number(number, begin)
@@ -355,7 +355,7 @@ class StatementWriter(ExpressionEmitter):
         self.begin_block(exit_label)
 
     def write_return(self, node: ast.AST, item: KernelItem) -> None:
-        """Write `return`. Raises NotInSubsetError if an earlier result has another type."""
+        """Emit a `return` statement. Raises NotInSubsetError if an earlier result has another type."""
         if self.has_return and make_type_key(item) != make_type_key(self.result):
             item = self.match_item(node, item, self.result)
         if has_arrays(item):
@@ -364,7 +364,7 @@ class StatementWriter(ExpressionEmitter):
         self.emit_return(item)
 
     def emit_return(self, item: KernelItem) -> None:
-        """Write the return of an item from the function."""
+        """Emit the instruction that returns `item` from the function."""
         numbers = list(flatten_item(item))
         if len(numbers) < 2:
             self.emit_void("return", *numbers)
@@ -375,8 +375,8 @@ class StatementWriter(ExpressionEmitter):
         self.emit_void("return", aggregate)
 
     def match_item(self, node: ast.AST, item: KernelItem, other: KernelItem) -> KernelItem:
-        """Return `item` converted to the type of `other`, an earlier result of the function. Raises NotInSubsetError if that is
-        not possible."""
+        """Return `item` converted to the type of `other`, an earlier return value of the function. Raises NotInSubsetError if
+        that is not possible."""
         if isinstance(item, tuple) and type(item) is type(other) and len(item) == len(other):
             return rebuild_like(item, (self.match_item(node, a, b) for a, b in zip(item, other, strict=True)))
         if isinstance(item, Number) and isinstance(other, Number) and (item.literal_value is not None or item.kind == other.kind):
@@ -386,7 +386,7 @@ class StatementWriter(ExpressionEmitter):
 
 @lru_cache(maxsize=512)
 def count_assigned_names(definition: ast.FunctionDef) -> Counter[str]:
-    """Return the names that a function assigns, each with its number of assignments."""
+    """Return how often a function assigns each of its local names."""
     return Counter(each.id for each in ast.walk(definition) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store))
 
 

@@ -1,4 +1,4 @@
-"""The types that a kernel's annotations name, and their forms in LLVM's language."""
+"""The types for annotations in kernels, and their LLVM types."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ LLVM_TYPE_BY_KIND = {DOUBLE: "double", FLOAT: "float", INT: "i64", UNSIGNED: "i6
 
 @dataclass(frozen=True, slots=True)
 class ScalarType:
-    """The type of a number. Arrays store it as `dtype`, which is `stored_type` in LLVM's language. Kernels compute with its
-    `kind`."""
+    """The type of a number. `dtype`: its NumPy type in arrays. `stored_type`: the LLVM type of this. `kind`: the kind of
+    number that kernels compute with."""
 
     name: str
     dtype: np.dtype[Any]
@@ -25,14 +25,14 @@ class ScalarType:
 
     @property
     def loaded_kind(self) -> str:
-        """Return the kind of a number as loaded from memory, before its conversion to the kind that kernels compute with."""
+        """Return the kind of a number just loaded from memory, before it is converted to the kind that kernels compute with."""
         return self.kind if LLVM_TYPE_BY_KIND[self.kind] == self.stored_type else self.stored_type
 
 
 @dataclass(frozen=True, slots=True)
 class ArrayType:
-    """The type of an array: its number of axes and the type of its elements. If `is_strided`, each axis has its own step;
-    otherwise the array is contiguous."""
+    """The type of an array: its number of axes and the type of its elements. `is_strided`: each axis has its own stride;
+    otherwise the array must be contiguous."""
 
     axes: int
     element_type: ScalarType

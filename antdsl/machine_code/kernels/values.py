@@ -1,4 +1,4 @@
-"""Values while a kernel is written: numbers, arrays, and tuples or records of these."""
+"""The values of a kernel's expressions during translation: numbers, arrays, and tuples or records of these."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _INTRINSIC_SUFFIXES = {"double": "f64", "float": "f32", "ptr": "p0"}
 
 @dataclass(slots=True, unsafe_hash=True)
 class Number:
-    """A number in a function's text.
+    """A number in the LLVM IR of a function.
 
-    - `kind`, `name`: its kind, and its name in the text
+    - `kind`, `name`: its kind, and its name in the LLVM IR
     - `literal_value`: its value if it is a literal, else None
     - `lanes`: its number of lanes
-    - `first_lane`: the number in the first lane, if each lane has one more than the lane before; else None
-    - `type`: its type in LLVM's language
+    - `first_lane`: the number in the first lane if the value increases by one from lane to lane; else None
+    - `type`: its LLVM type
 
     Numbers never change. The class is not `frozen`, because that would make numbers slow to create."""
 
@@ -44,34 +44,34 @@ class Number:
 
     @property
     def lane_type(self) -> str:
-        """Return the type of one lane in LLVM's language."""
+        """Return the LLVM type of one lane."""
         return LLVM_TYPE_BY_KIND.get(self.kind, self.kind)
 
     @property
     def typed_name(self) -> str:
-        """Return type and name, as an operand in LLVM's language."""
+        """Return the LLVM type and the name, as an operand in LLVM IR."""
         return f"{self.type} {self.name}"
 
     @property
     def intrinsic_suffix(self) -> str:
-        """Return the suffix in the name of an intrinsic function for numbers of this type."""
+        """Return the type suffix of LLVM intrinsics for numbers of this type."""
         one = _INTRINSIC_SUFFIXES.get(self.lane_type, self.lane_type)
         return f"v{self.lanes}{one}" if self.lanes > 1 else one
 
 
 @cache
 def format_llvm_type(kind: str, lanes: int = 1) -> str:
-    """Return the type of a kind in LLVM's language."""
+    """Return the LLVM type of numbers of a kind with `lanes` lanes."""
     one = LLVM_TYPE_BY_KIND.get(kind, kind)
     return f"<{lanes} x {one}>" if lanes > 1 else one
 
 
 @dataclass(frozen=True, slots=True)
 class Array:
-    """An array in a function's text.
+    """An array in the LLVM IR of a function.
 
-    `lengths`: the lengths of its axes. `steps`: the step along each axis in elements; None if it is contiguous. `origin`: the
-    number of the kernel's argument; -1 for scratch."""
+    `lengths`: the lengths of its axes. `steps`: the stride along each axis, in elements; None if the array is contiguous.
+    `origin`: the number of the kernel's array argument; -1 for scratch memory."""
 
     element_type: ScalarType
     address: Number
@@ -100,7 +100,7 @@ def make_literal_number(value: Any) -> Number:
 
 
 def flatten_item(item: KernelItem) -> Iterator[Number]:
-    """Yield the numbers of an item, in order; for an array its address, lengths and steps."""
+    """Yield all numbers of an item, in order. An array yields its address, its lengths and its strides."""
     if isinstance(item, tuple):
         for each in item:
             yield from flatten_item(each)
@@ -118,7 +118,7 @@ def has_arrays(item: KernelItem) -> bool:
 
 
 def make_type_key(item: KernelItem) -> str:
-    """Return a text for the types of an item. A function is written once for all arguments with equal texts."""
+    """Return a text that identifies the types in an item. A function is translated once for all arguments with equal texts."""
     if isinstance(item, tuple):
         record = "" if type(item) is tuple else f"{type(item).__module__}.{type(item).__qualname__}"
         return f"{record}({','.join(make_type_key(each) for each in item)})"
@@ -128,7 +128,7 @@ def make_type_key(item: KernelItem) -> str:
 
 
 def rename_item(item: KernelItem, names: Iterator[str]) -> KernelItem:
-    """Return a copy of an item with other names, such as the names of arguments."""
+    """Return a copy of an item with its numbers renamed to `names`, in order."""
     if isinstance(item, tuple):
         return rebuild_like(item, (rename_item(each, names) for each in item))
     if isinstance(item, Array):

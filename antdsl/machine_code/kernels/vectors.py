@@ -1,4 +1,4 @@
-"""Vector operations: broadcast to lanes, extract a lane, and permute lanes."""
+"""Emits vector operations that broadcast a number to lanes, extract a lane, or permute lanes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from antdsl.machine_code.number_kinds import F32, LANE_COUNT
 
 
 class VectorBuilder(IrBuilder[NumberType]):
-    """Writer of operations that move numbers between lanes."""
+    """Emits operations that move numbers between lanes."""
 
     def broadcast(self, value: NumberType) -> NumberType:
         """Return the value broadcast to all lanes."""
@@ -29,8 +29,8 @@ class VectorBuilder(IrBuilder[NumberType]):
     def combine_lanes(
         self, values: Iterable[NumberType], lanes: int = LANE_COUNT, base_vector: NumberType | None = None
     ) -> NumberType:
-        """Return a vector with these single numbers in its first lanes. The remaining lanes come from `base_vector`, or are
-        undefined if it is None."""
+        """Return a vector of `lanes` lanes with `values`, single numbers, in its first lanes. The other lanes come from
+        `base_vector`, or are undefined if it is None."""
         for lane, value in enumerate(values):
             previous = self.named_number(value.kind, "poison", lanes) if base_vector is None else base_vector
             base_vector = self.op("insertelement", value.kind, previous, value, x=lane)
@@ -38,19 +38,20 @@ class VectorBuilder(IrBuilder[NumberType]):
         return base_vector
 
     def shuffle(self, a: Number, b: Number, order: Sequence[int]) -> NumberType:
-        """Return a vector with the lanes at the indices `order` of a list: the lanes of `a`, then those of `b`."""
+        """Return a vector with lanes selected from `a` and `b`. `order`: indices into the lanes of `a` followed by the lanes
+        of `b`."""
         text = f"<{len(order)} x i32> <{', '.join(f'i32 {each}' for each in order)}>"
         return self.op("shufflevector", a.kind, a, b, x=text, lanes=len(order))
 
     def rotate_lanes(self, value: Number, lane_offset: int) -> NumberType:
-        """Return a value in which each lane has the number of the lane `lane_offset` further on; after the last lane follows the
-        first."""
+        """Return a value with its lanes rotated: lane i receives the number of lane i + `lane_offset`, and the first lane
+        follows the last."""
         return self.shuffle(
             value, Number(value.kind, "poison", lanes=LANE_COUNT), [(k + lane_offset) % LANE_COUNT for k in range(LANE_COUNT)]
         )
 
     def transpose_rows(self, rows: Sequence[Number]) -> list[NumberType]:
-        """Return the four columns of eight rows with four numbers each, in as few instructions as possible."""
+        """Return the four columns of a matrix with eight rows of four numbers, with as few instructions as possible."""
         eight = range(LANE_COUNT)
         if rows[0].kind == F32:
             a, b, c, d = (self.shuffle(rows[k], rows[k + 4], eight) for k in range(4))

@@ -1,9 +1,8 @@
-"""The checked build of kernels: with `ANTDSL_CHECKED_KERNELS=1` in the environment, errors raise KernelFault with file and line.
-
-It checks that indices are within their axis, that lanes read and store within their array, and that no integer is divided by 0. A
-failed check stores its number in the word `fault` and returns zeros; each caller then returns as well. Alignment needs no check:
-calls reject arrays that are not aligned to their elements, and instructions assume no larger alignment. The interpreter raises
-the same errors."""
+"""The checked build of kernels: with `ANTDSL_CHECKED_KERNELS=1` in the environment, an error in a kernel raises KernelFault
+with file and line. The build checks that indices are within their axis and that no integer is divided by 0. It also checks
+that SIMD loads and stores stay within their array. A failed check stores its number in the word `fault` and returns zeros from
+its function; each calling function then returns as well. Alignment needs no check: calls reject arrays that are not aligned to
+their elements, and instructions assume no larger alignment. The interpreter raises the same errors."""
 
 from __future__ import annotations
 
@@ -49,23 +48,23 @@ define internal i1 @check.indices({_LANES_TYPE} %i, i64 %length, i64 %count, {_M
 
 
 class KernelFault(RuntimeError):
-    """Error for a kernel that indexes outside an array or divides by 0. The message has the file and the line."""
+    """Error in a kernel that uses an index outside an array, or divides by 0. The message names the file and the line."""
 
 
 def format_check_message(file: str, line: int, op: str) -> str:
-    """Return the message of a failed check. `op`: the operation that is checked."""
+    """Return the message of a failed check. `op`: the check's operation."""
     return f"{file}, line {line}: {CHECK_MESSAGES[op]}"
 
 
 class CheckRenderer:
-    """Writer of the checks in the functions of one text, with their messages."""
+    """Writes the checks of all functions of one LLVM IR text, and collects their messages."""
 
     def __init__(self) -> None:
         self._messages: list[str] = []
         self._numbers = 0
 
     def render_check(self, function: IrFunction, instruction: Instruction) -> list[str]:
-        """Return the lines of code for the check `instruction`, which return from the function if the check fails."""
+        """Return the lines of LLVM IR for the check `instruction`. They return from the function if the check fails."""
         self._messages.append(format_check_message(function.file, instruction.line, instruction.op))
         self._numbers += 1
         lines, fine = [], f"%c{self._numbers}"
@@ -90,7 +89,8 @@ class CheckRenderer:
         ]
 
     def render_call_check(self, function: IrFunction) -> list[str]:
-        """Return the lines that return from a function if the function it called has failed."""
+        """Return the lines of LLVM IR that follow a call in `function`. They return from it if a check in the called function
+        failed."""
         self._numbers += 1
         fine = f"%c{self._numbers}"
         return [
@@ -99,15 +99,15 @@ class CheckRenderer:
         ]  # fmt: skip
 
     def _render_failure_return(self, function: IrFunction, passed_label: str, *lines: str) -> list[str]:
-        """Return the lines of code that run `lines` and return zeros from the function unless the condition `passed_label`
-        holds."""
+        """Return the lines of LLVM IR for a failed check. If the condition `passed_label` is false, they run `lines` and
+        return zeros from the function."""
         label = passed_label[1:]
         passed = "ret void" if function.result == "void" else f"ret {function.result} zeroinitializer"
         branch = f"  br i1 {passed_label}, label %{label}.fine, label %{label}.fault"
         return [branch, f"{label}.fault:", *lines, f"  {passed}", f"{label}.fine:"]
 
     def render_definitions(self) -> str:
-        """Return the definitions, as text, that all checks of a module share."""
+        """Return the LLVM IR of the definitions that all checks of a module share."""
         data = "\n".join(self._messages).encode("utf-8", "surrogateescape") + b"\0"
         escaped = "".join(chr(each) if 32 <= each < 127 and each not in b'"\\' else f"\\{each:02X}" for each in data)
         return f'{_HELPER_FUNCTIONS_TEXT}\n@{_FAULT_MESSAGES_VARIABLE} = constant [{len(data)} x i8] c"{escaped}"'
@@ -118,7 +118,8 @@ def _render_mask(operands: list[Any]) -> str:
 
 
 def guard_call(run: Callable[..., Any], code: LoadedCode) -> Callable[..., Any]:
-    """Return a function that calls a checked kernel and raises KernelFault if a check fails."""
+    """Return a function that calls the checked kernel `run` and raises KernelFault if a check failed. `code`: the kernel's
+    loaded code."""
     word = ctypes.c_int64.from_address(code.get_constant_address(_FAULT_VARIABLE))
 
     @wraps(run, assigned=())

@@ -1,7 +1,6 @@
-"""Debug line tables of kernels in a checked build, as metadata in LLVM's language: debuggers show file and line of instructions.
-
-Other builds have no line tables. With them, objects would be 1.7 times as large, take 1.4 times as long to load and 1.1 times as
-long to compile."""
+"""Debug line tables of kernels in a checked build, as LLVM metadata. With them, debuggers show the file and line of each
+instruction. Other builds have no line tables. With them, objects would be 1.7 times as large, take 1.4 times as long to load
+and 1.1 times as long to compile."""
 
 from __future__ import annotations
 
@@ -22,8 +21,8 @@ _HEADER_LINES: Final = (
 
 
 class LineTables:
-    """The files, functions and lines of one module, as debug metadata. File names are relative to the package, so that objects do
-    not depend on its folder."""
+    """The files, functions and lines of one module, as debug metadata. File names are relative to the package, so that
+    compiled objects do not depend on where it is installed."""
 
     def __init__(self) -> None:
         self._nodes: dict[str, int] = {}
@@ -35,7 +34,7 @@ class LineTables:
         return self._nodes.setdefault(text, len(_HEADER_LINES) - 2 + len(self._nodes))
 
     def begin_function(self, name: str, file_name: str, line: int) -> str:
-        """Add a function. Return the suffix of its head, which refers to its metadata."""
+        """Add a function to the debug metadata. Return the suffix for the function's header that refers to it."""
         file = self._add_node(f'!DIFile(filename: "{_escape_name(_make_relative_path(file_name))}", directory: "")')
         self._first_line = line
         fields = f'name: "{name}", scope: !{file}, file: !{file}, line: {line}, type: !3, unit: !0'
@@ -43,7 +42,8 @@ class LineTables:
         return f" !dbg {self._function}"
 
     def format_location(self, line: int) -> str:
-        """Return the suffix of an instruction in the given line of the current function; line 0 is the function's first line."""
+        """Return the debug suffix of an instruction that belongs to `line` of the current function; 0 means the function's
+        first line."""
         return f", !dbg !{self._add_node(f'!DILocation(line: {line or self._first_line}, scope: {self._function})')}"
 
     def list_nodes(self) -> list[str]:

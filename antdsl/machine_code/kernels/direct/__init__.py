@@ -1,10 +1,10 @@
-"""Kernels as built-in functions of CPython: machine code reads their arguments. Such a call costs less than inspecting a single
-array in Python.
+"""Kernels as built-in functions of CPython, with arguments that are read by machine code. Such a call costs less time than
+inspecting one array in Python.
 
-All kernels share one function (METH_FASTCALL). Each binds it to bytes that describe the arguments to read. If an object does not
-have the expected type, the function calls `fallback` with all arguments, and returns its result. The function relies on the
-memory layout of objects in CPython and NumPy (`PyArrayObject_fields` is part of NumPy's binary interface). `is_supported`
-verifies that layout first."""
+All kernels share one C function (METH_FASTCALL). Each kernel binds this function to a bytes object that describes the kernel's
+arguments. If an argument does not have the expected type, the function calls `fallback` with all arguments and returns the
+result. The function relies on the memory layout of objects in CPython and NumPy (`PyArrayObject_fields` is part of NumPy's
+binary interface). `is_supported` verifies that layout first."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class _MethodDefinition(ctypes.Structure):
 
 
 class _ProbeRecord(NamedTuple):
-    """A record of a kernel with arbitrary fields; `is_supported` inspects its memory layout."""
+    """A sample record; `is_supported` inspects its memory layout."""
 
     first: Any
     second: Any
@@ -41,12 +41,12 @@ class _ProbeRecord(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ArgumentSpec:
-    """An argument of a kernel, or an element of a tuple argument, and its words in the table.
+    """How one argument of a kernel, or one element of a tuple argument, is stored in the table of 64-bit words.
 
     - `path`: the index of the argument, then the indices within nested tuples
-    - `word_index`: the first word in the table; a number takes one word
+    - `word_index`: the index of its first word in the table; a number takes one word
     - `kind`: the kind of a number, such as `INTEGER_KIND`; `dtype`: the type of an array
-    - `axes`, `is_strided`: an array takes words for its address, its lengths and, if `is_strided`, its steps
+    - `axes`, `is_strided`: an array of `axes` axes takes words for its address, its lengths and, if `is_strided`, its strides
     - `is_written`: whether the kernel writes to the array
     - `count`: the number of elements of a tuple or record, which takes no word; None for numbers and arrays"""
 
@@ -71,11 +71,11 @@ def make_builtin(
 ) -> Any:
     """Return a built-in Python function that calls kernel code; None if no such function can be made.
 
-    - `specs`: the arguments; a tuple comes before its contents
-    - `table_words`: the length of the table that the code reads; the code stores its results in the first words
+    - `specs`: the arguments; a tuple comes before its elements
+    - `table_words`: the length of the table that the code reads; the code overwrites the first words with its results
     - `result_kinds`: the kinds of these results
-    - `fallback`: the function that is called instead if an argument has another type
-    - `parallel_run`: the address of a function that runs the code in parts, or 0
+    - `fallback`: the function to call instead if an argument has an unexpected type
+    - `parallel_run`: the address of a function that runs the code in parallel parts, or 0
 
     With `parallel_run`, `specs` has two more numbers, in the words after the table, and the built-in function returns a list."""
     if (
@@ -109,7 +109,7 @@ def make_builtin(
 
 
 def _pack_argument(argument: ArgumentSpec) -> bytes:
-    """Return the words that describe how to read an argument."""
+    """Return packed words that tell the machine code how to read an argument."""
     depth, index = len(argument.path) - 1, argument.path[-1]
     if argument.count is not None:
         return struct.pack(f"={reading.WORDS_PER_ARGUMENT}q", reading.TUPLE_ARGUMENT, depth, index, 0, argument.count, 0, 0, 0)
@@ -139,7 +139,8 @@ def _load_code() -> llvm_compiler.LoadedCode:
 
 @cache
 def is_supported() -> bool:
-    """Return whether objects have the memory layout that `text` reads: 64-bit CPython with a global lock."""
+    """Return whether Python objects have the memory layout that the machine code expects: that of 64-bit CPython with a global
+    interpreter lock."""
     if sys.implementation.name != "cpython" or ctypes.sizeof(ctypes.c_void_p) != 8 or hasattr(sys, "getobjects"):
         return False
     if sysconfig.get_config_var("Py_GIL_DISABLED") or bytes.__basicsize__ != reading.measure_bytes_data_offset() + 1:
@@ -180,7 +181,8 @@ def is_supported() -> bool:
 
 @cache
 def _get_api_addresses() -> ctypes.Array[ctypes.c_int64]:
-    """Return the addresses of all functions and objects in the text, in the order of `PYTHON_API_CALLS` and `PYTHON_OBJECTS`."""
+    """Return the addresses of all Python functions and objects that the machine code uses: first `PYTHON_API_CALLS`, then
+    `PYTHON_OBJECTS`."""
     calls = [ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0 for name in reading.PYTHON_API_CALLS]
     addresses = [*calls, *map(id, reading.PYTHON_OBJECTS.values())]
     return (ctypes.c_int64 * len(addresses))(*addresses)

@@ -1,5 +1,5 @@
-"""The functions that call a kernel for CPython, as text in LLVM's language. They read arguments by the offsets of fields in
-Python objects."""
+"""The LLVM IR of the functions through which CPython calls a kernel. They read arguments at known field offsets in Python
+objects."""
 
 from __future__ import annotations
 
@@ -34,14 +34,13 @@ PYTHON_API_CALLS = (
 
 
 def measure_bytes_data_offset() -> int:
-    """Return the offset of the data in a bytes object, in bytes."""
+    """Return the offset, in bytes, at which the data of a `bytes` object begins."""
     return object.__basicsize__ + 16  # after the length and a hash
 
 
 @make_library_text
 def build_llvm_text(_: llvm_compiler.Target) -> str:
-    """Return the text, in LLVM's language, of the function `PyObject *direct(PyObject *description, PyObject *const *given,
-    Py_ssize_t count)`."""
+    """Return the LLVM IR of the function `PyObject *direct(PyObject *description, PyObject *const *given, Py_ssize_t count)`."""
     head = object.__basicsize__
     names = (*(f"call.{name}" for name in PYTHON_API_CALLS), *PYTHON_OBJECTS)
     readers = (_render_reader(name, number) for number, name in enumerate(names))
@@ -59,7 +58,7 @@ def build_llvm_text(_: llvm_compiler.Target) -> str:
 
 
 def _render_reader(name: str, number: int) -> str:
-    """Return the text of a function that returns entry `number` of the table of Python addresses."""
+    """Return the LLVM IR of the function `name`, which returns entry `number` of the table of Python addresses."""
     return (
         f"define internal ptr @{name}(ptr %here) alwaysinline {{\n  %at = getelementptr ptr, ptr %here, i64 {number}\n"
         "  %found = load ptr, ptr %at\n  ret ptr %found\n}"
