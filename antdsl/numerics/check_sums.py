@@ -1,11 +1,10 @@
-"""CRC-32 checksums, the same as in zip files and `zlib`. They are computed by carry-less products if the processor has them.
-
-The method is that of V. Gopal, E. Ozturk, J. Guilford, G. Wolrich, W. Feghali, M. Dixon, D. Karakoyunlu, Fast CRC Computation
-for Generic Polynomials Using PCLMULQDQ Instruction, Intel 2009. Four registers represent the data so far: they have the same
-remainder. They consist of blocks of 16 bytes. To advance a block by n bits, each half of it is multiplied by the remainder of
-x**n. The last 16 bytes of state, and the fewer than 16 bytes of data after it, are processed byte by byte with a table. A
-register has 16 bytes. It has 64 if the processor multiplies 64 bytes at once (VPCLMULQDQ) without slowing down; this is almost
-three times as fast."""
+"""CRC-32 checksums, the same as in zip files and `zlib`. They are computed with carry-less multiplications if the processor
+supports these. The method is that of V. Gopal, E. Ozturk, J. Guilford, G. Wolrich, W. Feghali, M. Dixon, D. Karakoyunlu, Fast
+CRC Computation for Generic Polynomials Using PCLMULQDQ Instruction, Intel 2009. Four registers represent the data read so far:
+as a polynomial, both have the same remainder. The registers consist of blocks of 16 bytes. To advance a block by n bits, each
+of its halves is multiplied by the remainder of x**n. At the end, the last 16 bytes of state and the remaining data (fewer than
+16 bytes) are processed byte by byte with a table. A register has 16 bytes, or 64 bytes if the processor can multiply 64 bytes
+at once (VPCLMULQDQ) without slowing down. With 64 bytes, the computation is almost three times as fast."""
 
 from __future__ import annotations
 
@@ -41,7 +40,7 @@ _CARRYLESS_FEATURE, _WIDE_FEATURES = "+pclmul", ("+vpclmulqdq", "+avx512vbmi2")
 def compute_crc32(data: bytes | memoryview, previous_crc: int = 0) -> int:
     """Return the CRC-32 of `data` (contiguous bytes).
 
-    If `previous_crc` is the CRC-32 of the preceding bytes, the result is the CRC-32 of these bytes and `data` together."""
+    `previous_crc`: the CRC-32 of preceding bytes; the result then covers these bytes followed by `data`."""
     data = memoryview(data).cast("B")
     if len(data) < MIN_BYTES_FOR_KERNEL:
         return zlib.crc32(data, previous_crc)
@@ -51,10 +50,8 @@ def compute_crc32(data: bytes | memoryview, previous_crc: int = 0) -> int:
 
 @cache
 def _build_crc_function() -> Callable[[NDArray[np.uint8], int], int] | None:
-    """Return a function that continues a CRC-32: it takes an array [n] and the CRC-32 of the preceding bytes. The array has at
-    least one stride.
-
-    Return None if the processor has no carry-less products, or if nothing can be compiled."""
+    """Return a compiled function that continues a CRC-32; None if the processor has no carry-less multiplication or code
+    cannot be compiled. The function takes an array [n] of at least one stride, and the CRC-32 of the preceding bytes."""
     if not llvm_compiler.is_available():
         return None
     target = llvm_compiler.find_host_target()
@@ -74,7 +71,7 @@ def _build_crc_function() -> Callable[[NDArray[np.uint8], int], int] | None:
 
 
 def has_carryless_products(target: llvm_compiler.Target) -> bool:
-    """Return whether a processor has carry-less products."""
+    """Return whether a processor supports carry-less multiplication."""
     return target.is_x86 and _CARRYLESS_FEATURE in target.features.split(",")
 
 
@@ -84,8 +81,8 @@ def count_blocks_per_register(target: llvm_compiler.Target) -> int:
 
 
 def _compute_power_remainder(bits: int) -> int:
-    """Return the remainder of x**bits divided by the polynomial. Its bits are in the order of the bytes and shifted by one, as
-    the multiplication needs them."""
+    """Return the remainder of x**bits divided by the polynomial. Its bits have the reflected order and the shift by one that
+    the multiplication needs."""
     remainder = 1
     for _ in range(bits):
         remainder <<= 1
@@ -94,7 +91,7 @@ def _compute_power_remainder(bits: int) -> int:
 
 
 def _build_table_text() -> str:
-    """Return a table with the CRC-32 remainder of each byte value, in LLVM's language."""
+    """Return the LLVM IR of a table with the CRC-32 remainder of each byte value."""
     entries = []
     for byte in range(256):
         for _ in range(8):
@@ -105,11 +102,10 @@ def _build_table_text() -> str:
 
 @make_library_text
 def build_llvm_text(target: llvm_compiler.Target) -> str:
-    """Return the text to compile, in LLVM's language: a function of a table, which continues a CRC-32. It is empty if the
-    processor has no carry-less products.
+    """Return the LLVM IR of a function that continues a CRC-32; empty if the processor has no carry-less multiplication.
 
-    The table has three words: an address, a number of bytes (at least one stride) and the CRC-32 of the preceding bytes. The
-    function stores the combined CRC-32 in the first word."""
+    The function reads a table of three words: the address of the data, its number of bytes (at least one stride) and the
+    CRC-32 of the preceding bytes. It stores the combined CRC-32 in the first word."""
     if not has_carryless_products(target):
         return ""
     module, block_count = LlvmModule(target), count_blocks_per_register(target)
@@ -130,7 +126,8 @@ def build_llvm_text(target: llvm_compiler.Target) -> str:
         return add_value(f"load {wide}, ptr {where}, align 1")
 
     def advance_state(remainder: str, bits: int, addend: str, count: int) -> str:
-        """Return the state in `count` blocks, advanced by `bits`, combined with the data `addend`."""
+        """Emit code that advances the state of `count` blocks by a number of bits and combines it with the data `addend`.
+        Return the new state."""
         kind, ending = kinds[count]
         factors = (
             f"{kind} <"
@@ -144,10 +141,9 @@ def build_llvm_text(target: llvm_compiler.Target) -> str:
     def write_loop(
         label: str, previous_block: str, first: Sequence[str], step: int, turn: Callable[[str, str], str]
     ) -> tuple[str, str]:
-        """Write a loop that runs while there are `step` more bytes, after the block `previous_block`.
-
-        `first`: the first position, and the type and value of the state. `turn` computes the next state from a state and the
-        address of bytes. Return the position and the state after the loop."""
+        """Emit a loop that runs while at least `step` bytes remain. Return the position and the state after it.
+        `previous_block`: the label before the loop. `first`: the first position, and the type and initial value of the state.
+        `turn`: computes the next state from the current one and the data's address."""
         kind = first[1]
         lines.append(f"  br label %{label}\n{label}:")
         lines.append(f"  %{label}.at = phi i64 [ {first[0]}, %{previous_block} ], [ %{label}.next, %{label}.turn ]")

@@ -1,7 +1,7 @@
-"""sin, cos, exp, log, pow and atan2 of float32, computed only by basic float64 operations.
+"""sin, cos, exp, log, pow and atan2 of float32 numbers, computed with basic float64 operations only.
 
 Addition, multiplication, division and rounding give the same bits on every machine, for scalars and for arrays. Transcendental
-functions of libraries do not. Errors stay below one unit in the last place of float32
+functions of libraries may differ between machines. Errors stay below one unit in the last place of float32
 (tests/numerics/test_runtime_kernels.py). Reductions and series: W. J. Cody and W. Waite, Software Manual for the Elementary
 Functions, 1980, chapters 5 to 8 and 11."""
 
@@ -36,7 +36,7 @@ FloatValue = Any  # a float32 array, or one np.float32
 
 
 def _evaluate_series(x: FloatValue, coefficients: tuple[float, ...]) -> FloatValue:
-    """Return the value of a polynomial (Horner's method); coefficients begin with the constant term."""
+    """Return the value of a polynomial at `x` (Horner's method). `coefficients` begin with the constant term."""
     value = x * 0.0 + coefficients[-1]
     for c in coefficients[-2::-1]:  # in place for arrays
         value *= x
@@ -62,8 +62,8 @@ def _compute_sine_and_cosine(x: FloatValue) -> tuple[FloatValue, FloatValue, Flo
 
 
 def sin(x: FloatValue) -> FloatValue:
-    """Return the sine of an angle (rad); NaN if the angle is not finite. Angles above 1e6 are reduced by 2 pi as float64
-    represents it."""
+    """Return the sine of an angle (rad); NaN if the angle is not finite. Angles above 1e6 are reduced modulo the float64 value
+    of 2 pi."""
     if np.ndim(x) == 0:
         return _get_cached_value(sin_float64, np.float64(x).tobytes())
     values = _run_kernel("write_sines", x)
@@ -79,21 +79,21 @@ def cos(x: FloatValue) -> FloatValue:
 
 
 def sin_float64(x: FloatValue) -> FloatValue:
-    """Return the sine of an angle (rad) as float64, to about 1e-13."""
+    """Return the sine of an angle (rad) as float64, with an error of about 1e-13."""
     sine, cosine, quarter = _compute_sine_and_cosine(x)
     value: FloatValue = np.where((quarter == 1.0) | (quarter == 3.0), cosine, sine)
     return np.where(quarter >= 2.0, -value, value)
 
 
 def cos_float64(x: FloatValue) -> FloatValue:
-    """Return the cosine of an angle (rad) as float64, to about 1e-13."""
+    """Return the cosine of an angle (rad) as float64, with an error of about 1e-13."""
     sine, cosine, quarter = _compute_sine_and_cosine(x)
     value: FloatValue = np.where((quarter == 1.0) | (quarter == 3.0), sine, cosine)
     return np.where((quarter == 1.0) | (quarter == 2.0), -value, value)
 
 
 def _exp_float64(value: FloatValue) -> FloatValue:
-    """Return e to the power of a float64."""
+    """Return e raised to the power `value`, a float64."""
     value = np.minimum(np.maximum(value, -200.0), 200.0)  # both propagate NaN; beyond these limits float32 is 0 or infinite
     power = np.rint(value * LOG2_E)
     rest = (value - power * LN2_HIGH) - power * LN2_LOW
@@ -102,7 +102,7 @@ def _exp_float64(value: FloatValue) -> FloatValue:
 
 
 def _log_float64(number: FloatValue) -> FloatValue:
-    """Return the natural logarithm of a float64; -inf at 0, NaN below."""
+    """Return the natural logarithm of a float64; -inf for 0, NaN for negative numbers."""
     usual = (number > 0.0) & (number < np.inf)
     mantissa, power = np.frexp(np.where(usual, number, 1.0))
     low = mantissa < SQRT_HALF
@@ -115,7 +115,7 @@ def _log_float64(number: FloatValue) -> FloatValue:
 
 
 def exp(x: FloatValue) -> FloatValue:
-    """Return e to the power x."""
+    """Return e raised to the power `x`."""
     if np.ndim(x) == 0:
         return _get_cached_value(_exp_float64, np.float64(x).tobytes())
     values = _run_kernel("write_exponentials", x)
@@ -123,14 +123,14 @@ def exp(x: FloatValue) -> FloatValue:
 
 
 def log(x: FloatValue) -> FloatValue:
-    """Return the natural logarithm; -inf at 0, NaN below."""
+    """Return the natural logarithm; -inf for 0, NaN for negative numbers."""
     values = _run_kernel("write_logarithms", x)
     return _to_float32(_log_float64(_to_float64(x))) if values is None else values
 
 
 def power(a: FloatValue, b: FloatValue) -> FloatValue:
-    """Return a to the power b. For a negative a, b must be an integer, otherwise the result is NaN. a**0 is 1, and 1**b is 1, for
-    any a and b."""
+    """Return `a` raised to the power `b`. The result is NaN for a negative `a` unless `b` is an integer. `a**0` and `1**b` are
+    1 for any `a` and `b`, also NaN."""
     wide_a, wide_b = _to_float64(a), _to_float64(b)
     value = _exp_float64(wide_b * _log_float64(np.abs(wide_a)))
     is_integer = np.floor(wide_b) == wide_b
@@ -140,13 +140,13 @@ def power(a: FloatValue, b: FloatValue) -> FloatValue:
 
 
 def atan2(y: FloatValue, x: FloatValue) -> FloatValue:
-    """Return the angle of (x, y) from the x axis in rad, -pi .. pi; 0 for (0, 0)."""
+    """Return the angle (rad) between the x axis and the direction (x, y), from -pi to pi; 0 for (0, 0)."""
     values = _run_kernel("write_angles", y, x)
     return _to_float32(atan2_float64(y, x)) if values is None else values
 
 
 def atan2_float64(y: FloatValue, x: FloatValue) -> FloatValue:
-    """Return the same angle as `atan2`, as float64, to about 1e-13."""
+    """Return the same angle as `atan2`, but as float64 with an error of about 1e-13."""
     wide_y, wide_x = _to_float64(y), _to_float64(x)
     high, low = np.maximum(np.abs(wide_y), np.abs(wide_x)), np.minimum(np.abs(wide_y), np.abs(wide_x))
     ratio = low / np.where(high == 0.0, 1.0, high)
@@ -169,15 +169,14 @@ def _to_float32(x: FloatValue) -> FloatValue:
 
 @lru_cache(1024)
 def _get_cached_value(function: Callable[[FloatValue], FloatValue], number: bytes) -> FloatValue:
-    """Return the cached value of a function of one float64. The key is the bytes of the number, which distinguish -0 from 0.
-
-    The cache is useful because most numbers are the same in every step."""
+    """Return the cached value of a function of one float64. The cache's key consists of the bytes of the number, which
+    distinguish -0 from 0. Caching pays because most of these numbers are the same in every step."""
     return _to_float32(function(np.frombuffer(number)[0]))
 
 
 def _run_kernel(kernel_name: str, *values: FloatValue) -> FloatValue | None:
-    """Run the named kernel of `elementary_loops` on arrays, and return the result. None if no kernel accepts these values, or
-    if a value is special."""
+    """Run the kernel `kernel_name` of `elementary_loops` on arrays, and return the result. Return None if the kernel cannot
+    process these arrays, for example because of a NaN."""
     one = values[0]
     if not all(isinstance(v, np.ndarray) and v.dtype == np.float32 and v.ndim == 1 and v.size == one.size for v in values):
         return None

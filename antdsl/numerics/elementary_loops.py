@@ -33,7 +33,7 @@ _FRACTION_BITS, _EXPONENT_MASK, _EXPONENT_BIAS = 52, 0x7FF, 1023
 
 @inlined
 def _evaluate_series(x: F64, coefficients: Any) -> F64:
-    """Return the value of a polynomial (Horner's method); coefficients begin with the constant term."""
+    """Return the value of a polynomial at `x` (Horner's method). `coefficients` begin with the constant term."""
     value = x * 0.0 + coefficients[-1]
     for c in coefficients[-2::-1]:
         value *= x
@@ -43,7 +43,7 @@ def _evaluate_series(x: F64, coefficients: Any) -> F64:
 
 @inlined
 def compute_cos_and_sin(x: F32) -> tuple[F32, F32]:
-    """Return the cosine and sine, float32, of an angle below 1e6 rad."""
+    """Return the cosine and the sine, as float32, of an angle below 1e6 rad."""
     wide = np.float64(x)
     turns = np.rint(wide * TWO_OVER_PI)
     rest = (wide - turns * HALF_PI_HIGH) - turns * HALF_PI_LOW
@@ -57,7 +57,7 @@ def compute_cos_and_sin(x: F32) -> tuple[F32, F32]:
 
 @inlined
 def atan2(y: F32, x: F32) -> F32:
-    """Return the angle of (x, y) in rad, float32, for finite float32 numbers."""
+    """Return the angle (rad, float32) between the x axis and the direction (x, y). Both numbers must be finite float32."""
     wide_y, wide_x = np.float64(y), np.float64(x)
     high, low = max(abs(wide_y), abs(wide_x)), min(abs(wide_y), abs(wide_x))
     ratio = low / (1.0 if high == 0.0 else high)
@@ -82,7 +82,7 @@ def _are_all_between(x: Array1[F32], lower: F64, upper: F64) -> BOOL:
 
 @kernel
 def write_sines(x: Array1[F32], output: Array1[F32]) -> BOOL:
-    """Write `elementary.sin` of all numbers; return False if an angle is not below 1e6 rad."""
+    """Write `elementary.sin` of all numbers to `output`, and return True. Return False if an angle is not below 1e6 rad."""
     if not _are_all_between(x, -LARGE_ANGLE, LARGE_ANGLE):
         return False
     for k in simd_range(0, x.size):
@@ -92,7 +92,7 @@ def write_sines(x: Array1[F32], output: Array1[F32]) -> BOOL:
 
 @kernel
 def write_cosines(x: Array1[F32], output: Array1[F32]) -> BOOL:
-    """Write `elementary.cos` of all numbers; return False if an angle is not below 1e6 rad."""
+    """Write `elementary.cos` of all numbers to `output`, and return True. Return False if an angle is not below 1e6 rad."""
     if not _are_all_between(x, -LARGE_ANGLE, LARGE_ANGLE):
         return False
     for k in simd_range(0, x.size):
@@ -102,7 +102,7 @@ def write_cosines(x: Array1[F32], output: Array1[F32]) -> BOOL:
 
 @kernel
 def write_angles(y: Array1[F32], x: Array1[F32], output: Array1[F32]) -> BOOL:
-    """Write `elementary.atan2` of all numbers; return False if a number is not finite."""
+    """Write `elementary.atan2` of all pairs of numbers to `output`, and return True. Return False if a number is not finite."""
     if not (_are_all_between(y, -np.inf, np.inf) and _are_all_between(x, -np.inf, np.inf)):
         return False
     for k in simd_range(0, x.size):
@@ -112,7 +112,7 @@ def write_angles(y: Array1[F32], x: Array1[F32], output: Array1[F32]) -> BOOL:
 
 @kernel
 def write_exponentials(x: Array1[F32], output: Array1[F32]) -> BOOL:
-    """Write `elementary.exp` of all numbers; return False if a number is NaN."""
+    """Write `elementary.exp` of all numbers to `output`, and return True. Return False if a number is NaN."""
     for k in range(x.size):
         if x[k] != x[k]:
             return False
@@ -128,7 +128,7 @@ def write_exponentials(x: Array1[F32], output: Array1[F32]) -> BOOL:
 
 @kernel
 def write_logarithms(x: Array1[F32], output: Array1[F32]) -> BOOL:
-    """Write `elementary.log` of all numbers; return False if a number is not above 0, or not finite."""
+    """Write `elementary.log` of all numbers to `output`, and return True. Return False if a number is not positive and finite."""
     if not _are_all_between(x, 0.0, np.inf):
         return False
     for k in simd_range(0, x.size):

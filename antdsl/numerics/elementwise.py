@@ -1,6 +1,5 @@
-"""The elementwise operations of the plan, for float32 arrays and single float32 numbers.
-
-All backends use this table. It contains only antdsl's own kernels, and operations with results that IEEE 754 defines exactly."""
+"""The elementwise operations that plans use, for float32 arrays and single float32 numbers. All backends use this table. It
+contains only functions of antdsl, and operations for which IEEE 754 defines the result exactly."""
 
 from __future__ import annotations
 
@@ -16,12 +15,13 @@ FLOAT32_ZERO = np.float32(0)
 
 
 def take_minimum(a: NumPyValue, b: NumPyValue) -> NumPyValue:
-    """Return the lesser number. If one number is NaN, return the other one. -0 becomes 0, since `fmin` may return either zero."""
+    """Return the lesser of two numbers. If one is NaN, return the other. A result of -0 becomes 0, because `fmin` of -0 and 0
+    may return either."""
     return np.fmin(a, b) + FLOAT32_ZERO
 
 
 def take_maximum(a: NumPyValue, b: NumPyValue) -> NumPyValue:
-    """Return the greater number. NaN and -0 are treated as in `take_minimum`."""
+    """Return the greater of two numbers. NaN and -0 are treated as in `take_minimum`."""
     return np.fmax(a, b) + FLOAT32_ZERO
 
 
@@ -33,12 +33,12 @@ def select_by_condition(condition: NumPyValue, true_value: NumPyValue, false_val
 
 
 def to_float32(a: NumPyValue) -> NumPyValue:
-    """Convert a bool, a state or a row to float32."""
+    """Convert a bool, a state number or a row number to float32."""
     return np.float32(a) if np.ndim(a) == 0 else a.astype(np.float32)
 
 
 def replace_non_finite(a: NumPyValue) -> NumPyValue:
-    """Return the numbers, with 0 in place of NaN and infinity."""
+    """Return the numbers with each NaN and infinity replaced by 0."""
     return select_by_condition(np.isfinite(a), a, FLOAT32_ZERO)
 
 

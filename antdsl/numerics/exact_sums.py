@@ -1,7 +1,7 @@
 """Sums that do not depend on the order of their terms (decision 23 of the language reference).
 
-Each term is rounded to a multiple of 2**quantum, by computing (x + M) - M in float64. Multiples of the same power of two can
-be added without rounding."""
+Each term x is first rounded to a multiple of 2**quantum, by computing (x + M) - M in float64 with a large constant M.
+Multiples of the same power of two can be added without rounding."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LOW_WORD_BITS = 22  # bits of the lower of two words, for larger sums; both word
 
 
 def quantise_terms(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
-    """Return terms as float64 multiples of 2**quantum, limited to ±2**(quantum + 44); NaN stays NaN."""
+    """Return terms rounded to float64 multiples of 2**quantum and clamped to ±2**(quantum + 44); NaN stays NaN."""
     bound = np.ldexp(1.0, quantum + MAX_TERM_EXPONENT)
     magic = np.ldexp(1.5, quantum + 52)
     wide = np.clip(np.asarray(terms, np.float64), -bound, bound)
@@ -26,8 +26,8 @@ def quantise_terms(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float
 
 
 def sum_by_index(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], quantum: int, length: int) -> NDArray[np.float32]:
-    """Return, for each index 0 .. length-1, the sum of the terms with that index, float32 [length]. Terms are rounded to
-    multiples of 2**quantum; their sum is exact, then rounded to float64 and float32."""
+    """Return the sum of the terms with each index from 0 to `length` - 1, float32 [length]. Terms are rounded to multiples of
+    2**quantum and added exactly; then the sums are rounded to float64 and float32."""
     if index.size == 0:
         return np.zeros(length, np.float32)
     wide = quantise_terms(terms, quantum)
@@ -40,8 +40,8 @@ def sum_by_index(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], qu
 def _sum_in_two_words(
     index: NDArray[np.integer[Any]], terms: NDArray[np.float64], quantum: int, length: int
 ) -> NDArray[np.float32]:
-    """Compute the result of `sum_by_index` for totals that are too large for one word. A term is split into a multiple of
-    2**(quantum + 22) and a rest; both are summed exactly. Their total is rounded once."""
+    """Return the result of `sum_by_index` for totals that one float64 cannot hold exactly. Each term is split into a multiple
+    of 2**(quantum + 22) and a remainder. Both are summed exactly, and the total is rounded once."""
     magic = np.ldexp(1.5, quantum + LOW_WORD_BITS + 52)
     high = (terms + magic) - magic
     low = np.bincount(index, weights=terms - high, minlength=length)

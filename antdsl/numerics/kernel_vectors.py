@@ -1,4 +1,5 @@
-"""Vector functions for kernels. A vector is three numbers. Sums have the same order as in `vectors.dot` and `vectors.cross`."""
+"""Vector functions for kernels. A vector is a tuple of three numbers. Terms are added in the same order as in `vectors.dot`
+and `vectors.cross`."""
 
 from __future__ import annotations
 
@@ -41,7 +42,7 @@ def get_column(vectors: Any, i: I64) -> Vec3:
 
 @inlined
 def replace_non_finite_vector(x: Any, y: Any, z: Any) -> Vec3:
-    """Return a vector in float64, or 0 if any of its components is not finite."""
+    """Return a vector in float64, or the zero vector if any component is not finite."""
     a, b, c = np.float64(x), np.float64(y), np.float64(z)
     is_finite = np.isfinite(a) and np.isfinite(b) and np.isfinite(c)
     return (a if is_finite else 0.0), (b if is_finite else 0.0), (c if is_finite else 0.0)
@@ -80,13 +81,13 @@ def cross(a: AnyVec3, b: AnyVec3) -> AnyVec3:
 
 @inlined
 def project_to_plane(a: AnyVec3, up: AnyVec3) -> AnyVec3:
-    """Return the component of `a` perpendicular to `up`, as `vectors.project_to_plane`."""
+    """Return the component of `a` perpendicular to the unit vector `up`. Same as `vectors.project_to_plane`."""
     return minus(a, times(up, dot(a, up)))
 
 
 @inlined
 def find_perpendicular(up: Vec3) -> Vec3:
-    """Return a unit vector perpendicular to `up`, in float64, as `vectors.find_perpendicular`."""
+    """Return a unit vector perpendicular to `up`, in float64. Same as `vectors.find_perpendicular`."""
     steep = abs(up[0]) > _STEEP_COSINE
     side = project_to_plane(((0.0 if steep else 1.0), (1.0 if steep else 0.0), 0.0), up)
     return times(side, 1 / np.sqrt(dot(side, side)))
@@ -103,20 +104,20 @@ def normalise_or_perpendicular(v: Vec3, up: Vec3) -> Vec3:
 
 @inlined
 def fmax(a: F64, b: F64) -> F64:
-    """Return the greater number, like `np.fmax`. Only the first number may be NaN."""
+    """Return the greater of two numbers, like `np.fmax`. Only `a` may be NaN; the result is then `b`."""
     return a if a > b else b
 
 
 @inlined
 def fmin(a: F64, b: F64) -> F64:
-    """Return the lesser number, like `np.fmin`. Only the first number may be NaN."""
+    """Return the lesser of two numbers, like `np.fmin`. Only `a` may be NaN; the result is then `b`."""
     return a if a < b else b
 
 
 @inlined
 def clamp_weights(b1: F64, b2: F64) -> TriangleWeights:
-    """Return barycentric weights `b1` and `b2` limited to the triangle, to correct rounding errors. Then both are at least 0,
-    and their sum is at most 1."""
+    """Return the barycentric weights `b1` and `b2` moved into the triangle, to correct rounding errors. Both results are at
+    least 0, and their sum is at most 1."""
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
     total = b1 + b2
     if total > 1.0:
@@ -126,8 +127,8 @@ def clamp_weights(b1: F64, b2: F64) -> TriangleWeights:
 
 @inlined
 def rotate_between_normals(v: Vec3, source: Vec3, target: Vec3, direction: Vec3) -> Vec3:
-    """Return a vector rotated by the smallest rotation from unit normal `source` to `target`. For opposite normals, the rotation
-    passes through `direction`."""
+    """Return the vector `v` after the smallest rotation that takes the unit normal `source` to `target`. For opposite normals,
+    the rotation passes through `direction`."""
     cosine = dot(source, target)
     if cosine < -1 + 1e-9:
         hinge = cross(source, direction)
@@ -139,10 +140,10 @@ def rotate_between_normals(v: Vec3, source: Vec3, target: Vec3, direction: Vec3)
 
 @inlined
 def normalise_or_first_axis(c: F64, s: F64) -> tuple[F64, F64]:
-    """Normalise a direction in the plane of a face. Return the cosine and sine of its angle from the face's first axis. For a
-    zero vector, return the first axis.
+    """Normalise a direction in the plane of a face. Return the cosine and sine of its angle to the face's first axis; (1, 0)
+    for a zero vector.
 
-    `c`, `s`: the components of the direction along the first and second axis of the face, of any length."""
+    `c`, `s`: the components of the direction along the first and second axis of the face. The direction may have any length."""
     size = np.sqrt(c * c + s * s)
     if size > 1e-9:
         return c / size, s / size
@@ -151,11 +152,11 @@ def normalise_or_first_axis(c: F64, s: F64) -> tuple[F64, F64]:
 
 @inlined
 def find_nearest_weights(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F64]:
-    """Find the point of a triangle that is nearest to `v`. Return its weights of the second and third corner, and its distance
-    from `v`.
+    """Find the point of a triangle that is nearest to `v`. Return its barycentric weights for the second and third corner, and
+    its distance from `v`.
 
     `edge1`, `edge2`: the edges from the first corner. `v`: a position relative to the first corner. The nearest point is the
-    projection of `v` onto the plane if that is inside the triangle, else a point of an edge."""
+    projection of `v` onto the triangle's plane if this is inside the triangle, else a point on an edge."""
     edge3 = minus(edge2, edge1)
     d11, d12, d22, d33 = dot(edge1, edge1), dot(edge1, edge2), dot(edge2, edge2), dot(edge3, edge3)
     w1, w2 = dot(v, edge1), dot(v, edge2)
@@ -199,5 +200,5 @@ def get_column64(vectors: Strided2[F64], i: I64) -> Vec3:
 
 @inlined
 def rotate_about_axis(v: Vec3, axis: Vec3, c: F64, s: F64) -> Vec3:
-    """Return a vector rotated about a unit axis. `c`, `s`: the cosine and sine of the angle (O. Rodrigues, 1840)."""
+    """Return the vector `v` rotated about a unit axis (O. Rodrigues, 1840). `c`, `s`: the cosine and sine of the angle."""
     return plus(plus(times(v, c), times(cross(axis, v), s)), times(axis, dot(axis, v) * (1.0 - c)))

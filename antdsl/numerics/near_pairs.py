@@ -1,4 +1,5 @@
-"""Pairs of points within a distance, by the cells of a grid. The functions are meant for sets with few such pairs."""
+"""Finds pairs of points within a given distance, with a grid of cells. The functions are meant for point sets with few such
+pairs."""
 
 from __future__ import annotations
 
@@ -16,20 +17,21 @@ _FORWARD_OFFSETS = _NEIGHBOUR_OFFSETS[len(_NEIGHBOUR_OFFSETS) // 2 :]  # each pa
 
 
 def find_pairs_within(points: Floats, reach: float) -> tuple[Index, Index]:
-    """Return the pairs of points [n,3] that are at most `reach` apart, as two arrays of indices. The first array has the lower
-    index of each pair."""
+    """Return all pairs of points [n,3] with a distance of at most `reach`, as two arrays of indices. The first array has the
+    lower index of each pair."""
     one, other = _find_pairs(points, points, reach, _FORWARD_OFFSETS)
     return np.minimum(one, other), np.maximum(one, other)
 
 
 def find_pairs_between(points: Floats, others: Floats, reach: float) -> tuple[Index, Index]:
-    """Return the pairs of a point [n,3] and an element of `others` [k,3] at most `reach` apart, as indices of both."""
+    """Return all pairs of a point from `points` [n,3] and one from `others` [k,3] with a distance of at most `reach`. The
+    results are the indices into `points` and into `others`."""
     return _find_pairs(points, others, reach, _NEIGHBOUR_OFFSETS)
 
 
 def _find_pairs(points: Floats, others: Floats, reach: float, cells: list[CellOffset]) -> tuple[Index, Index]:
-    """Return the indices of points and of `others` in pairs at most `reach` apart. `cells`: the offsets of the grid cells to
-    search around each point's cell."""
+    """Return all pairs of points with a distance of at most `reach`, as indices into `points` and into `others`. `cells`: the
+    grid cells to search, as offsets from each point's cell."""
     empty = np.empty(0, np.int64)
     if not (len(points) and len(others)):
         return empty, empty

@@ -1,7 +1,7 @@
-"""Gradient noise over space and time. It is smooth, has values around 0, and depends only on its arguments, not on frame or
-row. Gradients at lattice points and a quintic fade, which makes slope and curvature continuous: K. Perlin, Improving noise,
-SIGGRAPH 2002. The 32 gradients in four dimensions (one of them time) are those of his reference code. Random bits of a lattice
-point: `hash_pcg4d`, M. Jarzynski and M. Olano, Hash functions for GPU rendering, JCGT 9(3), 2020."""
+"""Gradient noise over space and time. It is smooth, has values around 0, and depends only on point and seed, not on frame or
+row. Gradients at lattice points are interpolated by a quintic function, which makes slope and curvature continuous (K. Perlin,
+Improving noise, SIGGRAPH 2002). The 32 gradients in four dimensions (one is time) come from his reference code. The random
+bits of a lattice point are from `hash_pcg4d` (M. Jarzynski and M. Olano, Hash functions for GPU rendering, JCGT 9(3), 2020)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ MAX_LATTICE_COORDINATE = 2.0**51  # beyond this coordinate, float64 does not res
 
 
 def compute_noise(points: Floats, seed: NDArray[np.int64]) -> Floats:
-    """Return noise values in -1 .. 1 at points (4, n), in lattice cells; NaN where a point is not finite or too far away."""
+    """Return noise values from -1 to 1 at `points` (4, n). NaN where a point is not finite or too far away. Coordinates are x,
+    y, z and time, in lattice cells."""
     is_valid = (np.abs(points) < MAX_LATTICE_COORDINATE).all(axis=0)
     points = np.where(is_valid, points, 0.0)
     cell = np.floor(points)
@@ -43,26 +44,26 @@ def compute_noise(points: Floats, seed: NDArray[np.int64]) -> Floats:
 
 
 def compute_fade(t: Floats) -> Floats:
-    """Return a smooth transition from 0 to 1, with slope and curvature 0 at both ends (Perlin 2002)."""
+    """Return a smooth transition from 0 at `t` = 0 to 1 at `t` = 1. Slope and curvature are 0 at both ends (Perlin 2002)."""
     return (t * t * t) * (t * (t * 6.0 - 15.0) + 10.0)
 
 
 def _compute_lattice_offset(seed: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the offset (4, n) on the lattice by which a seed shifts the noise pattern. The lattice has 2**32 points along
-    each axis."""
+    """Return the lattice offset by which each seed shifts the noise pattern, (4, n). The lattice has 2**32 points along each
+    axis."""
     zero = np.zeros(seed.shape, np.uint32)
     words = np.stack((seed.astype(np.uint32), (seed >> 32).astype(np.uint32), zero, zero))
     return hash_pcg4d(hash_pcg4d(words)).astype(np.int64)
 
 
 def hash_pcg4d(words: UInt32Array) -> UInt32Array:
-    """Return four random words for each column of four words (4, …)."""
+    """Return a hash of four 32-bit words for each column of `words` (4, …)."""
     mixed_words = _mix_words(words * _LCG_MULTIPLIER + _LCG_INCREMENT)
     return _mix_words(mixed_words ^ (mixed_words >> _SHIFT_16))
 
 
 def _mix_words(words: UInt32Array) -> UInt32Array:
-    """Mix the four words of each column by one round of multiplications and additions."""
+    """Return the words after one round of multiplications and additions, which mix the four words of each column."""
     x, y, z, w = words
     x = x + y * w
     y = y + z * x

@@ -1,7 +1,7 @@
 """The box of a periodic world. Anything that leaves it on one side re-enters on the opposite side.
 
-An axis that does not wrap has the width 0. Each position has images, one box width apart along each wrapped axis. The
-difference of two positions is measured to the nearest image."""
+The box has width 0 along an axis that does not wrap. Each position has images, one box width apart along each wrapped axis.
+The offset between two positions is measured to the nearest image."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _REACH_SLACK_SHARE = 1e-4  # share of the greatest width; exceeds the rounding o
 
 @dataclass(frozen=True, slots=True)
 class PeriodicBox:
-    """The low corner and the widths (mm) of a periodic world, along x, y and z."""
+    """The low corner and the widths (mm) of a periodic world; each has three values, for x, y and z."""
 
     low: tuple[float, float, float]
     widths: tuple[float, float, float]
@@ -35,16 +35,17 @@ class PeriodicBox:
 
     @property
     def inverse_table(self) -> Floats:
-        """Return the widths (mm) and their inverses, float64[6]; 0 along axes that do not wrap."""
+        """Return the three widths (mm), then their inverses, float64[6]. Both are 0 for axes that do not wrap."""
         return np.array([*self.widths, *(1 / width if width else 0.0 for width in self.widths)])
 
     def shift(self, offset: Floats) -> PeriodicBox:
-        """Return the box moved by -`offset` (3,) mm, as for positions relative to an origin."""
+        """Return the box for positions relative to the origin `offset` (3,) mm, that is, moved by -`offset`."""
         x, y, z = (float(low - by) for low, by in zip(self.low, offset, strict=True))
         return PeriodicBox((x, y, z), self.widths)
 
     def count_widths(self, points: Floats) -> NDArray[np.int64]:
-        """Return how many box widths each of `points` (n, 3) mm lies outside the box, int64[n, 3]; 0 inside and on the sides."""
+        """Return by how many box widths each of `points` (n, 3) mm is outside the box along each axis, int64[n, 3]. The number
+        is 0 inside the box and on its sides."""
         counts = np.zeros(points.shape, np.int64)
         for axis in self.axes:
             low, width = self.low[axis], self.widths[axis]
@@ -55,17 +56,17 @@ class PeriodicBox:
         return counts
 
     def wrap_points(self, points: Floats) -> Floats:
-        """Return `points` (n, 3) mm moved into the box by whole widths."""
+        """Return `points` (n, 3) mm moved into the box by whole box widths."""
         return self.move_points(points, -self.count_widths(points))
 
     def move_points(self, points: Floats, counts: NDArray[np.int64]) -> Floats:
-        """Return `points` (n, 3) mm moved by `counts` (n, 3) widths."""
+        """Return `points` (n, 3) mm moved by `counts` (n, 3) box widths along the axes."""
         return points + counts * np.array(self.widths) if counts.any() else points
 
     def find_nearest_images(self, offsets: NDArray[Any]) -> NDArray[Any]:
-        """Return the number of widths to add to each of `offsets` (n, 3) mm so that it becomes shortest, int64[n, 3].
+        """Return how many box widths to add to each of `offsets` (n, 3) mm to make it shortest, int64[n, 3].
 
-        It is 0 for offsets of exactly half a width."""
+        The number is 0 for components of exactly half a width."""
         counts = np.zeros(offsets.shape, np.int64)
         for axis in self.axes:
             half = offsets.dtype.type(self.widths[axis] / 2)
@@ -73,13 +74,13 @@ class PeriodicBox:
         return counts
 
     def list_images(self) -> list[NDArray[np.int64]]:
-        """Return all images of the box that touch it, as offsets in widths, int64[3]. The first is the box itself."""
+        """Return all images of the box that touch it, each as its offset in box widths, int64[3]. The first one is the box
+        itself."""
         return [np.array(step, np.int64) for step in product(*((0, -1, 1) if width else (0,) for width in self.widths))]
 
     def find_image_rows(self, position: tuple[NDArray[Any], ...], reach: float) -> tuple[NDArray[np.intp], tuple[Any, ...]]:
-        """Return the rows of all positions (x, y, z; mm) and of their images within `reach` (mm) of the box, and where these are.
-
-        The positions themselves come first, in their order."""
+        """Return all positions and those of their images that are within `reach` (mm) of the box. `position`: x, y and z (mm).
+        The results are rows, and coordinates (x, y, z) of the same length. The original positions come first."""
         reach += _REACH_SLACK_SHARE * max(self.widths)
         rows, positions = [np.arange(len(position[0]))], [position]
         for image in self.list_images()[1:]:
@@ -95,10 +96,9 @@ class PeriodicBox:
 
 
 def measure_offset(first: NDArray[Any], second: NDArray[Any], width: float) -> NDArray[Any]:
-    """Return the nearest image of `first` minus `second` (mm, float32) along one axis. `width` (mm): 0 if it does not wrap.
-
-    The image is chosen by the plain difference. Then the image's coordinate is computed, and the difference is computed from
-    it. A grid that contains images of all agents thus gives the same bits."""
+    """Return the offset to `first` from the nearest image of `second` along one axis, mm, float32. `width`: the box width
+    (mm); 0 if the axis does not wrap. The plain difference decides which image is nearest. The result is then computed from
+    the coordinate of this image. So a grid that stores images of all agents gives the same bits."""
     offset: NDArray[Any] = first - second
     if not width:
         return offset

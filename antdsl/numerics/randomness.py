@@ -1,7 +1,7 @@
-"""Random numbers that are a function of (seed, frame, species, site, id): the counter-based generator Philox4x32-10.
+"""Random numbers that depend only on seed, frame, species, site and id, from the counter-based generator Philox4x32-10.
 
-Nothing is drawn from a stream. So an agent that is added, removed or inspected changes no other agent's numbers. Method: J. K.
-Salmon et al., Parallel random numbers: as easy as 1, 2, 3, SC 2011, p. 6 (rounds, constants) and table 2."""
+There is no stream of numbers. So adding, removing or inspecting an agent does not change the numbers of other agents. Method:
+J. K. Salmon et al., Parallel random numbers: as easy as 1, 2, 3, SC 2011, p. 6 (rounds, constants) and table 2."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ WordColumns = tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64], 
 
 
 def run_philox(counter: WordColumns, key: tuple[Any, Any]) -> WordColumns:
-    """Return four random 32-bit words (in uint64 arrays) for four 32-bit counter words and a key of two words (np.uint64)."""
+    """Return four random 32-bit words, as uint64 arrays. `counter`: four 32-bit counter words. `key`: two 32-bit words
+    (np.uint64)."""
     c0, c1, c2, c3 = counter
     k0, k1 = key
     for _ in range(PHILOX_ROUNDS):
@@ -50,13 +51,14 @@ def run_philox(counter: WordColumns, key: tuple[Any, Any]) -> WordColumns:
 
 @lru_cache(maxsize=4096)
 def compute_site_words(species: str, site: str) -> tuple[int, int]:
-    """Return two 32-bit words that identify a site in the text of a species."""
+    """Return two 32-bit words that identify a site, a random draw in the program of a species."""
     digest = blake2b(f"{species}\0{site}".encode(), digest_size=8).digest()
     return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")
 
 
 def draw_four_words(seed: int, frame: int, species: str, site: str, block: int, ids: NDArray[np.int64]) -> WordColumns:
-    """Return four random words for each id. `frame` may be negative (preroll)."""
+    """Return four random 32-bit words for each id. `frame`: may be negative (preroll). `block`: which group of four draws of
+    the site."""
     (c0, low, c3), key = build_counters(seed, frame, species, site, block)
     wide = ids.astype(np.uint64)
     first, last = (np.full(wide.shape, c, np.uint64) for c in (c0, c3))
@@ -64,19 +66,18 @@ def draw_four_words(seed: int, frame: int, species: str, site: str, block: int, 
 
 
 def draw_words_of_ids(wide_ids: Any, first: Any, low: Any, last: Any, key: tuple[Any, Any]) -> WordColumns:
-    """Return four random words for each id.
+    """Return four random 32-bit words for each id.
 
-    `wide_ids`: the ids as uint64. `first`, `low`, `last`: the first, third and last counter word, without the ids. `key`: both
-    words of the key."""
+    `wide_ids`: the ids as uint64. `first`, `low`, `last`: the first, third and last counter word, before the id is combined
+    with them. `key`: both words of the key."""
     return run_philox(
         (first, wide_ids & LOW_32_BITS, (((wide_ids >> HALF_WORD_BITS) * ID_SPREAD_MULTIPLIER) & LOW_32_BITS) ^ low, last), key
     )
 
 
 def build_counters(seed: int, frame: int, species: str, site: str, block: int) -> CounterWords:
-    """Return three counter words that all ids share (the first, third and last), and both words of the key.
-
-    The second counter word is the low half of the id. The high half of the id must still be combined with the third word."""
+    """Return the first, third and last counter word, which all ids share, and both words of the key. The second counter word
+    is the low half of the id. The caller must still combine the third word with the high half of the id."""
     low, high = compute_site_words(species, site)
     return (compute_frame_word(frame), low, (high + block) & 0xFFFFFFFF), (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF)
 
@@ -92,20 +93,20 @@ def to_unit_floats(word: NDArray[np.uint64]) -> NDArray[np.float32]:
 
 
 def draw_uniform(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Return draw number `index` of a site for each id: float32 in [0, 1). Four draws of a site share one run of the
-    generator."""
+    """Return the draw number `index` of a site for each id, a float32 number in [0, 1). One run of the generator gives four
+    draws."""
     return _draw_numbers(fill_uniforms, np.float32, build_counters(seed, frame, species, site, index >> 2), index, ids)
 
 
 def draw_word(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Return the random word from which `draw_uniform` makes the draw with the same arguments."""
+    """Return the random 32-bit words from which `draw_uniform` computes its results for the same arguments."""
     return _draw_numbers(fill_words, np.uint64, build_counters(seed, frame, species, site, index >> 2), index, ids)
 
 
 def _draw_numbers(
     fill_kernel: RandomKernel, dtype: type[np.generic], shared_counters: CounterWords, index: int, ids: NDArray[np.int64]
 ) -> NDArray[Any]:
-    """Return draw `index` for each id, as numbers of a `dtype`, computed by the kernel `fill_kernel`."""
+    """Return the draw number `index` for each id. The kernel `fill_kernel` computes it, as numbers of type `dtype`."""
     draws: NDArray[Any] = np.empty(ids.size, dtype)
     fill_kernel(np.ascontiguousarray(ids.reshape(-1), np.int64), (*shared_counters[0], *shared_counters[1]), index & 3, draws)
     return draws.reshape(ids.shape)
@@ -113,21 +114,21 @@ def _draw_numbers(
 
 @kernel
 def fill_uniforms(ids: Array1[I64], shared_counters: SharedCounters, draw_index: I64, output: Array1[F32]) -> None:
-    """Write a draw for each id. `draw_index` is its index among the four draws of its counter."""
+    """Write one draw in [0, 1) for each id to `output`. `draw_index`: its index among the four draws of a counter."""
     for n in simd_range(0, ids.size):
         output[n] = np.float32(_compute_word(ids[n], shared_counters, draw_index) >> 8) * UNIT_FLOAT_STEP
 
 
 @kernel
 def fill_words(ids: Array1[I64], shared_counters: SharedCounters, draw_index: I64, output: Array1[U64]) -> None:
-    """Write the complete random word of a draw for each id, with the arguments of `fill_uniforms`."""
+    """Write one random 32-bit word for each id to `output`. The arguments are those of `fill_uniforms`."""
     for n in simd_range(0, ids.size):
         output[n] = _compute_word(ids[n], shared_counters, draw_index)
 
 
 @inlined
 def _compute_word(number: I64, shared_counters: SharedCounters, draw_index: I64) -> U64:
-    """Return one of the four random words of an id, as `run_philox` computes them. `draw_index`: 0 .. 3, the word to return."""
+    """Return one of the four random words that `run_philox` gives for an id. `draw_index`: which word, 0 .. 3."""
     wide = np.uint64(number)
     c0, low, c3, first, second = shared_counters
     a, b, c, d = c0, wide & LOW_32_BITS, (((wide >> HALF_WORD_BITS) * ID_SPREAD_MULTIPLIER) & LOW_32_BITS) ^ low, c3

@@ -1,4 +1,5 @@
-"""Functions on the rows of records. A record is an array, or a dataclass, tuple or mapping of arrays with one row per agent."""
+"""Selects and joins the rows of records. A record is an array with one row per agent, or a dataclass, tuple or mapping of such
+arrays."""
 
 from __future__ import annotations
 
@@ -13,19 +14,20 @@ Record = TypeVar("Record")
 
 
 def select_record_rows(record: Record, row_selection: NDArray[np.bool_] | NDArray[np.intp]) -> Record:
-    """Return the chosen rows of all arrays in a record. Values other than arrays are unchanged."""
+    """Return a copy of a record with only the selected rows of each array. Values other than arrays are unchanged."""
     rows: Record = _map_arrays(lambda array: array[row_selection], record)
     return rows
 
 
 def join_record_rows(first: Any, second: Any) -> Any:
-    """Return the rows of two records, concatenated; None where one of them is None."""
+    """Return a record with the rows of `first` followed by those of `second`. A value that is None in one of them is None in
+    the result."""
     return _map_arrays(lambda *arrays: np.concatenate(arrays), first, second)
 
 
 def _map_arrays(function: Callable[..., NDArray[Any]], first: Any, *others: Any) -> Any:
-    """Return a record like `first`, in which each array is the result of `function`. The arguments of `function` are the arrays
-    at the same position of all records."""
+    """Return a record like `first` with each array replaced by the result of `function`. The arguments of `function` are the
+    corresponding arrays of all records."""
     if any(each is None for each in (first, *others)):
         return None
     if isinstance(first, np.ndarray):
@@ -47,8 +49,8 @@ def select_by_prefix(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[st
 
 
 def match_ids(ids: NDArray[np.int64], others: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the index of each id in the ascending array `others`, and whether the id is in it. Indices of ids that are not in it
-    have no meaning."""
+    """Return the index of each id in the ascending array `others`, and whether `others` contains it. If it does not, the index
+    has no meaning."""
     if len(ids) == len(others) and np.array_equal(ids, others):
         return np.arange(len(ids)), np.ones(len(ids), np.bool_)
     indices = np.minimum(np.searchsorted(others, ids), max(len(others) - 1, 0))

@@ -1,4 +1,4 @@
-"""Parallel copies of the rows of many arrays at once, in order or permuted."""
+"""Copies the rows of many arrays in parallel, either in order or as selected by row numbers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _HEADER_WORDS, _WORDS_PER_ARRAY = 2, 3  # words in a table's header, and words p
 
 
 class RowCopier:
-    """A copier of rows between the same arrays. It stores their addresses, so that repeated copies do not look them up."""
+    """A copier that repeatedly copies the same arrays. It stores their addresses, so that it need not look them up each time."""
 
     def __init__(self) -> None:
         self._arrays: list[NDArray[Any]] = []
@@ -45,7 +45,8 @@ class RowCopier:
 
 
 def copy_rows(pairs: ArrayPairs, rows: NDArray[np.intp], threads: int) -> None:
-    """Copy selected rows of contiguous arrays [n, ..] to arrays [k, ..] of the same type."""
+    """Copy selected rows between arrays. `pairs`: (target [k, ..], source [n, ..]), contiguous and of one type. `rows` [k]:
+    row numbers."""
     if not pairs:
         return
     rows = np.ascontiguousarray(rows)  # keeps the array alive while its address is in use
@@ -54,10 +55,10 @@ def copy_rows(pairs: ArrayPairs, rows: NDArray[np.intp], threads: int) -> None:
 
 
 def _build_copy_table(pairs: ArrayPairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
-    """Return the words of a copy's table, int64, which machine code reads.
+    """Return the table that the compiled copy function reads, int64 words.
 
-    The first words are the address of the row numbers (0: all rows in order) and the number of arrays. Each array adds three
-    words: its address, the address of its target, and its bytes per row."""
+    It begins with the address of the row numbers (0: all rows in order) and the number of arrays. Each array adds three words:
+    its address, the address of its target, and its bytes per row."""
     words = [0 if rows is None else get_array_address(rows), len(pairs)]
     for target, source in pairs:
         words += [get_array_address(source), get_array_address(target), source.strides[0]]
@@ -65,7 +66,7 @@ def _build_copy_table(pairs: ArrayPairs, rows: NDArray[np.intp] | None) -> NDArr
 
 
 def _build_part_rows(table: NDArray[np.int64], count: int, threads: int) -> NDArray[np.int64]:
-    """Return the parts of `count` rows, in the form that `parallel.call_for_each_row` needs: int64 [parts, 3]."""
+    """Return the parts in which to copy `count` rows, as rows for `parallel.call_for_each_row`: int64 [parts, 3]."""
     part_count = max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
     ends = [count * k // part_count for k in range(part_count + 1)]
     return np.array([(get_array_address(table), *ends[k : k + 2]) for k in range(part_count)], np.int64)
@@ -80,8 +81,8 @@ def _load_function() -> Callable[[int, int, int], None]:
 
 @make_library_text
 def build_llvm_text(target: llvm_compiler.Target) -> str:
-    """Return the text to compile, in LLVM's language: a function of the table that copies rows from the first to before the
-    last."""
+    """Return the LLVM IR of a function that copies a range of rows. Its arguments are the table, the first row, and the row
+    after the last."""
     module = LlvmModule(target)
     cases = "".join(f"  i64 {size}, label %pick{size}\n" for size in _KERNEL_ROW_BYTES)
     picking = "".join(

@@ -15,8 +15,8 @@ _DIGIT_BITS = 16  # NumPy uses a radix sort for numbers of this width
 
 
 def sort_stably(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
-    """Return the same result as `argsort(keys, kind="stable")`, for integers [n] (D. E. Knuth, The Art of Computer Programming
-    3, 5.2.5)."""
+    """Return the order that sorts integer keys [n] stably, like `argsort(keys, kind="stable")` (D. E. Knuth, The Art of
+    Computer Programming 3, 5.2.5)."""
     if not keys.size:
         return np.empty(0, np.intp)
     low, high = int(keys.min()), int(keys.max())
@@ -30,15 +30,15 @@ def sort_stably(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
 
 
 def invert_order(order: NDArray[np.intp]) -> NDArray[np.int32]:
-    """Return the rank of each row. `order`: the rows in sorted order."""
+    """Return the rank of each row, int32 [n]: the inverse permutation. `order`: the row numbers in sorted order."""
     result = np.empty(len(order), np.int32)
     result[order] = np.arange(len(order), dtype=np.int32)
     return result
 
 
 def compute_morton_codes(cells: NDArray[np.uint64], threads: int = 1) -> NDArray[np.uint64]:
-    """Return the numbers of cells [n,3] along the curve of G. Morton (1966), which interleaves their bits. Only the lowest 21
-    bits of each axis are used."""
+    """Return the Morton codes (Z-order) of cells [n,3], which interleave the bits of the three coordinates (G. Morton 1966).
+    Only the lowest 21 bits of each coordinate are used."""
     code = np.zeros(len(cells), np.uint64)
     parallel.run_in_parts(
         partial(write_morton_codes, np.ascontiguousarray(cells), code), len(cells), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD
@@ -48,7 +48,7 @@ def compute_morton_codes(cells: NDArray[np.uint64], threads: int = 1) -> NDArray
 
 @inlined
 def _spread_bits(bits: U64) -> U64:
-    """Return a number of 21 bits with two zero bits after each bit."""
+    """Return a 21-bit number with two zero bits inserted after each bit."""
     bits = (bits | (bits << np.uint64(32))) & np.uint64(0x1F00000000FFFF)
     bits = (bits | (bits << np.uint64(16))) & np.uint64(0x1F0000FF0000FF)
     bits = (bits | (bits << np.uint64(8))) & np.uint64(0x100F00F00F00F00F)
@@ -58,7 +58,7 @@ def _spread_bits(bits: U64) -> U64:
 
 @kernel
 def write_morton_codes(cells: Array2[U64], code: Array1[U64], begin: I64, end: I64) -> None:
-    """Write the number `code` [n] of each cell [n,3] from `begin` to before `end`."""
+    """Write the Morton code of each cell [n,3] to `code` [n], for cells `begin` to before `end`."""
     for n in simd_range(begin, end):
         x, y, z = _spread_bits(cells[n, 0]), _spread_bits(cells[n, 1]), _spread_bits(cells[n, 2])
         code[n] = x | (y << np.uint64(1)) | (z << np.uint64(2))
@@ -66,7 +66,8 @@ def write_morton_codes(cells: Array2[U64], code: Array1[U64], begin: I64, end: I
 
 @inlined
 def find_lower_bound(keys: Array1[I64], key: I64, first: I64, last: I64) -> I64:
-    """Return how many keys are less than `key`. Only the indices from `first` to `last` are searched, by bisection."""
+    """Return the index of the first sorted key that is not less than `key`, found by bisection between the indices `first` and
+    `last`."""
     a, b = first, last
     while a < b:
         middle = (a + b) >> 1
@@ -79,7 +80,7 @@ def find_lower_bound(keys: Array1[I64], key: I64, first: I64, last: I64) -> I64:
 
 @inlined
 def compact_indices(flags: Array1[Any], count: I64) -> I64:
-    """Move the indices of all 1s among the first `count` flags to the front, and return the number of 1s."""
+    """Overwrite `flags` from its start with the indices of all 1s among its first `count` entries. Return the number of 1s."""
     hits = 0
     for k in range(count):
         flag = flags[k]

@@ -1,4 +1,4 @@
-"""Reports the current stage of a set-up. The code that sets up a run reports its stages; progress displays listen to them."""
+"""Reports the current stage while a run is set up, so that progress displays can show it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def begin_stage(description: str) -> None:
 
 @contextmanager
 def report_stages_to(listener: Callable[[str], None]) -> Iterator[None]:
-    """Call `listener` within the context: once for each stage that this thread begins, with the stage's description."""
+    """Within the `with` block, call `listener` with the description of each stage that this thread begins."""
     token = _stage_listener.set(listener)
     try:
         yield

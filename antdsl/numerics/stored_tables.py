@@ -1,9 +1,9 @@
-"""Tables that are computed from meshes and stored for later runs: plain arrays, keyed by a hash of their inputs.
+"""Stores tables that are computed from meshes for later runs.
 
-The inputs are the arrays and numbers that a table is computed from, the sources of the packages that compute it, and NumPy's
-version. Tables are stored like machine code (`object_cache`). They carry a signature of this user, because kernels do not
-check their row numbers. They are never stored in a scene's folder. Tables of small meshes are not stored. A table has the same
-values whether it was stored or not."""
+They are plain arrays, identified by a hash of their inputs. The inputs are the arrays and numbers that a table is computed
+from, the sources of the packages that compute it, and NumPy's version. Tables are stored like machine code (`object_cache`),
+never in a scene's folder. They carry a signature of this user, because kernels trust the row numbers in them. Tables of small
+meshes are not stored. Stored and recomputed tables have the same values."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ _computed_tables = 0  # number of tables computed by this process
 def get_or_compute(
     name: str, size: int, inputs: Sequence[NDArray[Any] | float | str], compute: Callable[[], Tables], unit: str = "faces"
 ) -> Tables:
-    """Return the tables that `compute` makes from these inputs. Equal stored tables are reused. The caller may change the
+    """Return the tables that `compute` makes from these inputs, or the same tables from the store. The caller may change the
     arrays.
 
     - `name`: the name of the computation, a part of the key
-    - `size`: the number of faces of the mesh, or of another `unit`; small results are not stored. 0 for a result that no other
-      run needs
+    - `size`: the number of faces of the mesh, or of another `unit`; results of small inputs are not stored. Use 0 for a result
+      that no other run needs
     - `inputs`: everything that the result depends on; the other part of the key"""
     global _computed_tables
     key = _compute_key(name, inputs) if size >= MIN_STORED_SIZE else None
@@ -77,12 +77,12 @@ def count_computed_tables() -> int:
 
 
 def reset_store() -> None:
-    """Close the store, so that the next use looks up its folder again, as in a new process."""
+    """Close the store. The next use determines its folder again, as in a new process."""
     _open_store_once.cache_clear()
 
 
 def open_store() -> object_cache.ObjectCache:
-    """Return the store of this user."""
+    """Open and return the store of this user."""
     return object_cache.ObjectCache(kind=TABLE_STORE, max_bytes=_MAX_STORE_BYTES, max_result_bytes=_MAX_TABLE_BYTES)
 
 
@@ -104,7 +104,7 @@ def _compute_key(name: str, inputs: Sequence[NDArray[Any] | float | str]) -> str
 
 @cache
 def _hash_sources() -> str:
-    """Return a hash of the modules that compute tables; empty where the installation has no sources."""
+    """Return a hash of the source files of all modules that compute tables; empty if the installation has no sources."""
     hashed = blake2b(digest_size=16)
     try:
         for path in _list_modules():
@@ -123,7 +123,7 @@ def _list_modules() -> Iterator[Path]:
 
 
 def _pack_tables(tables: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return arrays as bytes: a line of JSON with the name, type and shape of each array, then their data."""
+    """Return arrays as bytes: a line of JSON with the name, type and shape of each array, then the data of all arrays."""
     arrays = {name: np.ascontiguousarray(array) for name, array in tables.items()}
     line = json.dumps([[name, array.dtype.str, array.shape] for name, array in arrays.items()]).encode() + b"\n"
     parts, offset = [line], len(line)
@@ -135,7 +135,7 @@ def _pack_tables(tables: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def _unpack_tables(data: bytes | None) -> Tables | None:
-    """Unpack arrays from the bytes of `_pack_tables`; return None for None or invalid data."""
+    """Return the arrays in bytes that `_pack_tables` wrote, or None if `data` is None or invalid."""
     if data is None:
         return None
     tables: Tables = {}

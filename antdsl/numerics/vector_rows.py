@@ -1,4 +1,5 @@
-"""Functions of vectors in rows, float64 (n, 3). Sums of three products are always added in the same order."""
+"""Functions of vectors that are the rows of float64 arrays (n, 3). The three products of a dot product are always added in the
+same order."""
 
 from __future__ import annotations
 
@@ -10,20 +11,20 @@ Rows = NDArray[np.intp]
 
 
 def make_columns_contiguous(v: Floats) -> Floats:
-    """Return a copy (n, 3) in which each component is contiguous."""
+    """Return a copy (n, 3) of vectors in which each column is contiguous in memory."""
     return np.array(np.asarray(v, np.float64).T, order="C").T
 
 
 def take_rows(v: Floats, rows: Rows) -> Floats:
-    """Return the vectors of the given rows (ascending), with contiguous components."""
+    """Return the vectors at `rows` (ascending), in an array with contiguous columns."""
     if len(rows) == len(v):
         return v
     return v.T.take(rows, axis=1).T
 
 
 def find_rows_in_box(place: Floats, low: Floats, high: Floats) -> Rows:
-    """Return the numbers, ascending, of the positions [n, 3] that are inside a box or on its surface. `low`, `high`: opposite
-    corners [3]."""
+    """Return the row numbers, ascending, of the positions [n, 3] that are inside a box or on its surface. `low`, `high`: the
+    box's corners [3] with the least and greatest coordinates."""
     inside = np.ones(len(place), np.bool_)
     for axis in range(3):
         coordinates = place[:, axis]
@@ -51,7 +52,8 @@ def normalise(v: Floats) -> Floats:
 
 
 def normalise_or_fallback(v: Floats, fallback: Floats) -> Floats:
-    """Return vectors (…, 3) scaled to unit length. For a zero vector, return the direction of `fallback`, which is broadcast."""
+    """Return vectors (…, 3) scaled to unit length. A zero vector is replaced by the direction of `fallback`, which is
+    broadcast."""
     size = np.sqrt(dot(v, v))[..., None]
     return np.where(
         size > 1e-9, v / np.maximum(size, 1e-9), normalise(np.broadcast_to(np.asarray(fallback, np.float64), v.shape))
@@ -59,16 +61,16 @@ def normalise_or_fallback(v: Floats, fallback: Floats) -> Floats:
 
 
 def compute_unit_tangents(v: Floats, normal: Floats) -> Floats:
-    """Return unit vectors: the components of vectors perpendicular to normals, normalised."""
+    """Return the unit vectors along the components of `v` perpendicular to the unit normals. Both are (n, 3)."""
     flat = v - (v * normal).sum(axis=1)[:, None] * normal
     level: Floats = flat / np.maximum(length(flat), 1e-12)[:, None]
     return level
 
 
 def compute_view_axes(eye: Floats, aim: Floats, up: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return three unit axes (3,) of a camera: to the right of its picture, to the top of its picture, and ahead.
+    """Return the three unit axes (3,) of a camera at `eye` that looks at `aim`: right, up (both in its picture) and ahead.
 
-    If it is aimed at its own position, it looks along x. `up`: the direction that points to the top."""
+    If `aim` is equal to `eye`, it looks along x. `up`: the direction that points to the top of the picture."""
     ahead = normalise_or_fallback(aim - eye, np.array([1.0, 0.0, 0.0]))
     upward = normalise_or_fallback(up, np.array([0.0, 1.0, 0.0]))
     right = np.cross(ahead, upward)

@@ -1,5 +1,5 @@
-"""Functions of vectors that are stored by component: three arrays, or one array (3, n). Sums of three products are added in
-one fixed order, so that every machine gives the same bits."""
+"""Functions of vectors that are stored by component: as three arrays, or as one array (3, n). The three products of a dot
+product are added in a fixed order, so that every machine gives the same bits."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def length(a: VectorComponents) -> Array:
 
 
 def select_vectors(condition: Array, a: VectorArrays, b: VectorArrays) -> VectorArrays:
-    """Return vectors from `a` where the condition is true, and from `b` elsewhere."""
+    """Return the vectors of `a` where the condition is true, and those of `b` elsewhere."""
     return np.where(condition, a[0], b[0]), np.where(condition, a[1], b[1]), np.where(condition, a[2], b[2])
 
 
@@ -75,8 +75,8 @@ def normalise_or_fallback(a: VectorArrays, fallback: VectorArrays, min_length: f
 
 
 def rotate_between_normals(v: Array, source: Array, target: Array, direction: Array) -> Array:
-    """Return vectors rotated by the smallest rotation from unit normals `source` to `target`. For opposite normals, the rotation
-    passes through `direction`."""
+    """Return the vectors `v` after the smallest rotations that take the unit normals `source` to `target`. For opposite
+    normals, the rotation passes through `direction`."""
     cosine = dot(source, target)
     opposite = cosine < -1 + 1e-9
     axis = compute_stacked_cross(source, target)
@@ -101,7 +101,7 @@ def split_columns(a: NDArray[Any], dtype: type[np.floating[Any]]) -> VectorArray
 
 
 def get_vector_registers(registers: Mapping[str, Array], name: str) -> VectorArrays:
-    """Return the arrays of a vector's three components, `name.x`, `name.y` and `name.z`, without a copy."""
+    """Return the registers of the vector `name`: the arrays `name.x`, `name.y` and `name.z`, without copies."""
     return _build_register_getter(name)(registers)
 
 
@@ -111,7 +111,7 @@ def _build_register_getter(name: str) -> Callable[[Mapping[str, Array]], VectorA
 
 
 def stack_rows(a: VectorArrays) -> NDArray[np.float64]:
-    """Return three arrays as float64 (n, 3), with contiguous components."""
+    """Return three component arrays as one float64 array (n, 3) with contiguous columns."""
     columns = np.empty((3, len(a[0])))
     for column, component in zip(columns, a, strict=True):
         column[:] = component

@@ -1,7 +1,7 @@
 """Worker threads that wait for work in machine code. Starting work takes a few microseconds and does not need the
-interpreter's lock. Each worker is a Python thread that runs a function of machine code (`workers_text`) until the program
-ends. Jobs that consist of kernels never enter the interpreter. For a job of Python functions, each participating thread takes
-the interpreter's lock. If threads cannot wait in machine code, an executor of `concurrent.futures` replaces them."""
+interpreter's lock. Each worker is a Python thread that runs a machine code function (`workers_text`) until the program ends.
+Jobs that run kernels never enter the interpreter. Jobs that call Python functions acquire the interpreter's lock in each
+participating thread. If threads cannot wait in machine code, an executor of `concurrent.futures` is used instead."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _ENTRY_SIGNATURE = (None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)
 class WorkerPool:
     """Threads that work in addition to the caller's thread.
 
-    Only one caller can use a pool at a time; it is the key of `current_caller`. Other callers do not wait, but work without
+    Only one caller can use a pool at a time; `current_caller` stores it. Other callers do not wait, but do their work without
     the pool."""
 
     def __init__(self, count: int) -> None:
@@ -75,14 +75,14 @@ class WorkerPool:
             each.start()
 
     def _run_worker(self, loop: Callable[[int, int, int], None], number: int) -> None:
-        """Run worker `number` until the pool ends. `loop` is its function of machine code that waits for work."""
+        """Run worker `number` until the pool ends. `loop`: the machine code function in which it waits for jobs and runs them."""
         set_standard_floats()
         loop(self.address, number, 0)
 
     def run_calls(self, work: Callable[[int], object], helpers: int) -> None:
-        """Call `work(0)` in this thread and `work(1)` to `work(helpers)` in workers that are free before `work(0)` ends.
-
-        All calls have ended on return, even after an interruption. An exception of a call is raised again."""
+        """Call `work(0)` in this thread, and `work(1)` to `work(helpers)` in workers that become free before `work(0)` ends.
+        When the method returns, all calls have ended, even after an interruption. It raises the first exception that a call
+        raised."""
         self._work, self._exceptions = work, []
         self._post_job(self._part_callback, self._part_numbers, min(helpers, MAX_JOB_PARTS))
         try:
@@ -101,8 +101,8 @@ class WorkerPool:
             raise exceptions[0]
 
     def run_kernel(self, work: Callable[[int, int], PartResult], count: int, parts: int) -> list[PartResult] | None:
-        """Return the result of each part of a kernel over `count` numbers. Return None if `work` is not a `partial` of a kernel
-        that can run in parts."""
+        """Run a kernel over `count` numbers in parts, and return the result of each part. Return None if `work` is not a
+        `partial` of a kernel that can run in parts."""
         if not isinstance(work, partial) or work.keywords:
             return None
         get_call = getattr(work.func, "get_parallel_call", None)
@@ -113,27 +113,28 @@ class WorkerPool:
         return results
 
     def call_for_each_row(self, function: Callable[[int, int, int], None], rows: NDArray[np.int64]) -> None:
-        """Call a function of machine code with each row of an array [k,3]."""
+        """Call a machine code function in parallel, once for each row of an array [k,3]. A row holds the arguments of a call."""
         for first in range(0, len(rows), MAX_JOB_PARTS):
             batch = np.ascontiguousarray(rows[first : first + MAX_JOB_PARTS])
             self._post_job(function, batch, len(batch))
             self._run_all_function(self.address, 0, 0)
 
     def end_workers(self) -> None:
-        """End the threads after the parts they are working on. The calling thread of a job does the remaining parts."""
+        """End the worker threads as soon as they finish their current parts. The calling thread of a running job does the
+        remaining parts."""
         self._end_function(self.address, 0, 0)
         for each in self._threads:
             each.join()
 
     def _post_job(self, function: Any, table: NDArray[np.int64], parts: int) -> None:
-        """Store a job for the workers. `function`: a function of machine code. `table`: one row of arguments per part."""
+        """Store a job for the workers. `function`: a machine code function. `table`: one row of arguments per part."""
         code = ctypes.cast(function, ctypes.c_void_p).value or 0
         self._shared_words[words.JOB_CODE_WORD : words.PART_COUNT_WORD + 1] = code, get_array_address(table), 0, parts
         self._shared_words[words.DONE_COUNT_WORD] = parts  # before a job is started, nothing is pending
 
     def _run_call(self, _: int, number: int, __: int) -> None:
-        """Call the current Python function with `number`, and record its exception. Machine code calls this method with two more
-        arguments."""
+        """Call the current job's Python function with `number`, and store an exception that it raises. Machine code calls this
+        method and passes two more arguments, which are not used."""
         try:
             self._work(number)
         except BaseException as problem:
@@ -148,7 +149,7 @@ class ExecutorPool:
         self._executor = ThreadPoolExecutor(count, "kernels", set_standard_floats)
 
     def run_calls(self, work: Callable[[int], object], helpers: int) -> None:
-        """Call `work` in this thread and in the executor. Same as `WorkerPool.run_calls`."""
+        """Call `work` in this thread and in the executor's threads, like `WorkerPool.run_calls`."""
         others = [self._executor.submit(work, number) for number in range(1, helpers + 1)]
         try:
             work(0)
@@ -168,13 +169,13 @@ class ExecutorPool:
 
 
 def count_parts(count: int, threads: int) -> int:
-    """Return the number of parts of a kernel over `count` numbers on `threads` threads. Each part has at least one full
+    """Return in how many parts to run a kernel over `count` numbers on `threads` threads. Each part fills at least one SIMD
     register."""
     return max(1, min(PARTS_PER_THREAD * threads, MAX_JOB_PARTS, count // words.PART_ALIGNMENT))
 
 
 def run_in_parts(work: Callable[[int, int], PartResult], count: int, threads: int, max_threads: int) -> list[PartResult]:
-    """Run `work` with at most `max_threads` of `threads` threads. Same as `parallel.run_in_parts` otherwise."""
+    """Run `work` in parts, like `parallel.run_in_parts`, with at most `max_threads` threads of the pool for `threads` threads."""
     pool = _get_pool(threads)
 
     def run_parts_in_parallel() -> list[PartResult]:
@@ -205,8 +206,8 @@ def _run_exclusively(
 def _pull_parts(
     pool: WorkerPool | ExecutorPool, work: Callable[[int, int], PartResult], count: int, parts: int
 ) -> list[PartResult]:
-    """Return the result of each part of a Python function; each thread takes the next part. Raises the exception of the first
-    failed part; later parts may not have started."""
+    """Run a Python function in parts, and return the result of each part. Free threads take the next part. If parts fail, the
+    exception of the first one is raised; later parts may not have started."""
     results: dict[int, PartResult] = {}
     exception_by_part: dict[int, BaseException] = {}
     next_parts = iter(range(parts))
@@ -226,13 +227,14 @@ def _pull_parts(
 
 
 def run_in_threads(work: Callable[[int], object], threads: int) -> None:
-    """Call `work` in several threads. Same as `parallel.run_in_threads`."""
+    """Call `work` in several threads of a pool. `parallel.run_in_threads` describes the details."""
     pool = _get_pool(threads)
     _run_exclusively(pool, lambda: pool.run_calls(work, threads - 1), lambda: work(0))
 
 
 def call_for_each_row(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
-    """Call a function of machine code with each row. Same as `parallel.call_for_each_row`."""
+    """Call a machine code function for each row of `parts` with a pool of threads. `parallel.call_for_each_row` describes the
+    details."""
     pool = _get_pool(threads)
 
     def call_in_order() -> None:
@@ -259,7 +261,7 @@ _POOL_LOCK = Lock()
 
 
 def _get_pool(threads: int) -> WorkerPool | ExecutorPool:
-    """Return the cached pool for a number of threads, including the caller's. It is a WorkerPool if possible, else an
+    """Return the cached pool for `threads` threads, which include the caller's. It is a WorkerPool if possible, else an
     ExecutorPool."""
     pool = _pool_by_threads.get(threads)
     if pool is None:
@@ -271,7 +273,7 @@ def _get_pool(threads: int) -> WorkerPool | ExecutorPool:
 
 
 def _forget_pools() -> None:
-    """Discard all pools in a forked process, because their threads do not exist there."""
+    """Discard all pools after a fork, because their threads do not exist in the child process."""
     global _POOL_LOCK
     _pool_by_threads.clear()
     _POOL_LOCK = Lock()
@@ -294,7 +296,7 @@ def _get_symbol_address(name: str) -> int:
 
 
 def _make_locked_lock() -> int:
-    """Return the address of a new lock of CPython, which is already acquired."""
+    """Return the address of a new CPython lock that is already acquired."""
     allocate = ctypes.CFUNCTYPE(ctypes.c_void_p)(_get_symbol_address(_LOCK_FUNCTIONS[0]))
     acquire = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int)(_get_symbol_address(_LOCK_FUNCTIONS[1]))
     lock: int | None = allocate()
@@ -306,7 +308,7 @@ def _make_locked_lock() -> int:
 
 @cache
 def _measure_spin_turns() -> int:
-    """Measure for how many iterations a thread without work should spin before it blocks."""
+    """Return for how many iterations a thread without work should spin before it blocks, from a measurement."""
     wait, buffer = words.load_code().function("turns"), np.zeros(1, np.int64)
     spent = []
     for _ in range(3):

@@ -1,1 +1,2 @@
-"""Kernels for pictures: noise of surfaces, and light spread over pixels. They do not import any other package of antdsl."""
+"""Kernels for rendering: noise on surfaces, and light of samples that is spread over pixels. They import no other package of
+antdsl."""

@@ -1,4 +1,4 @@
-"""Kernels that spread the light of samples over the pixels of lines and discs, and compose the results."""
+"""Kernels that spread light over pixels along lines (motion blur) and discs (depth of field), and composite the results."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ CHANNEL_COUNT = 4  # of sums of discs: red, green, blue, and the weight
 
 
 class DiscTable(NamedTuple):
-    """A table of discs by radius, in steps of a fraction of a pixel.
+    """A table of discs with radii in steps of a fraction of a pixel; r is the number of the radius.
 
-    `half_widths` (r, k): half of the width of the row at k pixels above or below the centre, 0 outside. `share` (r,): the
-    weight of each pixel of the disc."""
+    `half_widths` (r, k): half of the disc's width in the pixel row k rows above or below the centre; 0 outside. `share` (r,):
+    the weight of each pixel of the disc."""
 
     half_widths: Array2[F32]
     share: Array1[F32]
@@ -24,9 +24,8 @@ class DiscTable(NamedTuple):
 
 @kernel
 def add_line_averages(lines: Array2[F32], values: Array2[F32], max_steps: I64, sums: Array3[F32], begin: I64, end: I64) -> None:
-    """Add the values (n, c) of samples to the pixels of their lines, distributed equally.
-
-    `lines` (n, 4): column and row of both ends, in pixels. `sums` (h, w, c): receives the results."""
+    """Distribute the values of each sample equally over the pixels of its line. `lines` (n, 4): the column and row of one end,
+    then of the other, in pixels. `values` (n, c): c values per sample. `sums` (h, w, c): the image to which values are added."""
     high, wide, channels = sums.shape[0], sums.shape[1], sums.shape[2]
     for i in range(begin, end):
         x, y = lines[i, 0], lines[i, 1]
@@ -52,11 +51,10 @@ def add_disc_averages(
     begin: I64,
     end: I64,
 ) -> None:
-    """Add the light of pixels to the rows `begin` to `end` of `sums` (h, w + 2, 4), evenly over a disc around each pixel.
-
-    `pixels` (n,): in ascending order. `values` (n, 4): light and weight. `radius_steps` (n,): rows of `table`. `sums` stores
-    differences from the pixel to the left, so that only the two ends of each disc row are written (Kosloff et al., Graphics
-    Interface 2009)."""
+    """Distribute the light of each pixel evenly over a disc around it. Only rows `begin` to before `end` of `sums` (h, w + 2,
+    4) are written. `pixels` (n,): pixel numbers in ascending order. `values` (n, 4): red, green, blue and weight.
+    `radius_steps` (n,): the row of `table` for each disc. `sums` stores differences from the pixel to the left, so that only
+    the two ends of each disc row are written (Kosloff et al., Graphics Interface 2009)."""
     reach, edge = table.half_widths.shape[1] - 1, np.float32(width)
     for i in range(0, pixels.size):
         row = pixels[i] // width
@@ -86,9 +84,9 @@ def add_disc_averages(
 
 @kernel
 def add_layer_behind(sums: Array3[F32], total: Array3[F32], begin: I64, end: I64) -> None:
-    """Add a layer behind the layers in `total` (h, w, 4), as far as these leave a pixel uncovered.
+    """Composite a layer behind the layers in `total` (h, w, 4), where these do not cover a pixel completely.
 
-    Clear its `sums`. The coverage of layers is added up, because most layers are parts of one surface."""
+    Then set the layer's `sums` to 0. Coverage of layers is added, because most layers are parts of one surface."""
     for row in range(begin, end):
         red, green, blue, weight = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
         for column in range(0, total.shape[1]):

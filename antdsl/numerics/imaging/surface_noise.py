@@ -1,4 +1,5 @@
-"""Solid noise for surfaces, computed from small tables: smooth values with their gradient, and densely packed grains."""
+"""Solid noise for the appearance of surfaces, computed from small tables: smooth noise with its gradient, and densely packed
+grains."""
 
 from __future__ import annotations
 
@@ -19,9 +20,9 @@ _LATTICE_PERIOD = 32  # the pattern repeats after this many wavelengths
 
 
 def compute_value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, Floats]:
-    """Return smooth noise at `points` (n, 3): values (n,) within −1..1 and their gradient (n, 3) per world unit.
+    """Return smooth noise at `points` (n, 3): values (n,) from −1 to 1, and gradients (n, 3) per world unit.
 
-    There is about one bump per `wavelength` (world units)."""
+    `wavelength`: the typical size of a bump, in world units."""
     count = len(points)
     value, gradient = np.empty(count, np.float32), np.empty((count, 3), np.float32)
     scale = np.float32(1.0 / wavelength)
@@ -32,7 +33,7 @@ def compute_value_noise(points: Floats, wavelength: float, seed: int) -> tuple[F
 
 @lru_cache(maxsize=32)
 def make_noise_table(seed: int) -> Floats:
-    """Return a table of random values within −1..1 for the points of a periodic lattice."""
+    """Return a table with a random value from −1 to 1 for each point of a periodic lattice."""
     values = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, _LATTICE_PERIOD**3).astype(np.float32)
     values.setflags(write=False)
     return values
@@ -40,15 +41,15 @@ def make_noise_table(seed: int) -> Floats:
 
 @lru_cache(maxsize=8)
 def make_grain_table(seed: int) -> Floats:
-    """Return a table of grains: for each lattice cell, three coordinates of its grain and the grain's tone, within −1..1."""
+    """Return a table with one grain per lattice cell: three coordinates of its position, and its tone, from −1 to 1."""
     draw = np.random.Generator(np.random.Philox(seed)).uniform(-1.0, 1.0, (_LATTICE_PERIOD**3, 4)).astype(np.float32)
     draw.setflags(write=False)
     return draw.reshape(-1)
 
 
 class GrainedSamples(NamedTuple):
-    """Samples of surfaces with grain: points, normals and linear colours (n, 3), the widths of their pixels in world units
-    (n,), and the strength (n,) of the grain, 0 to 1."""
+    """Samples of surfaces with a grainy appearance. Points, normals and linear colours are (n, 3). The widths of their pixels
+    (world units) and the strengths of the grain (0 to 1) are (n,)."""
 
     points: Array2[F32]
     normal: Array2[F32]
@@ -59,7 +60,7 @@ class GrainedSamples(NamedTuple):
 
 @inlined
 def rotate_to_lattice(rotation: Array2[F32], v: Vec3F32, scale: F32) -> Vec3F32:
-    """Return a vector rotated to the lattice of patterns, times `scale`."""
+    """Return a world vector rotated into the axes of the noise lattice and multiplied by `scale`."""
     x, y, z = v[0] * scale, v[1] * scale, v[2] * scale
     return (
         x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0],
@@ -70,7 +71,7 @@ def rotate_to_lattice(rotation: Array2[F32], v: Vec3F32, scale: F32) -> Vec3F32:
 
 @inlined
 def rotate_from_lattice(rotation: Array2[F32], v: Vec3F32, scale: F32) -> Vec3F32:
-    """Return a vector of the lattice rotated to the world, times `scale`."""
+    """Return a vector in the axes of the noise lattice rotated into the world and multiplied by `scale`."""
     x, y, z = v[0] * scale, v[1] * scale, v[2] * scale
     return (
         x * rotation[0, 0] + y * rotation[0, 1] + z * rotation[0, 2],
@@ -83,7 +84,7 @@ def rotate_from_lattice(rotation: Array2[F32], v: Vec3F32, scale: F32) -> Vec3F3
 def sample_value_noise(rotation: Array2[F32], table: Array1[F32], point: Vec3F32, scale: F32) -> Any:
     """Return smooth noise at a point, and its gradient per world unit.
 
-    `scale`: wavelengths per world unit. `table`: the values of the lattice."""
+    `scale`: wavelengths per world unit. `table`: the values at the lattice points."""
     x, y, z = rotate_to_lattice(rotation, point, scale)
     a, b, c = np.floor(x), np.floor(y), np.floor(z)
     px, py, pz = x - a, y - b, z - c
@@ -105,10 +106,10 @@ def sample_value_noise(rotation: Array2[F32], table: Array1[F32], point: Vec3F32
 
 @inlined
 def sample_grain_noise(rotation: Array2[F32], table: Array1[F32], point: Vec3F32, scale: F32) -> Any:
-    """Return the grain nearest to a point, among packed grains (Worley, SIGGRAPH 1996). The results are the distance from its
-    centre (0..1), the vector from its centre (length about 1 at the rim), and its tone within −1..1.
+    """Find the nearest of densely packed grains to a point (Worley, SIGGRAPH 1996). Return the distance and the vector from
+    its centre, and its tone (−1 to 1). The distance is 0 to 1; the vector has a length of about 1 at the rim.
 
-    `scale`: grains per world unit. `table`: four numbers for each cell of the lattice."""
+    `scale`: grains per world unit. `table`: four numbers per lattice cell, from `make_grain_table`."""
     x, y, z = rotate_to_lattice(rotation, point, scale)
     half = np.float32(0.5)
     a, b, c = np.floor(x - half), np.floor(y - half), np.floor(z - half)
@@ -141,7 +142,7 @@ def fill_value_noise(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write smooth noise at points (n, 3), and its gradient per world unit."""
+    """Write smooth noise at `points` (n, 3) to `value`, and its gradient per world unit to `gradient`."""
     for i in simd_range(begin, end):
         value[i], slope = sample_value_noise(rotation, table, load3(points, i), scale)
         store3(gradient, i, slope)
@@ -151,8 +152,8 @@ def fill_value_noise(
 def add_bumps(
     samples: GrainedSamples, rotation: Array2[F32], table: Array1[F32], length: F32, height: F32, speck: F32, begin: I64, end: I64
 ) -> None:
-    """Add bumps of one size to the normals of samples, and specks to their colours. `length`: the size in world units.
-    `height`: the height of the bumps, as a fraction of their size. `speck`: the fraction by which colours vary."""
+    """Add bumps of one size to the normals of samples, and specks to their colours. `length`: the size of a bump in world
+    units. `height`: its height as a fraction of its size. `speck`: the greatest relative change of a colour."""
     points, normal, albedo, pixel, rough = samples
     for i in simd_range(begin, end):
         visibility = min(max(length / pixel[i] * np.float32(0.4) - np.float32(0.5), np.float32(0)), np.float32(1)) * rough[i]
@@ -176,10 +177,9 @@ def add_grains(
     begin: I64,
     end: I64,
 ) -> None:
-    """Add grains of sand to the normals and colours of samples.
-
-    `grains`: the table of grains. `patches`: the table that decides where grains lie. `length`: their size in world units.
-    `share`: the fraction of the surface that they cover. `quartz`, `basalt`: the colours of some grains."""
+    """Add grains of sand to the normals and colours of samples. `grains`: the table of grains. `patches`: a noise table that
+    decides where grains lie. `length`: the size of a grain in world units. `share`: the fraction of the surface that grains
+    cover. `quartz`, `basalt`: the colours of a few light and dark grains."""
     points, normal, albedo, pixel, loose = samples
     zero, one = np.float32(0), np.float32(1)
     for i in simd_range(begin, end):

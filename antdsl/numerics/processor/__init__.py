@@ -1,1 +1,1 @@
-"""The machine that a process runs on: the resources available to the process, and the floating-point environment of a thread."""
+"""Queries the machine that a process runs on: the available cores and memory, and the floating-point environment of a thread."""

@@ -1,4 +1,4 @@
-"""The floating-point environment of a thread. A host may change the rounding from nearest, or flush denormal numbers to zero.
+"""The floating-point environment of a thread. A host program may change the rounding mode, or flush denormal numbers to zero.
 
 A thread inherits the environment from the thread that starts it. Results computed within `use_standard_floats` do not depend
 on these settings."""
@@ -17,8 +17,8 @@ _ENVIRONMENT_BYTES = 256  # more bytes than any C library needs
 
 
 def has_standard_floats() -> bool:
-    """Return whether this thread rounds to nearest and keeps denormal numbers, as far as this can be detected by float64
-    operations."""
+    """Return whether this thread rounds to nearest and preserves denormal numbers, as far as float64 operations can detect
+    this."""
     return (
         _LEAST_NORMAL * _HALF_AT_RUN_TIME != 0.0
         and _ONE_AT_RUN_TIME + _HALF_ULP == 1.0
@@ -27,16 +27,16 @@ def has_standard_floats() -> bool:
 
 
 def set_standard_floats() -> None:
-    """Set the standard float environment for this thread permanently, for antdsl's own threads. Without support in the C library,
-    nothing changes."""
+    """Set the standard float environment permanently for the current thread, which must be one of antdsl's own. Does nothing
+    if the C library does not support it."""
     if not has_standard_floats() and (library := _load_c_library()) is not None:
         library.fesetenv(_get_default_environment())
 
 
 @contextmanager
 def use_standard_floats() -> Iterator[None]:
-    """Use the standard float environment within the context, and restore the old one afterwards. If the environment is already
-    standard, this costs about a microsecond."""
+    """Use the standard float environment within the `with` block, and restore the old one afterwards. If the environment is
+    already standard, this costs about a microsecond."""
     library = None if has_standard_floats() else _load_c_library()
     if library is None:
         yield
@@ -63,8 +63,8 @@ def _load_c_library() -> Any:
 
 @cache
 def _get_default_environment() -> ctypes.c_void_p:
-    """Return FE_DFL_ENV, the default environment: the address of an object of that name, or a number on systems without such an
-    object."""
+    """Return FE_DFL_ENV, the C library's default environment. It is the address of an object, or a number on systems without
+    such an object."""
     try:
         return ctypes.c_void_p(ctypes.addressof(ctypes.c_char.in_dll(ctypes.CDLL(None), "_FE_DFL_ENV")))
     except ValueError:

@@ -1,6 +1,6 @@
-"""The resources that are available to this process: cores and memory. Also the name of the processor.
+"""Reads the resources that are available to this process (cores and memory), and the processor's name.
 
-On Linux, control groups (cgroups) limit a process: its own group, and the groups that contain it."""
+On Linux, control groups (cgroups) limit a process. The limits of its own group and of all enclosing groups apply."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ PARTS_PER_THREAD = 4  # a thread that starts late or has slow parts takes fewer
 
 @cache
 def count_available_cores() -> int:
-    """Return how many threads can run at once: the number of cores available to this process and its control group (such as a
-    container). Fractions are rounded up."""
+    """Return how many threads can run at once: the number of cores that this process may use. Limits of control groups
+    (containers) apply, and fractions are rounded up."""
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
         process_groups = PROCESS_CGROUP_FILE.read_text(encoding="utf-8", errors="surrogateescape")
@@ -33,7 +33,8 @@ def count_available_cores() -> int:
 
 
 def iterate_core_limits(process_groups: str, groups_folder: Path) -> Iterator[float]:
-    """Yield the core limits of a process's control group and of the groups that contain it; groups without a limit are left out.
+    """Yield the limits, in cores, of a process's control group and of the groups that contain it. Groups without a limit are
+    left out.
 
     - `process_groups`: Linux's list of the process's groups, one line `number:controllers:path` each
     - `groups_folder`: the folder of all groups
@@ -53,14 +54,13 @@ def _read_quota_v1(folder: Path) -> tuple[int, int]:
 
 
 def _read_quota_v2(folder: Path) -> tuple[int, int]:
-    """Return quota and period (µs) of a control group of version 2."""
+    """Return quota and period (µs) of a version 2 control group."""
     quota, period = (folder / "cpu.max").read_text().split()  # a quota of `max` means no limit
     return int(quota), int(period)
 
 
 def iterate_group_folders(process_groups: str, groups_folder: Path, controller: str) -> Iterator[tuple[Path, bool]]:
-    """Yield the folder of each group in which a controller limits a process, and whether the group belongs to version 1 of
-    control groups.
+    """Yield the folder of each control group in which `controller` limits a process, and whether it is a version 1 group.
 
     - `process_groups`: Linux's list of the process's groups, one line `number:controllers:path` each
     - `groups_folder`: the folder of all groups"""
@@ -75,8 +75,7 @@ def iterate_group_folders(process_groups: str, groups_folder: Path, controller: 
 
 
 def get_address_space_limit() -> float:
-    """Return the address space limit in bytes of this process, infinite if there is none. Processes that it starts inherit the
-    limit."""
+    """Return the limit of this process's address space in bytes; infinite if there is none. Child processes inherit the limit."""
     try:
         import resource
     except ImportError:  # Windows
@@ -86,8 +85,8 @@ def get_address_space_limit() -> float:
 
 
 def measure_available_memory() -> int | None:
-    """Return the bytes that this process can still allocate without swapping, within its control groups. None if the system does
-    not report it (other than Linux)."""
+    """Return how many bytes this process can still allocate without swapping, within the limits of its control groups. None if
+    the system does not report it (only Linux does)."""
     limits: list[int] = []
     with suppress(OSError, ValueError, StopIteration):
         lines = _MEMINFO_FILE.read_text(encoding="ascii", errors="replace").splitlines()
@@ -100,10 +99,10 @@ def measure_available_memory() -> int | None:
 
 
 def iterate_free_group_memory(process_groups: str, groups_folder: Path) -> Iterator[int]:
-    """Yield the bytes left in each control group with a limit. `process_groups` and `groups_folder` are those of
-    `iterate_group_folders`.
+    """Yield the number of bytes left in each control group that has a limit.
 
-    Cached files count as free, since the system drops them when necessary."""
+    Cached files count as free, because the system drops them when necessary. `process_groups`, `groups_folder`: as for
+    `iterate_group_folders`."""
     for folder, is_first in iterate_group_folders(process_groups, groups_folder, "memory"):
         names = ("memory.limit_in_bytes", "memory.usage_in_bytes") if is_first else ("memory.max", "memory.current")
         with suppress(OSError, ValueError):  # a limit of `max` means no limit
@@ -112,7 +111,7 @@ def iterate_free_group_memory(process_groups: str, groups_folder: Path) -> Itera
 
 
 def _read_reclaimable_bytes(folder: Path) -> int:
-    """Return the bytes of cached files of a control group."""
+    """Return how many bytes of a control group are cached files, which the system can drop."""
     words = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
     return sum(int(words.get(name, 0)) for name in ("active_file", "inactive_file"))
 
@@ -130,7 +129,7 @@ def measure_peak_memory() -> int:
 def measure_memory() -> tuple[int, int]:
     """Return the current and the peak memory of this process in bytes.
 
-    If the system reports only the peak, both values are the peak. The peak may be that of the parent process."""
+    If the system reports only the peak, both values are the peak. The peak may include that of the parent process."""
     try:
         amounts = _read_kilobyte_lines(_PROCESS_FOLDER / "status")
         return 1024 * amounts["VmRSS"], 1024 * amounts["VmHWM"]
@@ -139,7 +138,7 @@ def measure_memory() -> tuple[int, int]:
 
 
 def _read_kilobyte_lines(path: Path) -> dict[str, int]:
-    """Read a file with lines such as `VmRSS: 123 kB`. Return the amounts by name."""
+    """Read a file with lines such as `VmRSS: 123 kB`. Return the sizes in kB by name."""
     amounts = {}
     for line in path.read_text(encoding="ascii", errors="replace").splitlines():
         name, _, value = line.partition(":")

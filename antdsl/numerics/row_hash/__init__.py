@@ -1,15 +1,15 @@
-"""A 128-bit hash of a table that does not depend on the order of its rows: the sum of a mixed hash of each row.
+"""A 128-bit hash of a table that does not depend on the order of its rows.
 
-A row is processed as pairs of 32-bit halves. Each of two 64-bit lanes adds keys to the halves, multiplies the halves of each
-pair, and sums the products. This is the hash NH (J. Black, S. Halevi, H. Krawczyk, T. Krovetz, P. Rogaway, UMAC: Fast and Secure
-Message Authentication, CRYPTO 1999). Its keys differ for each pair and lane; SplitMix64 generates them (G. Steele, D. Lea, C.
-Flood, Fast Splittable Pseudorandom Number Generators, OOPSLA 2014). Each lane of a row is then mixed by the finaliser of
-MurmurHash3 (A. Appleby, `fmix64`, 2011), a bijection. The mixed lanes of all rows are added modulo 2^64. The first pair of a row
-is its id. So the sum also changes if rows exchange values.
-
-A difference in a single 32-bit half of one row always changes the hash. A lane's product stays the same only if the other half
-and its key add up to 0. No two lanes have the same key, so the other lane changes. Any other difference is missed with a
-probability of at most 2^-64, unless an attacker knows the keys and searches for one. The hash detects faults, not forgeries."""
+It is the sum of the mixed hashes of all rows. A row is read as 64-bit words, each a pair of 32-bit halves. There are two
+64-bit lanes. Each lane adds keys to the halves, multiplies the halves of each pair, and sums the products. This is the hash NH
+(J. Black, S. Halevi, H. Krawczyk, T. Krovetz, P. Rogaway, UMAC: Fast and Secure Message Authentication, CRYPTO 1999). Its keys
+differ for each pair and lane; SplitMix64 generates them (G. Steele, D. Lea, C. Flood, Fast Splittable Pseudorandom Number
+Generators, OOPSLA 2014). Each lane of a row is then mixed by the finaliser of MurmurHash3 (A. Appleby, `fmix64`, 2011), a
+bijection. The mixed lanes of all rows are added modulo 2^64. The first pair of a row is its id. So the sum also changes if
+rows exchange values. A difference in a single 32-bit half of one row always changes the hash. The product in a lane stays the
+same only if the other half and its key add up to 0. The lanes have different keys, so the product in the other lane changes.
+Any other difference is missed with a probability of at most 2^-64, unless an attacker who knows the keys constructs it. The
+hash detects faults, not forgeries."""
 
 from __future__ import annotations
 
@@ -41,16 +41,15 @@ Int64Array = NDArray[np.int64]
 
 
 def hash_rows(ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]]) -> bytes:
-    """Return the hash, 16 bytes, of a table with these columns, [n] each, of 1, 2, 4 or 8 bytes per value.
-
-    `ids` int64[n] are all different. None means the row numbers, for a table in which the order of rows matters."""
+    """Return the hash (16 bytes) of a table with these columns. Each column is an array [n] with 1, 2, 4 or 8 bytes per value.
+    `ids`: int64 [n], all different. None means row numbers; then the order of the rows matters."""
     count = len(columns[0]) if ids is None else len(ids)
     arrays = [np.ascontiguousarray(column) for column in (columns if ids is None else (ids, *columns))]
     return _to_digest(HashTable(arrays, compute_word_keys, ids=ids is not None).compute_sums(count))
 
 
 def _to_digest(sums: Sequence[int]) -> bytes:
-    """Convert both sums to 16 bytes."""
+    """Return the two 64-bit sums as 16 bytes."""
     return b"".join((int(each) & _MASK_64).to_bytes(8, "little") for each in sums)
 
 
@@ -67,8 +66,8 @@ class RowHasher:
     def split_columns(self, arrays: Sequence[NDArray[Any]], has_several: Sequence[bool]) -> list[NDArray[Any]]:
         """Return the columns of all arrays in one list.
 
-        `has_several`: for each array, whether its first axis enumerates columns. Otherwise the array is one column. If the
-        array objects are those of the previous call, the same list is returned."""
+        `has_several`: for each array, whether it contains several columns along its first axis; otherwise it is one column. If
+        the array objects are those of the previous call, the same list is returned."""
         if len(arrays) != len(self._split_arrays) or any(map(is_not, arrays, self._split_arrays)):
             self._split_arrays = list(arrays)
             self._split_columns = [
@@ -77,7 +76,7 @@ class RowHasher:
         return self._split_columns
 
     def hash_rows(self, ids: NDArray[np.int64] | None, columns: Sequence[NDArray[Any]], threads: int = 1) -> bytes:
-        """Return the hash, 16 bytes, of a table with these columns. A column is [n]; an array [n, k] counts as k columns.
+        """Return the hash (16 bytes) of a table with these columns. Each is an array [n], or an array [n, k] for k columns.
 
         `ids`: int64 [n], as in the function `hash_rows`. Columns with fewer than four bytes per value must be contiguous."""
         arrays = list(columns) if ids is None else [ids, *columns]
@@ -92,7 +91,8 @@ class RowHasher:
 
 
 def describe_columns(names: tuple[str, ...], columns: Iterable[NDArray[Any]]) -> bytes:
-    """Return the names and types of columns as bytes, for a digest that also contains the hash of the rows."""
+    """Return the names and types of columns as bytes. The caller includes them in a digest, together with the hash of the
+    rows."""
     return _describe_columns(names, tuple([column.dtype for column in columns]))
 
 
@@ -103,10 +103,10 @@ def _describe_columns(names: tuple[str, ...], types: tuple[np.dtype[Any], ...]) 
 
 @cache
 def compute_word_keys(number: int) -> Int64Array:
-    """Return the keys (32 bits each, int64 [4]) of a word by its number in the row.
+    """Return four 32-bit keys for a 64-bit word of a row, int64 [4].
 
-    They are the keys of the word's first and second half in the first lane, then those in the second lane. They are the bits of
-    two numbers of SplitMix64, started at 0."""
+    `number`: the word's number in the row. The first two keys are for the word's two halves in the first lane, the others for
+    the second lane. Their bits come from two SplitMix64 numbers, started at 0."""
     halves: list[int] = []
     for each in (2 * number + 1, 2 * number + 2):
         z = each * 0x9E3779B97F4A7C15 & _MASK_64
@@ -122,8 +122,7 @@ _WordPart = tuple[int, int, int]  # column, byte offset from its start, bytes be
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ColumnForm:
-    """The memory layout of a column's array: its type, its strides, its shape without the first axis, and whether it is
-    contiguous."""
+    """The memory layout of a column's array: type, strides, shape without the first axis, and whether the array is contiguous."""
 
     dtype: np.dtype[Any]
     strides: tuple[int, ...]
@@ -135,8 +134,8 @@ class HashTable:
     """The memory layout of a table's columns, for machine code.
 
     - `columns`: arrays [n] or [n, k], of 1, 2, 4 or 8 bytes per value; the table does not store the arrays
-    - `keys`: a function that returns the four keys of a word by its number
-    - `ids`: whether the first column is the ids of the rows; otherwise row numbers are used"""
+    - `keys`: a function that returns the four keys of a word, given the word's number in the row
+    - `ids`: whether the first column contains the ids of the rows; otherwise row numbers are used as ids"""
 
     def __init__(self, columns: Sequence[NDArray[Any]], keys: Callable[[int], NDArray[np.int64]], *, ids: bool) -> None:
         self._column_forms = [_ColumnForm(each.dtype, each.strides, each.shape[1:], each.flags.c_contiguous) for each in columns]
@@ -172,7 +171,7 @@ class HashTable:
         self.replace_arrays(columns, [None] * len(columns))
 
     def replace_arrays(self, columns: Sequence[NDArray[Any]], previous_columns: Sequence[NDArray[Any] | None]) -> bool:
-        """Use the arrays of `columns` instead of `previous_columns` if their layout is equal. Return whether it is."""
+        """Use the arrays `columns` instead of `previous_columns` if both have the same memory layout. Return whether they do."""
         for k, (column, other) in enumerate(zip(columns, previous_columns, strict=True)):
             if column is other:
                 continue
@@ -187,8 +186,7 @@ class HashTable:
         return True
 
     def compute_sums(self, count: int, threads: int = 1) -> tuple[int, int]:
-        """Return two sums modulo 2^64 over `count` rows: of the first lane and of the second lane. Each row is mixed before it
-        is added."""
+        """Return the sums of both lanes over `count` rows, modulo 2^64. The lanes of each row are mixed before they are added."""
         chunks = 1 if threads < 2 else max(1, min(PARTS_PER_THREAD * threads, count // parallel.MIN_AGENTS_PER_THREAD))
         if len(self._chunk_headers) != chunks or self._chunks[-1, 2] != count:
             self._chunk_headers = np.zeros((chunks, TABLE_HEADER_WORDS), np.int64)
@@ -205,6 +203,6 @@ class HashTable:
 
 @cache
 def _load_function() -> Callable[[int, int, int], None]:
-    """Return the compiled function that sums rows."""
+    """Return the compiled function that adds up the hashes of a range of rows."""
     function: Callable[[int, int, int], None] = build_llvm_text.code().function("rows")
     return function

@@ -1,6 +1,6 @@
-"""The loops of `hash_rows`, in LLVM's language. Rows are processed in blocks that fit into a core's own cache. The lanes of a
-block's rows are summed in that cache, word by word. So only one column is read at a time, as a stream that the processor can
-prefetch. Reading all columns at once would be too many streams."""
+"""Writes the LLVM IR of the loops of `hash_rows`. Rows are processed in blocks that fit into a core's own cache. The lane sums
+of a block's rows stay in this cache while words are added, one word after another. So only one column is read at a time, as a
+stream that the processor can prefetch. Reading all columns at once would be too many streams."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LANE_NUMBERS = "<" + ", ".join(f"i64 {k}" for k in range(ROWS_PER_STEP)) + ">"
 
 
 class _TextBuilder:
-    """Builder of a function's text, with unique names for its values."""
+    """Builder of a function's LLVM IR, with unique names for its values."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -34,17 +34,17 @@ class _TextBuilder:
         self.lines.append("  " + line)
 
     def begin_block(self, label: str) -> None:
-        """Begin a block of code with a label."""
+        """Begin a basic block with a label."""
         self.lines.append(f"{label}:")
 
     def add_value(self, value: str) -> str:
-        """Append an instruction with a result, and return the result's name."""
+        """Append an instruction that has a result, and return the result's name."""
         self._count += 1
         self.append(f"%v{self._count} = {value}")
         return f"%v{self._count}"
 
     def add_pointer(self, begin: str, kind: str, number: str) -> str:
-        """Append a pointer computation, and return the pointer's name."""
+        """Append the computation of a pointer to element `number` of type `kind` after `begin`. Return the pointer's name."""
         return self.add_value(f"getelementptr {kind}, ptr {begin}, i64 {number}")
 
     def add_broadcast(self, value: str, kind: str = "i64") -> str:
@@ -57,13 +57,14 @@ class _TextBuilder:
 
 
 def _format_vector_constant(value: int) -> str:
-    """Return a vector constant with a number in all lanes."""
+    """Return the text of a vector constant with the same number in all lanes."""
     return "<" + ", ".join([f"i64 {value}"] * ROWS_PER_STEP) + ">"
 
 
 @make_library_text
 def build_llvm_text(target: llvm_compiler.Target) -> str:
-    """Return the text of the function to compile. It takes the table, and adds the sums of a range of rows."""
+    """Return the LLVM IR of the function to compile. It takes the address of a table, and adds up the hashes of a range of
+    rows."""
     module = LlvmModule(target)
     module.declare("llvm.memset.p0.i64", "void", ["ptr", "i8", "i64", "i1"])
     w = _TextBuilder()
@@ -98,7 +99,7 @@ def build_llvm_text(target: llvm_compiler.Target) -> str:
 
 
 def _write_word_sums(w: _TextBuilder) -> None:
-    """Write the code that adds the words of a block's rows to both lanes, word by word."""
+    """Emit code that adds all words of a block's rows to both lanes, one word after another."""
     w.begin_block("words.loop")
     w.append("%w = phi i64 [ 0, %block ], [ %w.next, %added ]")
     w.append("%w.more = icmp slt i64 %w, %words\n  br i1 %w.more, label %word, label %mix")
@@ -145,10 +146,10 @@ def _write_word_sums(w: _TextBuilder) -> None:
 
 
 def _add_products(w: _TextBuilder, label: str, predecessor: str, columns: Sequence[str], keys: Sequence[str]) -> None:
-    """Write the loop that adds the products of one word to both lanes of a block.
+    """Emit the loop that adds the products of one word to both lanes of a block.
 
     `columns`: one column if it has complete words, or two columns with the halves of words. `keys`: the four keys of the word.
-    `predecessor`: the label of the preceding block of code."""
+    `predecessor`: the label of the preceding basic block."""
     _begin_loop(w, label, predecessor, ROWS_PER_STEP, "%room")
     if len(columns) == 1:
         place = w.add_pointer(columns[0], "i64", f"%{label}.i")
@@ -172,10 +173,10 @@ def _add_products(w: _TextBuilder, label: str, predecessor: str, columns: Sequen
 
 
 def _write_halves(w: _TextBuilder, name: str, begin: str, step: str) -> None:
-    """Write the code that reads values of at most 4 bytes from a column, and stores them as one 32-bit half of 64-bit words.
+    """Emit code that reads values of at most 4 bytes from a column, and stores each as a 32-bit half of a 64-bit word.
 
-    `name`: `low` or `high`, the half that is stored, and the prefix of labels. `begin`, `step`: the registers with the column's
-    address and the bytes between its values. The code ends with a jump to the label `name`.done."""
+    `name`: `low` or `high`, the half that is stored, and the prefix of labels. `begin`, `step`: the registers with the
+    column's address and with the distance of its values in bytes. The code ends with a jump to the label `name`.done."""
     shift = 32 if name == "high" else 0
     w.append(f"br i1 %few, label %{name}.few, label %{name}.many")
     for is_full in (True, False):
@@ -198,7 +199,7 @@ def _write_halves(w: _TextBuilder, name: str, begin: str, step: str) -> None:
 
 
 def _begin_loop(w: _TextBuilder, label: str, predecessor: str, step: int, count: str) -> None:
-    """Begin a loop over the rows of a block. `predecessor`: the label of the preceding block of code. `step`: the rows per
+    """Begin a loop over the rows of a block. `predecessor`: the label of the preceding basic block. `step`: the rows per
     iteration. `count`: the register with the number of rows."""
     w.append(f"br label %{label}")
     w.begin_block(label)
@@ -209,14 +210,14 @@ def _begin_loop(w: _TextBuilder, label: str, predecessor: str, step: int, count:
 
 
 def _end_loop(w: _TextBuilder, label: str) -> None:
-    """Write the jump back to the label of a loop, and begin the block of code after the loop."""
+    """Emit the jump back to the start of a loop, and begin the basic block after the loop."""
     w.append(f"br label %{label}")
     w.begin_block(f"{label}.end")
 
 
 def _read_halves(w: _TextBuilder, label: str, predecessor: str, begin: str, kind: str, shift: int) -> None:
-    """Write a loop that reads contiguous values, several at once, and stores them as halves of 64-bit words. `shift`: 0 for the
-    low half, 32 for the high half."""
+    """Emit a loop that reads contiguous values, several at once, and stores each as a half of a 64-bit word. `shift`: 0 for
+    the low half, 32 for the high half."""
     _begin_loop(w, label, predecessor, ROWS_PER_STEP, "%room")
     address = w.add_pointer(begin, kind, f"%{label}.i")
     half = w.add_value(f"load <{ROWS_PER_STEP} x {kind}>, ptr {address}, align 1")
@@ -233,7 +234,7 @@ def _read_halves(w: _TextBuilder, label: str, predecessor: str, begin: str, kind
 
 
 def _gather_values(w: _TextBuilder, label: str, predecessor: str, begin: str, step: str, kind: str, shift: int | None) -> None:
-    """Emit a loop that reads values at a distance of `step` bytes, and stores them as 64-bit words or as half words.
+    """Emit a loop that reads values at a distance of `step` bytes, and stores each as a 64-bit word or as a half of one.
 
     `shift`: 0 for the low half, 32 for the high half, None for complete words."""
     _begin_loop(w, label, predecessor, 1, "%count")
@@ -253,7 +254,7 @@ def _gather_values(w: _TextBuilder, label: str, predecessor: str, begin: str, st
 
 
 def _write_row_numbers(w: _TextBuilder) -> None:
-    """Write the loop that stores the numbers of a block's rows as words."""
+    """Emit the loop that stores the row numbers of a block as 64-bit words."""
     _begin_loop(w, "numbers.of", "numbers", ROWS_PER_STEP, "%room")
     number = w.add_value(
         f"add {_LONG_LANES_TYPE} {w.add_broadcast(w.add_value('add i64 %first, %numbers.of.i'))}, {_LANE_NUMBERS}"
@@ -265,7 +266,7 @@ def _write_row_numbers(w: _TextBuilder) -> None:
 
 
 def _write_row_mixing(w: _TextBuilder) -> None:
-    """Write the loop that mixes both lanes of each row of a block, and adds them to the sums.
+    """Emit the loop that mixes both lanes of each row in a block, and adds them to the sums.
 
     It works row by row, because few processors multiply 64-bit numbers in SIMD lanes."""
     w.begin_block("mix")
