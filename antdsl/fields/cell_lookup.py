@@ -1,4 +1,4 @@
-"""A kernel that finds the pheromone cell of each point. Voxel and side of the point identify the cell."""
+"""A kernel that finds the pheromone cell of each point. A cell is identified by the point's voxel and the side of its face."""
 
 from typing import NamedTuple
 
@@ -12,9 +12,9 @@ _PREFETCH_GROUP_SIZE = 64  # points with cells prefetched together
 
 @inlined
 def _find_voxel_along_axis(coordinate: F64, voxel_width: F64, lowest_voxel: I64, voxel_count: I64) -> I64:
-    """Return the index of the voxel at coordinate `coordinate` (mm) along one axis of the box; -1 outside the box.
+    """Return the index of the voxel that contains `coordinate` (mm) along one axis of a box of voxels; -1 outside the box.
 
-    `voxel_width`: voxel width (mm). `lowest_voxel`, `voxel_count`: the lowest voxel of the box, and its number of voxels."""
+    `voxel_width`: in mm. `lowest_voxel`, `voxel_count`: the first voxel of the box along this axis, and the number of voxels."""
     step = np.floor(coordinate / voxel_width + 0.5) - np.float64(lowest_voxel)
     if step >= 0.0 and step < np.float64(voxel_count):
         return np.int64(step)
@@ -25,7 +25,7 @@ def _find_voxel_along_axis(coordinate: F64, voxel_width: F64, lowest_voxel: I64,
 def _find_cell_by_key(
     direct_table: Array1[I32], has_direct_table: BOOL, keys: Array1[I64], block_shift: I64, block_starts: Array1[I32], key: I64
 ) -> I64:
-    """Return the cell with key `key`, -1 if there is none. The other arguments are fields of `VoxelCellIndex`."""
+    """Return the cell with the key `key`, or -1 if there is none. The other arguments are fields of `VoxelCellIndex`."""
     if has_direct_table:
         return np.int64(direct_table[key])
     a = find_lower_bound(keys, key, np.int64(block_starts[key >> block_shift]), np.int64(block_starts[(key >> block_shift) + 1]))
@@ -35,10 +35,10 @@ def _find_cell_by_key(
 class VoxelCellIndex(NamedTuple):
     """A lookup table for the cells in a box of voxels. A cell's key combines the number of its voxel with its side.
 
-    `voxel_width`: voxel width (mm). `lowest_voxel`, `voxels_per_axis`: the lowest voxel of the box, and its number of voxels
-    along each axis. `direct_table`: the cell of every key; empty if the box is too large. Then `keys` is searched by bisection
-    in one block. `keys`: the ascending keys of the cells. `block_shift`: each block covers 2**shift keys. `block_starts`
-    [blocks + 1]: the position of each block's first key in `keys`."""
+    `voxel_width`: in mm. `lowest_voxel`, `voxels_per_axis`: the first voxel of the box, and its number of voxels along each
+    axis. `direct_table`: the cell of every key; empty if the box is too large for a table. In this case, `keys` is searched by
+    bisection within a block. `keys`: the keys of the cells, ascending. `block_shift`: each block covers 2**shift keys.
+    `block_starts` [blocks + 1]: the position of each block's first key in `keys`."""
 
     voxel_width: F64
     lowest_voxel: Array1[I64]
@@ -60,11 +60,10 @@ def update_cell_lookups(
     begin: I64,
     end: I64,
 ) -> I64:
-    """Write the cell of each point from `begin` to before `end` to `cells` [n], -1 for none. Return how many points have no cell.
-
-    `points`: x, y, z [n] mm. `sides` [n]: the side of the face under each point.
-    `previous_keys` [n]: the key of each point at the previous call, -1 outside the box; updated.
-    `lookup_state` [n]: the cell of each point at the previous call; updated."""
+    """Write the cell of each point to `cells` [n], -1 for none. Return how many points have no cell. Points from `begin` to
+    before `end` are processed. `points`: x, y, z [n] mm. `sides` [n]: the side of the face under each point. `previous_keys`
+    [n]: the key of each point at the previous call, -1 outside the box; it is updated. `previous_cells` [n]: the cell of each
+    point at the previous call; it is updated."""
     cell, box, size, direct, keys, shift, start = index
     has_direct_table = direct.size > 0
     point_keys, is_changed, others = (

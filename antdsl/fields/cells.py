@@ -1,4 +1,4 @@
-"""The cells of a pheromone field: a voxel that a surface touches has one cell per direction that the surface faces there."""
+"""The cells of a pheromone field. A voxel that a surface touches has one cell per axis direction that the surface faces there."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ _POINTS_PER_CHUNK = 1 << 15
 
 
 class FieldTooFineError(ValueError):
-    """Error: a field would need more than `limits.MAX_FIELD_CELLS` cells or, if `is_axis_limit`, too many voxels along an
-    axis. It is raised before anything is allocated."""
+    """Error raised if a field would need more than `limits.MAX_FIELD_CELLS` cells, or (if `is_axis_limit`) too many voxels
+    along an axis. It is raised before memory is allocated."""
 
     def __init__(self, needed_count: int, cap: int, is_axis_limit: bool = False) -> None:
         super().__init__(f"about {needed_count:,} cells are needed, but only {cap:,} are allowed; increase `cell`")
@@ -41,7 +41,7 @@ class FieldTooFineError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class CellLinks:
-    """The neighbour cells with compatible sides of each cell a: `linked_cells[link_starts[a]:link_starts[a+1]]`, ascending."""
+    """The linked neighbours of each cell. Those of cell a are `linked_cells[link_starts[a]:link_starts[a+1]]`, ascending."""
 
     link_starts: NDArray[np.int64]
     linked_cells: Cells
@@ -50,10 +50,10 @@ class CellLinks:
 class SurfaceCells:
     """The cells of a field on surfaces.
 
-    A cell is a voxel that a surface touches, together with a side: the axis direction nearest to the surface's normal. So a
-    thin plate has cells with two different sides. Voxels have the edge length `cell` (mm), and their centres are on a lattice
-    through the origin. Cells are numbered by position, then by side, for any order of faces. Each surface is (vertices
-    float64[n,3], faces int32[m,3]). Raises FieldTooFine before any large allocation."""
+    A cell is a voxel that a surface touches, together with a side, which is the axis direction nearest to the surface's
+    normal. So a thin plate has separate cells for its two sides. Voxels have the edge length `cell` (mm), and their centres
+    are on a lattice through the origin. Cells are numbered by position, then by side; the order of the faces does not matter.
+    Each surface is (vertices float64[n,3], faces int32[m,3]). Raises FieldTooFineError before any large allocation."""
 
     def __init__(self, surfaces: Sequence[MeshArrays], cell: float, cap: int = limits.MAX_FIELD_CELLS) -> None:
         if not (np.isfinite(cell) and cell > 0):
@@ -92,7 +92,7 @@ class SurfaceCells:
     def _build_cell_tables(self, corners: Floats, scaled_corners: Floats, normal: Floats, max_cells: int) -> stored_tables.Tables:
         """Return the arrays `keys`, `position` and `normal` of all cells of triangles with the given `corners` and normals.
 
-        `scaled_corners`: the corners in units of voxels. `max_cells`: the number of cells above which FieldTooFine is raised."""
+        `scaled_corners`: the corners in units of voxels. `max_cells`: raises FieldTooFineError if there are more cells."""
         side = classify_normal_directions(normal)
         keys, sums = np.empty(0, np.int64), np.empty((0, 7))
         waiting: list[tuple[NDArray[np.int64], Floats]] = []
@@ -115,11 +115,11 @@ class SurfaceCells:
 
     @property
     def side_by_cell(self) -> NDArray[np.int64]:
-        """Return the side of each cell: the number of the axis direction that it faces, as from `classify_normal_directions`."""
+        """Return the side of each cell: the axis direction that it faces, numbered as by `classify_normal_directions`."""
         return self._keys % 6
 
     def _pack_keys(self, voxel: NDArray[np.int64], side: NDArray[np.int8]) -> NDArray[np.int64]:
-        """Return one key for each voxel [n,3] and its side: the number of the voxel times 6, plus the side."""
+        """Return the key of each pair of a voxel [n,3] and a side: the voxel's number times 6, plus the side."""
         key: NDArray[np.int64] = ((voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2]) * 6 + side
         return key
 
@@ -134,12 +134,12 @@ class SurfaceCells:
 
     @cached_property
     def _max_cells_per_voxel(self) -> int:
-        """Return the number of cells in the fullest voxel."""
+        """Return the greatest number of cells in a voxel."""
         return int(np.unique(self._voxel_numbers, return_counts=True)[1].max(initial=0))
 
     def _find_cell_ranges(self, voxel: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the first cell of each voxel [n, 3], and the number of its cells (0 outside the box), int64[n]. Voxels are
-        relative to the corner of the box."""
+        """Return the first cell of each voxel [n, 3] and the voxel's number of cells (0 outside the box), both int64[n].
+        Voxels are given relative to the low corner of the box."""
         is_in_box = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
         flat = np.where(is_in_box, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0)
         if self._start_table is not None:
@@ -149,29 +149,29 @@ class SurfaceCells:
         return first, np.where(is_in_box, last - first, 0)
 
     def _iterate_voxel_cells(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
-        """Yield the k-th cell of each voxel [n,3], for k = 0, 1, …, with a mask of the voxels that have one."""
+        """Yield, for k = 0, 1, …, the k-th cell of each voxel [n,3] and a mask of the voxels that have a k-th cell."""
         first, count = self._find_cell_ranges(voxel)
         for step in range(self._max_cells_per_voxel):
             yield np.minimum(first + step, len(self) - 1), step < count
 
     def find_cells(self, points: Floats, normals: Floats) -> Cells:
-        """Return the cell of each point [n,3], int32[n]: the cell with the point's voxel and the side of its face.
-
-        If there is no such cell, return the nearest cell in the 27 voxels around the point, except cells of the opposite side;
-        else -1. `normals` [n,3]: the normal of the face under each point, also if an agent walks on its back."""
+        """Return the cell of each point [n,3], int32[n]: the one with the point's voxel and the side of its face. If this cell
+        does not exist, the result is the nearest cell in the 27 voxels around the point, except cells of the opposite side. If
+        there is none, it is -1. `normals` [n,3]: the normal of the face at each point, not flipped for agents on the back of
+        the face."""
         return self.find_cells_by_side(points, classify_normal_directions(np.asarray(normals).reshape(-1, 3)))
 
     def find_cells_by_side(self, points: Floats, sides: NDArray[np.int8]) -> Cells:
-        """Return the cells of `find_cells` for sides int8[n] of faces, as numbered by `classify_normal_directions`."""
+        """Return the same as `find_cells`, for given `sides` of faces, int8[n], numbered as by `classify_normal_directions`."""
         return self.update_cells(points, sides, None)[0]
 
     def update_cells(
         self, points: Floats, sides: NDArray[np.int8], lookup_state: CellLookupState | None, result: Cells | None = None,
         threads: int = 1
     ) -> tuple[Cells, CellLookupState | None]:  # fmt: skip
-        """Return the cells of `find_cells_by_side` and the state for the next call, or None if a kernel cannot search the
-        keys. Only points with a changed voxel or side are searched. `result`: int32[n], an array for the cells.
-        `lookup_state`: the state that the previous call returned for the same number of points."""
+        """Return the cells of `find_cells_by_side`, and the state for the next call. The state is None if a kernel cannot
+        search the keys. Only points with a changed voxel or side are searched. `result`: int32[n], an array to write the cells
+        to. `lookup_state`: the state from the previous call, for the same number of points."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         cell = np.empty(len(points), np.int32) if result is None or len(result) != len(points) else result
         if not len(self):
@@ -193,8 +193,8 @@ class SurfaceCells:
     def _locate_cells(
         self, points: Floats, side: NDArray[np.int8], previous_cells: CellLookupState | None, cell: Cells, threads: int
     ) -> tuple[int, CellLookupState]:
-        """Write the cell of each point's voxel and side to `cell`, -1 for none. Return the number of points without a cell, and
-        the state for the next call."""
+        """Write the cell with each point's voxel and side to `cell`, -1 for none. Return the number of points without a cell,
+        and the state for the next call."""
         state = previous_cells
         if state is None or state.surface_cells is not self or len(state.keys) != len(points):
             state = CellLookupState(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
@@ -207,7 +207,7 @@ class SurfaceCells:
         return sum(parallel.run_in_parts(work, len(points), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)), state
 
     def _search_all_cells(self, points: Floats, side: NDArray[np.int8], cell: Cells) -> int:
-        """Do the same without a kernel, for keys that are not ascending. Return the number of points without a cell."""
+        """Do the same as `_locate_cells` without a kernel, for keys in any order. Return the number of points without a cell."""
         key = np.empty(len(points), np.int64)
         is_in_box = np.empty(len(points), np.bool_)
         for a in range(0, len(points), _POINTS_PER_CHUNK):
@@ -218,11 +218,11 @@ class SurfaceCells:
 
     @property
     def _has_kernel_lookup(self) -> bool:
-        """Return whether a kernel can find cells: keys ascend with the cell numbers, or a table lists every key."""
+        """Return whether a kernel can find cells. It can if keys ascend with cell numbers, or if a table lists every key."""
         return True
 
     def _write_keys(self, points: Floats, side: NDArray[np.int8], key: NDArray[np.int64], is_in_box: NDArray[np.bool_]) -> None:
-        """Write the key of each point to `key`, and to `is_in_box` whether its voxel is in the box."""
+        """Write the key of each point to `key`, and whether the point's voxel is in the box to `is_in_box`."""
         for axis in range(3):
             step = np.floor(points[:, axis] / self.cell + 0.5)
             step -= self._low[axis]
@@ -280,8 +280,8 @@ class SurfaceCells:
     def _find_neighbour_pairs(
         self, cells: NDArray[np.int64], column: Callable[[int, int], int]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return pairs of compatible cells in nearby voxels, sorted: indices into `cells`, and the neighbour cells. `column(x,
-        y)`: how many voxels up and down to search in the column at offset (x, y); -1 for none."""
+        """Return sorted pairs of compatible cells in nearby voxels, as indices into `cells` and numbers of neighbour cells.
+        `column`: a function that returns how many voxels up and down to search at the offset (x, y); -1 for none."""
         voxels = self._voxel_numbers[cells]
         z, rest = voxels % self._size[2], voxels // self._size[2]
         x, y = rest // self._size[1], rest % self._size[1]
@@ -304,23 +304,23 @@ class SurfaceCells:
         return one.take(compatible_pairs), other.take(compatible_pairs)
 
     def _count_earlier_cells(self, voxel: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return, for each voxel number in the box, how many cells lie in voxels with smaller numbers."""
+        """Return, for each voxel number in the box, how many cells are in voxels with smaller numbers."""
         if self._start_table is not None:
             return self._start_table.take(voxel).astype(np.int64)
         return self._voxel_numbers.searchsorted(voxel).astype(np.int64)
 
     @cached_property
     def links(self) -> CellLinks:
-        """Return the links of cells that share a voxel or a face of their voxels, and do not face opposite directions."""
+        """Return the links between cells in the same voxel or in voxels that share a face, except cells of opposite sides."""
         return self._link_cells(1)
 
     @cached_property
     def diagonal_links(self) -> CellLinks:
-        """Return the links of cells that share only an edge of their voxels, and do not face opposite directions."""
+        """Return the links between cells in voxels that share only an edge, except cells of opposite sides."""
         return self._link_cells(2)
 
     def _link_cells(self, steps: int) -> CellLinks:
-        """Return the links of cells one voxel step apart (`steps` 1), or two steps along different axes (`steps` 2)."""
+        """Return the links between cells at most one voxel step apart, or if `steps` is 2, two steps along different axes."""
         counts, cells = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
         for a in range(0, len(self), _POINTS_PER_CHUNK):
             chosen = np.arange(a, min(a + _POINTS_PER_CHUNK, len(self)))
@@ -332,7 +332,7 @@ class SurfaceCells:
         return CellLinks(np.cumsum(np.concatenate(counts)), np.concatenate(cells))
 
     def _count_voxel_steps(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the number of voxel steps between the cells of each pair, summed over all axes."""
+        """Return the number of voxel steps between the two cells of each pair, summed over all axes."""
         steps = np.zeros(len(first), np.int64)
         voxels = [self._voxel_numbers.take(cells) for cells in (first, second)]
         for size in (self._size[2], self._size[1]):
@@ -343,7 +343,7 @@ class SurfaceCells:
 
     @property
     def nearest_block_cells(self) -> Cells:
-        """Return the 16 nearest cells of each cell: int32[n,16], in the form of `get_nearest_cells`."""
+        """Return the 16 nearest cells of each cell, int32[n,16], as `get_nearest_cells` returns them."""
         return self.get_nearest_cells(NEAREST_CELL_COUNT)
 
     def compute_offsets(self, first: Floats, second: Floats) -> Floats:
@@ -351,9 +351,8 @@ class SurfaceCells:
         return first - second
 
     def get_nearest_cells(self, k: int) -> Cells:
-        """Return the `k` nearest cells of each cell in the 27 voxels around it: int32[n,k], ascending, padded with `len(self)`.
-
-        A cell is among its own nearest cells. Of cells at equal distances, those with lesser numbers are nearer."""
+        """Return the `k` nearest cells of each cell in the 27 voxels around it: int32[n,k], ascending, padded with
+        `len(self)`. They include the cell itself. Of cells at equal distances, those with smaller numbers are chosen first."""
         if k not in self._tables:
             inputs = (self._keys, self._size, self.position, float(k))
             work = partial(self._compute_nearest_cells, np.arange(len(self)), k)
@@ -386,8 +385,9 @@ class SurfaceCells:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellLookupState:
-    """The state that one cell lookup stores for the next. With it, points that stay in their voxel need no search. It contains
-    the cells searched, the key of each point's voxel and side (-1 outside the box), and each point's cell (-1: none)."""
+    """The state that a cell lookup stores for the next one, so that points that stay in their voxel need no search. It
+    contains the `SurfaceCells` searched, the key of each point's voxel and side (-1 outside the box), and each point's cell
+    (-1: none)."""
 
     surface_cells: SurfaceCells
     keys: NDArray[np.int64]
@@ -395,6 +395,6 @@ class CellLookupState:
 
 
 def are_sides_compatible(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return whether the sides `a` and `b` are not opposite. An agent can walk between compatible sides within one voxel."""
+    """Return whether the sides `a` and `b` are not opposite. Within a voxel, agents can walk between such compatible sides."""
     other: NDArray[np.bool_] = (a ^ 1) != b
     return other

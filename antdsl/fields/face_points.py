@@ -1,6 +1,6 @@
-"""Lattice points on triangles, at which fields and flows are computed. Each face is divided into n · n equal triangles, n a
-power of two. This module also chooses the resolution of a flow's points. The points around a footing are found by one table
-look-up, without a search."""
+"""Lattice points on faces, at which flows are computed. Each face is divided into n · n equal triangles; n is a power of two.
+The lattice points around a footing are found with one table look-up, without a search. The module also chooses the resolution
+of the lattice for a flow."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MAX_PIECES_PER_EDGE = 1024  # maximum number of pieces along an edge
 
 
 class LatticeTooFineError(ValueError):
-    """Error: a lattice would need more points than allowed. `needed`: the approximate number of points."""
+    """Error raised if a lattice would need more points than allowed. `needed`: the approximate number of points."""
 
     def __init__(self, needed_count: int) -> None:
         super().__init__(f"about {needed_count:,} points")
@@ -33,14 +33,14 @@ class LatticeTooFineError(ValueError):
 
 
 def count_slots(edge_pieces: Index) -> int:
-    """Return the number of points in each face that has `edge_pieces` pieces along an edge."""
+    """Return the number of lattice points of each face, for `edge_pieces` pieces along each of its edges."""
     return int(((edge_pieces + 1) * (edge_pieces + 2) // 2).sum())
 
 
 def count_edge_pieces_by_length(edge_lengths: Floats, cell: float | Floats) -> Index:
-    """Return the number of pieces to divide each edge into, so that a piece is at most `cell` (mm) long.
+    """Return into how many pieces to divide each edge, so that each piece is at most `cell` (mm) long.
 
-    The counts are powers of two; 1 if `cell` is infinite. `edge_lengths`: in mm."""
+    The results are powers of two, and 1 if `cell` is infinite. `edge_lengths`: in mm."""
     with np.errstate(divide="ignore"):
         pieces = np.clip(edge_lengths / cell, 1.0, _MAX_PIECES_PER_EDGE)
     cuts: Index = np.left_shift(1, np.frexp(pieces * (1 - 1e-9))[1].astype(np.int64))
@@ -51,16 +51,16 @@ def count_edge_pieces_by_length(edge_lengths: Floats, cell: float | Floats) -> I
 class FaceLattice:
     """A lattice of points on faces, called slots. Each face is divided into equal triangles, with slots at their corners.
 
-    `edge_pieces`: the number n of pieces along an edge of each face, which has (n + 1)(n + 2) / 2 slots.
-    `first_slots`: the first slot of each face. Slots follow each other in rows towards the face's second corner. Rows follow each
-    other towards its third corner."""
+    `edge_pieces`: for each face, the number n of pieces along an edge; the face has (n + 1)(n + 2) / 2 slots. `first_slots`:
+    the first slot of each face. Slots are ordered in rows. Within a row, they proceed towards the face's second corner; the
+    rows proceed towards its third corner."""
 
     edge_pieces: Index
     first_slots: Index
 
     @staticmethod
     def from_edge_pieces(edge_pieces: Index) -> FaceLattice:
-        """Return the lattice with `edge_pieces` pieces along an edge of each face."""
+        """Return the lattice that divides each edge of face i into `edge_pieces[i]` pieces."""
         sizes = (edge_pieces + 1) * (edge_pieces + 2) // 2
         return FaceLattice(edge_pieces, np.concatenate(([0], np.cumsum(sizes)))[:-1])
 
@@ -88,7 +88,7 @@ class FaceLattice:
         return np.repeat(np.arange(len(self.edge_pieces)), (self.edge_pieces + 1) * (self.edge_pieces + 2) // 2)
 
     def compute_slot_weights(self) -> tuple[Floats, Floats]:
-        """Return the barycentric weights of the face's second and third corner, for each slot."""
+        """Return two barycentric weights of each slot: those of its face's second and third corner."""
         b1, b2 = np.empty(len(self)), np.empty(len(self))
         for n, chosen, i, j in self._group_by_edge_pieces():
             slots = self.first_slots[chosen][:, None] + np.arange(len(i))
@@ -96,7 +96,8 @@ class FaceLattice:
         return b1, b2
 
     def compute_triangles(self) -> tuple[Index, Index]:
-        """Return the triangles between slots: their corners as slots (t, 3), wound like their face, and their faces (t,)."""
+        """Return the triangles between slots: their corners as slot numbers (t, 3), and their faces (t,). The winding is that
+        of the face."""
         parts, owners = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
         for n, chosen, i, j in self._group_by_edge_pieces():
             slots = np.arange(len(i))
@@ -113,7 +114,7 @@ class FaceLattice:
     def _group_by_edge_pieces(self) -> list[tuple[int, Index, Index, Index]]:
         """Group faces by the number of pieces per edge.
 
-        Return a tuple for each group: that number, the faces, and the columns and rows of a face's slots."""
+        Return a tuple for each group: the number of pieces, the faces, and the column and row of each slot in a face."""
         groups = []
         for n in np.unique(self.edge_pieces).tolist():
             j = np.repeat(np.arange(n + 1), np.arange(n + 1, 0, -1))
@@ -123,9 +124,9 @@ class FaceLattice:
 
 
 def weld_points(positions: Floats, surface_numbers: NDArray[np.integer]) -> tuple[Index, int]:
-    """Return the number of each position's point, and the number of points.
+    """Merge equal positions (n, 3) on the same surface into points.
 
-    Equal positions (n, 3) on the same surface share a point."""
+    Return the point number of each position, and the number of points."""
     if not len(positions):
         return np.empty(0, np.int64), 0
     low = positions.min(axis=0)
@@ -141,8 +142,8 @@ def weld_points(positions: Floats, surface_numbers: NDArray[np.integer]) -> tupl
 
 
 def choose_cell_size(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, extent: float) -> float:
-    """Return the edge length (mm) of a flow's cells: the flow's own `cell`, or else a default for a ground of size `extent`
-    (mm)."""
+    """Return the edge length (mm) of a flow's cells. This is `flow.cell` or, if it is not set, a default for a ground of size
+    `extent` (mm)."""
     if flow.cell is not None:
         return flow.cell
     if isinstance(flow, BorderFlowData):
@@ -157,8 +158,8 @@ def choose_edge_pieces(flow: SpreadFlowData | BorderFlowData | SolvedFlowData, e
     """Return the number of pieces into which to divide the edges of each face.
 
     `edge_lengths` (n): the longest edge (mm) of each face, 0 where the flow is not needed. `extent`: the size (mm) of the
-    ground. A default cell size is increased if there would be too many points. Raises LatticeTooFine if the cell size that the
-    scene sets is too small."""
+    ground. The default cell size is increased if it would give too many points. Raises LatticeTooFineError if the scene sets a
+    cell size that is too small."""
     cell = choose_cell_size(flow, extent)
     while True:
         cuts = count_edge_pieces_by_length(edge_lengths, cell)

@@ -1,5 +1,5 @@
-"""Flows and maps on surfaces. A flow is a vector along the face, a map is a painted number. Agents read both at their footing.
-This module also has flows around curves and points, which are defined everywhere in space."""
+"""Flows and maps on surfaces. A flow gives a vector along the surface at each point, and a map gives a painted number. Agents
+read both at their footing. This module also has flows around curves and points, which are defined everywhere in space."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _MIN_FACE_COSINE = 0.5  # cosine of the angle to the face; below it, a projected
 
 
 def project_to_faces(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Floats]:
-    """Project vectors `v` (n, 3) to faces. Return their components (n) along the first and the second axis of their face.
-
-    Vectors at up to 60 degrees to the face retain their length. `axis1`, `axis2` (3, n): the axes of each vector's face."""
+    """Project vectors `v` (n, 3) onto faces. Return their components (n) along the first and the second axis of the face. A
+    vector at an angle of up to 60 degrees to its face retains its length. `axis1`, `axis2` (3, n): the axes of each vector's
+    face."""
     c, s = (axis1 * v.T).sum(axis=0), (axis2 * v.T).sum(axis=0)
     flat = np.sqrt(c * c + s * s)
     length = np.sqrt((v * v).sum(axis=1))
@@ -39,7 +39,7 @@ def project_to_faces(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, F
 def project_across_up(v: Floats, up: Floats) -> Floats:
     """Return vectors `v` (n, 3) projected onto the planes perpendicular to `up` (n, 3), for agents that stand on no face.
 
-    Vectors at up to 60 degrees to the plane retain their length."""
+    A vector at an angle of up to 60 degrees to its plane retains its length."""
     tangential = v - (v * up).sum(axis=1)[:, None] * up
     flat, length = (np.sqrt((w * w).sum(axis=1)) for w in (tangential, v))
     down: Floats = tangential * (np.minimum(length, flat / _MIN_FACE_COSINE) / np.where(flat > 1e-150, flat, 1.0))[:, None]
@@ -49,8 +49,8 @@ def project_across_up(v: Floats, up: Floats) -> Floats:
 def compute_falloff(distance: Floats, radius: float | None, falloff_kind: str) -> Floats:
     """Return the strength of a flow at a distance (mm) from its source: 1 at the source, and 0 beyond `radius` (mm).
 
-    The strength is 1 everywhere if `radius` is None. `falloff_kind`: how the strength decreases: `none`, `linear`, or any
-    other word for a smooth decrease."""
+    The strength is 1 everywhere if `radius` is None. `falloff_kind`: how the strength decreases; `none` (not at all, up to the
+    radius), `linear`, or any other word for a smooth decrease."""
     if radius is None:
         return np.ones_like(distance)
     t = np.minimum(distance / radius, 1.0)
@@ -64,10 +64,9 @@ def compute_falloff(distance: Floats, radius: float | None, falloff_kind: str) -
 class SurfaceFlow:
     """A flow along the ground's faces, with a vector at each slot of a lattice.
 
-    `axis1_components`, `axis2_components`: the vectors' components along the first and the second axis of the face.
-    `compute_vectors`: evaluates the flow at any position, for agents on ground without faces. If it is None, the flow is zero
-    there.
-    `update_after_motion`: a function that updates the flow after things have moved."""
+    `axis1_components`, `axis2_components`: the components of each slot's vector along the first and the second axis of the
+    face. `compute_vectors`: evaluates the flow at any position, for agents on ground without faces. If this is None, the flow
+    is zero for these agents. `update_after_motion`: a function that updates the flow after things have moved."""
 
     lattice: FaceLattice
     axis1_components: Floats
@@ -106,7 +105,7 @@ class SurfaceFlow:
         return is_flowing
 
     def set_displayed_state(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Make `get_state` return `arrays` without changing the flow. This is for a copy that is only displayed."""
+        """Make `get_state` return `arrays` without changing the flow. For copies of a world that are only displayed."""
 
     def update_for_step(self, world: World) -> None:
         """Update the flow before a step. Does nothing for a flow that is computed only once."""
@@ -114,7 +113,8 @@ class SurfaceFlow:
             self.update_after_motion(world)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays, by name, that a continued run needs. The result is empty if the flow depends only on the frame."""
+        """Return the arrays, by name, that are needed to continue a run. The result is empty if the flow depends only on the
+        frame."""
         return {}
 
     def restore_state(self, arrays: dict[str, NDArray[Any]]) -> None:
@@ -123,13 +123,13 @@ class SurfaceFlow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaintedMap:
-    """Painted numbers on the ground. `corner_values` (3, faces): the number at each corner of each face, 0 on surfaces without
-    paint."""
+    """Painted numbers on the ground. `corner_values` (3, faces): the number at each corner of each face; 0 on unpainted
+    surfaces."""
 
     corner_values: Floats
 
     def sample(self, meshes: MeshSurfaces, footing: Footing) -> NDArray[np.float32]:
-        """Return the numbers at the agents' footings, float32[n]; 0 for agents that stand on no face. `meshes`: as in
+        """Return the painted number at each agent's footing, float32[n]; 0 for agents that stand on no face. `meshes`: as in
         `SurfaceFlow.sample`."""
         face, is_on_mesh = meshes.get_face_numbers(footing)
         a, b, c = (corner.take(face) for corner in self.corner_values)
@@ -140,9 +140,8 @@ class PaintedMap:
 
 
 def find_nearest_on_target(target: FlowTarget, positions: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the distance (n,) of each position from a target, the target's nearest point (n, 3), and its unit tangent (n, 3).
-
-    Lengths are in mm. The tangent of a target that consists of points is zero."""
+    """Find the point of a target that is nearest to each position. Return its distance (n,; mm), the point (n, 3; mm) and the
+    target's unit tangent there (n, 3). The tangent is zero if the target consists of points."""
     if target.is_line:
         closest = SampledCurve(target.positions, _CURVE_SPACING_MM).find_closest(*positions.T)
         columns = (closest.px, closest.py, closest.pz, closest.tx, closest.ty, closest.tz)

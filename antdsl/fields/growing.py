@@ -23,10 +23,10 @@ VoxelKeysAndCells = tuple[Array1[I64], Array1[I64]]  # voxels and keys of cells
 
 
 class GrowingCells(SurfaceCells):
-    """A variant of `SurfaceCells` that can grow, by `add_cells_at_points`. A cell never changes its number.
+    """A variant of `SurfaceCells` to which `add_cells_at_points` can add cells. The number of a cell never changes.
 
-    The initial cells come first, ordered by position, then side. Added cells follow in the order of steps. Unused reserve
-    cells come last; no query returns them."""
+    The initial cells come first, ordered by position, then side. Added cells follow in the order of the steps that added them.
+    Unused spare cells come last; no query returns them."""
 
     def __init__(self, surfaces: Sequence[MeshArrays], cell: float, cap: int = limits.MAX_FIELD_CELLS) -> None:
         super().__init__(surfaces, cell, cap)
@@ -42,8 +42,7 @@ class GrowingCells(SurfaceCells):
         return {"keys": self._keys[new], "places": np.concatenate([self.position[new], self.normal[new]], axis=1)}
 
     def add_cells_at_points(self, positions: Floats, normals: Floats) -> NDArray[np.int64]:
-        """Add cells for points [n,3] of new surface with unit normals [n,3], where no cell exists yet. Return the numbers of the
-        new cells."""
+        """Add the missing cells for points [n,3] on new surface with unit normals [n,3]. Return the numbers of the new cells."""
         voxel = np.floor(positions / self.cell + 0.5).astype(np.int64) - self._low
         is_in_box = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
         positions, normals, voxel = positions[is_in_box], normals[is_in_box], voxel[is_in_box]
@@ -87,7 +86,7 @@ class GrowingCells(SurfaceCells):
         return best
 
     def _reserve_capacity(self, needed_count: int) -> None:
-        """Extend the arrays so that they have space for `needed_count` cells."""
+        """Extend the arrays, if necessary, to hold `needed_count` cells."""
         if needed_count <= len(self):
             return
         old_count = len(self)
@@ -102,7 +101,7 @@ class GrowingCells(SurfaceCells):
 
     @property
     def _has_kernel_lookup(self) -> bool:
-        """Return whether a table lists every key. Kernels need it, because keys of added cells are not ascending."""
+        """Return whether a table lists every key. Kernels need this table, because the keys of added cells are not ascending."""
         return self._direct_table is not None
 
     def _find_cells_by_key(self, key: NDArray[np.int64], is_in_box: NDArray[np.bool_]) -> Cells:
@@ -117,8 +116,8 @@ class GrowingCells(SurfaceCells):
     def _find_neighbour_pairs(
         self, cells: NDArray[np.int64], column: Callable[[int, int], int]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the pairs of `SurfaceCells._find_neighbour_pairs`. All voxels and sides are processed in one pass, since a
-        step adds few cells."""
+        """Return the same pairs as `SurfaceCells._find_neighbour_pairs`. It processes all voxels and sides at once, which
+        suits the few cells that a step adds."""
         numbers = self._voxel_numbers[cells]
         voxel = np.stack(
             [numbers // (self._size[1] * self._size[2]), numbers // self._size[2] % self._size[1], numbers % self._size[2]]
@@ -161,9 +160,9 @@ def fill_nearest_cells(
     direct_table: Array1[I32], numbers: VoxelKeysAndCells, size: Array1[I64], position: Array2[F64], cells: Array1[I64], k: I64,
     missing_cell: I64, table: Array2[I32],
 ) -> None:  # fmt: skip
-    """Write the `k` nearest cells in the 27 voxels around each of `cells` to its row of `table`, ascending by number.
+    """Write the `k` nearest cells of each of `cells` to its row of `table`, ascending by number.
 
-    A row with fewer cells is padded with `missing_cell`."""
+    Only the 27 voxels around a cell are searched. If there are fewer than `k`, the row is padded with `missing_cell`."""
     gaps, candidates = allocate_scratch(_MAX_NEIGHBOUR_CELLS, F64), allocate_scratch(_MAX_NEIGHBOUR_CELLS, I64)
     voxels, keys = numbers
     layer_size = size[1] * size[2]

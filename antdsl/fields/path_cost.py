@@ -1,5 +1,5 @@
-"""Computes the cheapest path over triangles to a goal, and its direction at every point. Paths first follow edges (shortest
-paths in a graph), and are then straightened across the triangles."""
+"""Computes the cost and direction of the cheapest path over triangles to a goal, at every point. Paths first follow edges
+(shortest paths in a graph), and are then straightened across triangles."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _CONVERGENCE_TOLERANCE = 0.01  # share of the median edge length; smaller change
 class WalkableSurface:
     """The surface on which paths are computed: `triangles` (t, 3) between `points` (n, 3; mm).
 
-    `is_walkable` (t,): whether a path can cross each triangle.
-    `point_links` (k, 2): adjacent points of different surfaces."""
+    `is_walkable` (t,): whether a path can cross each triangle. `point_links` (k, 2): pairs of adjacent points on different
+    surfaces, between which paths can cross."""
 
     points: Floats
     triangles: Index
@@ -31,15 +31,15 @@ class WalkableSurface:
 
 
 def compute_path_costs(surface: WalkableSurface, cost: Floats, start: Index, start_costs: Floats) -> Floats:
-    """Return the least cost of a path from each point to the goal, inf if there is no path.
+    """Return the cost of the cheapest path from each point to the goal; inf if there is no path.
 
-    `cost` (t,): the cost per mm within each triangle. `start`: the points at which a path can end. `start_costs`: the cost
-    from each of these points to the goal.
+    `cost` (t,): the cost per mm within each triangle. `start`: the points next to the goal, at which paths end. `start_costs`:
+    the cost from each of these points to the goal.
 
-    Dijkstra's shortest paths along edges give an upper bound for all points. In order of that bound, the cost of each point is
-    then recomputed from the opposite edges of its triangles. The wave front is straight within a triangle (R. Kimmel and J. A.
-    Sethian, Computing geodesic paths on manifolds, PNAS 95, 1998, p. 8432). At obtuse corners, this update is not used: the
-    bound along edges remains."""
+    Dijkstra's shortest paths along edges give an upper bound for each point. In ascending order of this bound, the cost of
+    each point is then recomputed from the opposite edges of its triangles. The wave front is straight within a triangle (R.
+    Kimmel and J. A. Sethian, Computing geodesic paths on manifolds, PNAS 95, 1998, p. 8432). At obtuse corners, this update
+    does not apply, and the bound along edges remains."""
     bound = _compute_edge_costs(surface, cost, start, start_costs)
     halves = _make_opposite_edges(surface, cost)
     tolerance = _CONVERGENCE_TOLERANCE * float(np.median(halves.length)) if len(halves.length) else 0.0
@@ -54,9 +54,8 @@ def compute_path_costs(surface: WalkableSurface, cost: Floats, start: Index, sta
 
 
 def compute_directions(surface: WalkableSurface, path_costs: Floats) -> Floats:
-    """Return the unit direction (n, 3) in which `path_costs` decreases at each point: the mean over its triangles, by area.
-
-    It is zero at the goal and where there is no path."""
+    """Return the unit direction (n, 3) in which `path_costs` decreases at each point. It is the area-weighted mean over the
+    point's triangles. It is zero at the goal and where there is no path."""
     corners, values = surface.points[surface.triangles], path_costs[surface.triangles]
     is_usable = surface.is_walkable & np.isfinite(values).all(axis=1)
     corners, values, triangles = corners[is_usable], values[is_usable], surface.triangles[is_usable]
@@ -75,7 +74,7 @@ def compute_directions(surface: WalkableSurface, path_costs: Floats) -> Floats:
 
 
 def _normalise_rows(v: Floats) -> Floats:
-    """Return the vectors `v` (n, 3) scaled to length 1. Vectors that are much shorter than the longest become 0."""
+    """Return the vectors `v` (n, 3) scaled to length 1. Vectors that are much shorter than the longest one become 0."""
     size = np.sqrt((v * v).sum(axis=1))
     return v / np.where(size > 1e-12 * size.max(initial=0.0) + 1e-300, size, np.inf)[:, None]
 
@@ -84,7 +83,7 @@ def _normalise_rows(v: Floats) -> Floats:
 
 
 def _compute_edge_costs(surface: WalkableSurface, cost: Floats, start: Index, start_costs: Floats) -> Floats:
-    """Return the cost of the shortest path from each point to the goal, along edges of open triangles and along links."""
+    """Return the cost of the shortest path from each point to the goal, along edges of walkable triangles and along links."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
 
@@ -113,7 +112,7 @@ def _compute_edge_costs(surface: WalkableSurface, cost: Floats, start: Index, st
 
 
 def _compute_link_costs(surface: WalkableSurface, cost: Floats) -> Floats:
-    """Return the cost of each link: its length times the median cost per mm of open triangles."""
+    """Return the cost of each link: its length times the median cost per mm of the walkable triangles."""
     step = surface.points[surface.point_links[:, 1]] - surface.points[surface.point_links[:, 0]]
     usual = float(np.median(cost[surface.is_walkable])) if surface.is_walkable.any() else 1.0
     price: Floats = np.maximum(np.sqrt((step * step).sum(axis=1)), 1e-9) * usual
@@ -121,7 +120,8 @@ def _compute_link_costs(surface: WalkableSurface, cost: Floats) -> Floats:
 
 
 def _lower_costs_along_links(surface: WalkableSurface, cost: Floats, costs: Floats) -> None:
-    """Lower `costs` in place: at each end of a link, to at most the cost at the other end plus the cost of the link."""
+    """Lower `costs` in place along links. The cost at one end becomes at most the cost at the other end plus the cost of the
+    link."""
     price = _compute_link_costs(surface, cost)
     for a, b in ((0, 1), (1, 0)):
         np.minimum.at(costs, surface.point_links[:, b], costs[surface.point_links[:, a]] + price)
@@ -132,7 +132,7 @@ def _lower_costs_along_links(surface: WalkableSurface, cost: Floats, costs: Floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _OppositeEdges:
-    """For each corner of every open triangle, the opposite edge of the triangle.
+    """The corners of all walkable triangles, each with the opposite edge of its triangle.
 
     `corner_point`: the point at the corner. `edge_start`, `edge_end`: the points at the ends of the opposite edge. `length`:
     the length (mm) of that edge. `perpendicular_foot`: the distance (mm) from `edge_start` to the foot of the perpendicular
@@ -147,14 +147,14 @@ class _OppositeEdges:
     cost: Floats
 
     def select_rows(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> _OppositeEdges:
-        """Return the entries `rows`."""
+        """Return only the entries at `rows`."""
         ends = self.corner_point[rows], self.edge_start[rows], self.edge_end[rows]
         return _OppositeEdges(*ends, self.length[rows], self.perpendicular_foot[rows], self.height[rows], self.cost[rows])
 
 
 def _make_opposite_edges(surface: WalkableSurface, cost: Floats) -> _OppositeEdges:
-    """Return the corners and opposite edges of all open triangles that have an area. `cost` (t,): the cost per mm in each
-    triangle."""
+    """Return the corners and opposite edges of all walkable triangles with an area above 0. `cost` (t,): the cost per mm in
+    each triangle."""
     t = surface.triangles[surface.is_walkable]
     corner_point, one, two = (np.concatenate([t[:, (k + shift) % 3] for k in range(3)]) for shift in range(3))
     edge, side = surface.points[two] - surface.points[one], surface.points[corner_point] - surface.points[one]
@@ -168,7 +168,8 @@ def _make_opposite_edges(surface: WalkableSurface, cost: Floats) -> _OppositeEdg
 
 
 def _lower_costs_across_triangles(costs: Floats, edges: _OppositeEdges) -> None:
-    """Lower `costs` in place where a straight path across a triangle is cheaper, in bands of points of ascending cost."""
+    """Lower `costs` in place where a straight path across a triangle is cheaper. Points are processed in bands of ascending
+    cost."""
     is_reachable = np.isfinite(costs)
     rank = np.empty(len(costs), np.int64)
     rank[np.argsort(costs, kind="stable")] = np.arange(len(costs))
@@ -191,7 +192,8 @@ def _lower_costs_across_triangles(costs: Floats, edges: _OppositeEdges) -> None:
 
 
 def _compute_corner_costs(costs: Floats, edges: _OppositeEdges) -> Floats:
-    """Return the least cost at each corner for a straight path to the corner across the triangle, from the opposite edge."""
+    """Return, for each corner, the least cost of a path that reaches it straight across the triangle from a point of the
+    opposite edge."""
     from_one, rise = costs[edges.edge_start], (costs[edges.edge_end] - costs[edges.edge_start]) / edges.length
     share = np.clip(rise / edges.cost, -1 + 1e-12, 1 - 1e-12)
     left = np.clip(edges.perpendicular_foot - share * edges.height / np.sqrt(1 - share * share), 0.0, edges.length)

@@ -32,12 +32,11 @@ _CROWD_SMOOTHING_PASSES = 2  # number of lattice steps by which the effect of a 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrossableGround:
-    """The faces of the ground that paths may cross, as a lattice and as a surface for paths.
+    """The faces of the ground that paths may cross, as a lattice and as a surface for path costs.
 
-    `slot_points`: the point of `surface` at each slot of `lattice`.
-    `axis1`, `axis2` (3, slots): the axes of each slot's face.
-    `triangle_areas` (t,): the areas (mm²) of the triangles of `surface`.
-    `is_crossable_face`: for each face of the ground, whether paths may cross it."""
+    `slot_points`: the point of `surface` at each slot of `lattice`. `axis1`, `axis2` (3, slots): the axes of each slot's face.
+    `triangle_areas` (t,): the areas (mm²) of the triangles of `surface`. `is_crossable_face`: for each face of the ground,
+    whether paths may cross it."""
 
     lattice: FaceLattice
     surface: WalkableSurface
@@ -52,11 +51,11 @@ class CrossableGround:
 class PathFlow(SurfaceFlow):
     """A flow along the cheapest path to the goal: its vectors are the directions in which the remaining path cost decreases.
 
-    If the flow avoids crowds, or something moves, `update_for_step` updates it in steps with `is_update_due`. Points and
-    lattice stay the same.
-    `cost` (t,): the cost per mm in each triangle. `start_points`, `start_costs`: the points at which paths end, and the cost
-    from each to the goal. `crowd_cost`: the additional cost per mm where agents cover a complete triangle.
-    `crowd_coverage`: the area that agents cover at each point; `is_goal_reachable`: which points have a path to the goal."""
+    If the flow avoids crowds or depends on moving things, `update_for_step` recomputes it in steps for which `is_update_due`
+    is true. Points and lattice stay the same. `cost` (t,): the cost per mm in each triangle. `start_points`, `start_costs`:
+    the points next to the goal at which paths end, and the cost from each to the goal. `crowd_cost`: the additional cost per
+    mm in a triangle that agents cover completely. `crowd_coverage`: the area that agents cover at each point;
+    `is_goal_reachable`: which points have a path to the goal."""
 
     crossable_ground: CrossableGround | None = None
     cost: Floats | None = None  # (t,) per mm, without agents
@@ -72,7 +71,7 @@ class PathFlow(SurfaceFlow):
     stores_reachability: bool = False  # the state includes `reached`, because a program reads it
 
     def recompute_flow(self) -> None:
-        """Compute the flow for the most recently recorded crowd."""
+        """Compute the flow again, for the crowd positions recorded most recently."""
         g = self.crossable_ground
         assert g is not None and self.cost is not None and self.start_points is not None and self.start_costs is not None
         raised_cost = (
@@ -90,7 +89,7 @@ class PathFlow(SurfaceFlow):
     def has_flow_at(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
         """Return whether a path leads to the goal from the lattice point nearest to each agent, bool[n].
 
-        The result is false on faces that the flow does not cover."""
+        False for agents on faces that the flow does not cover."""
         g = self.crossable_ground
         if meshes is None or g is None or self.is_goal_reachable is None:
             return np.zeros(len(place), bool)
@@ -99,13 +98,13 @@ class PathFlow(SurfaceFlow):
         return is_on_mesh & g.is_crossable_face[face] & self.is_goal_reachable[g.slot_points[slot]]
 
     def _find_nearest_slots(self, face: Index, footing: Footing) -> Index:
-        """Return the slot nearest to each footing: the one with the largest weight."""
+        """Return the slot nearest to each footing, which is the one with the largest interpolation weight."""
         slots, weights = self.lattice.find_slots(face, footing.b1, footing.b2)
         nearest: Index = np.take_along_axis(slots, weights.argmax(axis=0)[None], axis=0)[0]
         return nearest
 
     def _compute_crowd_shares(self, crowd: NDArray[np.int64]) -> Floats:
-        """Return the fraction of each triangle's area that agents cover, smoothed over the adjacent triangles."""
+        """Return the fraction of each triangle's area that agents cover, smoothed over adjacent triangles, (t,)."""
         g = self.crossable_ground
         assert g is not None
         point_areas = self._sum_to_points(np.repeat(g.triangle_areas / 3, 3))
@@ -118,7 +117,7 @@ class PathFlow(SurfaceFlow):
         return shares
 
     def _sum_to_points(self, corner_values: Floats) -> Floats:
-        """Return, for each point, the sum of `corner_values` (3 t,) over the triangle corners at that point."""
+        """Return, for each point, the sum of `corner_values` (3 t,) of all triangle corners at this point."""
         assert self.crossable_ground is not None
         land = self.crossable_ground.surface
         return np.bincount(land.triangles.ravel(), corner_values, len(land.points)).astype(np.float64)
@@ -133,7 +132,7 @@ class PathFlow(SurfaceFlow):
         self.recompute_flow()
 
     def measure_coverage(self, world: World) -> NDArray[np.int64]:
-        """Return, for each point, the area covered by the agents nearest to that point, in units of 1 /
+        """Return, for each point, the area that the agents nearest to this point cover, in units of 1 /
         _COVERAGE_PARTS_PER_MM2 mm²."""
         g, meshes = self.crossable_ground, world.ground.meshes
         assert g is not None and meshes is not None
@@ -164,5 +163,5 @@ class PathFlow(SurfaceFlow):
 
 
 def limit_cost_from_below(raised_cost: Floats) -> Floats:
-    """Return the costs per mm, each raised to a least cost above 0."""
+    """Return costs per mm, with very low ones raised to a minimum above 0."""
     return np.maximum(raised_cost, _MIN_COST_PER_MM)

@@ -1,5 +1,5 @@
-"""The cells of a field in a periodic world: voxels with their centres inside the world's box. Voxels at opposite sides of the
-box are neighbours."""
+"""The cells of a field in a periodic world. Their voxels have their centres inside the world's box, and voxels at opposite
+sides of the box are neighbours."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MIN_CELLS_ALONG_AXIS = 3  # with fewer, a cell would have the same neighbour on 
 
 
 class CellsDoNotFit(ValueError):
-    """Error: the width of a periodic world is not a whole number of cells, or is less than three cells. `width`: in mm."""
+    """Error raised if the width of a periodic world (`width`, mm) is not a whole number of cells, or is less than three cells."""
 
     def __init__(self, width: float, cell: float) -> None:
         super().__init__(f"the width of {width:g} mm is not a whole number of cells of {cell:g} mm")
@@ -29,7 +29,7 @@ class CellsDoNotFit(ValueError):
 
     @property
     def fitting_cell(self) -> float:
-        """Return the cell size (mm) nearest to the requested one that fits the width."""
+        """Return a cell size (mm) that fits the width and is nearest to the requested size."""
         return self.width / max(MIN_CELLS_ALONG_AXIS, round(self.width / self.cell))
 
 
@@ -58,7 +58,8 @@ class PeriodicCells(SurfaceCells):
             self.position = np.clip(middles, ends.min(axis=0), ends.max(axis=0))
 
     def _keep_voxels(self, first: NDArray[np.int64]) -> None:
-        """Remove the cells of voxels before `first` or after the last one along an axis that wraps."""
+        """Remove the cells in voxels outside the box: before the voxel `first`, or after the last one, along an axis that
+        wraps."""
         wraps = self._counts > 0
         voxels = self._list_voxels(np.arange(len(self))) + self._low
         low, size = np.where(wraps, first, self._low), np.where(wraps, self._counts, self._size)
@@ -71,16 +72,16 @@ class PeriodicCells(SurfaceCells):
         self._start_table = self._build_start_table()
 
     def _list_voxels(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the voxels int64[n, 3] of cells, relative to the corner of the box of voxels."""
+        """Return the voxels of cells, int64[n, 3], relative to the low corner of the box of voxels."""
         rest, z = np.divmod(self._voxel_numbers[cells], self._size[2])
         return np.stack([*np.divmod(rest, self._size[1]), z], axis=1)
 
     def _fold_voxels(self, voxels: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return voxels int64[n, 3] moved into the box along the axes that wrap."""
+        """Return voxels, int64[n, 3], moved into the box along the axes that wrap."""
         return np.where(self._counts > 0, voxels % np.maximum(self._counts, 1), voxels)
 
     def _fold_points(self, points: Floats) -> Floats:
-        """Return points [n, 3] mm moved by whole widths into the voxels of the box."""
+        """Return points [n, 3] mm moved by whole box widths into the voxels of the box."""
         folded = points
         for axis in self._box.axes:
             values = points[:, axis]
@@ -104,7 +105,7 @@ class PeriodicCells(SurfaceCells):
         return super().update_cells(points, side, previous_cells, result, threads)
 
     def compute_offsets(self, first: Floats, second: Floats) -> Floats:
-        """Return the shortest vectors [n, 3] from points `second` to images of points `first`."""
+        """Return the vectors [n, 3] from points `second` to the nearest images of points `first`."""
         offsets = first - second
         return self._box.move_points(offsets, self._box.find_nearest_images(offsets))
 
@@ -146,9 +147,9 @@ class PeriodicCells(SurfaceCells):
 def _cover_voxels(
     mesh: MeshArrays, box: PeriodicBox, first: NDArray[np.int64], count: NDArray[np.int64], cell: float
 ) -> MeshArrays:
-    """Return a mesh with its images, cut one cell beyond the voxels from `first` on.
-
-    A level rectangle over the whole box is enlarged instead of repeated, because edges between images would displace cells."""
+    """Return a mesh together with its periodic images, cut off one cell outside the box of voxels that starts at `first`. A
+    level rectangle that covers the complete box is enlarged instead of repeated, because edges between images would displace
+    cells."""
     vertices, faces = (np.asarray(mesh[0], np.float64), np.asarray(mesh[1], np.int32))
     wraps, widths = count > 0, np.array(box.widths)
     low = np.where(wraps, (first - 1.5) * cell, -np.inf)

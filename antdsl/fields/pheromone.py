@@ -1,5 +1,5 @@
-"""Pheromone on surfaces. It is deposited in cells, evaporates and diffuses, and agents smell it. Deposits are added exactly,
-so their order does not matter."""
+"""Pheromone on surfaces. Agents deposit it in cells and smell it; it evaporates and diffuses. Deposits are added exactly, so
+their order does not matter."""
 
 from __future__ import annotations
 
@@ -29,12 +29,11 @@ _SYMMETRIC_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 class PheromoneField:
     """The amounts of one pheromone in the cells of surfaces.
 
-    `combine`: `add` sums the deposits of a step in a cell; `max` takes the greatest.
-    `limit`: the largest amount of a cell.
-    `amounts` float64[cells]: the amounts at the start of a step.
-    `stencil`: with 4, cells that share a face exchange pheromone; with 8, also cells that share an edge.
-    `deposits_first`: deposits are added before diffusion and evaporation, otherwise at the end of the step.
-    `has_signed_amounts`: amounts may be below 0, as components of vectors are. Otherwise negative amounts become 0."""
+    `combine`: `add` sums the deposits of a step in a cell; `max` takes the greatest. `limit`: the largest amount of a cell.
+    `amounts` float64[cells]: the amounts at the start of a step. `stencil`: 4 if cells that share a face exchange pheromone; 8
+    if cells that share an edge do so, too. `deposits_first`: whether deposits are added before diffusion and evaporation;
+    otherwise they are added at the end of the step. `has_signed_amounts`: whether amounts may be negative, like components of
+    vectors; otherwise negative amounts become 0."""
 
     def __init__(
         self,
@@ -60,33 +59,33 @@ class PheromoneField:
 
     @property
     def amounts(self) -> NDArray[np.float64]:
-        """Return the amount in each cell. Write into the array to restore a state."""
+        """Return the amount in each cell. To restore a state, write into this array."""
         return self._padded[:-1]
 
     @property
     def padded_values(self) -> NDArray[np.float64]:
-        """Return the amount in each cell, followed by a 0 for "no cell"."""
+        """Return the amount in each cell, followed by a 0 that stands for "no cell"."""
         return self._padded
 
     @property
     def sensed_positions(self) -> NDArray[np.float32]:
-        """Return the cell positions that agents sense, float32[cells + 1, 4]: each row is (x, y, z, 0). The last row is for
-        "no cell"."""
+        """Return the cell positions that agents sense, float32[cells + 1, 4]. Each row is (x, y, z, 0); the last row stands
+        for "no cell"."""
         return self._sensed_positions
 
     @property
     def pending_deposits(self) -> NDArray[np.int64]:
         """Return the deposits in each cell that are not yet in `values`, in units of `DEPOSIT_QUANTUM`.
 
-        After writing into the array, call `mark_deposits_pending`."""
+        A caller that writes into the array must call `mark_deposits_pending`."""
         return self._pending
 
     def mark_deposits_pending(self) -> None:
-        """Record that `pending_deposits` has deposits for the next step."""
+        """Record that `pending_deposits` contains deposits, which the next step must add."""
         self._has_pending = True
 
     def extend_arrays(self, new: NDArray[np.int64]) -> None:
-        """Extend the arrays for cells that were added to `cells`; `new` are their numbers."""
+        """Extend the arrays for cells that were added to `cells`. `new`: the numbers of these cells."""
         self.version += 1
         added_count = len(self.cells) - len(self.amounts)
         if added_count:
@@ -114,10 +113,10 @@ class PheromoneField:
         self.extend_arrays(np.arange(self.cells.initial_count, self.cells.used_count))
 
     def deposit(self, cells: Cells, amounts: Floats) -> int:
-        """Deposit amounts in cells. `advance` adds them to the field. Return how many amounts were rejected or reduced.
+        """Deposit amounts in cells; `advance` will add them to the field. Return how many amounts were rejected or reduced.
 
-        `cells`: the cell of each amount, -1 for none. NaN is rejected. Amounts above `MAX_DEPOSIT` are reduced to it. With
-        `combine` max, amounts of 0 or less are ignored."""
+        `cells`: the cell of each amount, -1 for none. NaN is rejected, and amounts above `MAX_DEPOSIT` are reduced to
+        `MAX_DEPOSIT`. If `combine` is `max`, amounts of 0 or less are ignored."""
         cells, amounts = np.asarray(cells), np.asarray(amounts, np.float64)
         is_finite = np.isfinite(amounts)
         wrong = int(np.count_nonzero(~is_finite | (np.abs(amounts) > MAX_DEPOSIT)))
@@ -133,10 +132,9 @@ class PheromoneField:
         self._remaining_amounts.append((cells, amounts))
 
     def advance(self, remaining_share: float, diffusion: float, dt: float, threads: int = 1) -> None:
-        """Advance by `dt` (s): set the remaining amounts, diffuse, multiply by `remaining_share`, then add deposits.
-
-        With `deposits_first`, deposits are added before diffusion. `diffusion` is in mm²/s. Raises ValueError with the largest
-        stable value if `diffusion` is unstable for the cell size."""
+        """Advance the field by `dt` (s). Sets the remaining amounts, diffuses, multiplies by `remaining_share`, then adds
+        deposits. With `deposits_first`, deposits are added before diffusion. `diffusion` is in mm²/s. Raises ValueError with
+        the largest stable value if `diffusion` is unstable for the cell size."""
         values = self.amounts
         for cells, amounts in self._remaining_amounts:
             values[cells] = amounts
@@ -167,14 +165,14 @@ class PheromoneField:
 
     @cached_property
     def _laplacian(self) -> _DiffusionOperator:
-        """Return the flow that one unit of diffusion causes between the cells.
+        """Return the operator that computes the flow between cells for one unit of diffusion.
 
-        Between two linked cells flows 4 / max(4, links of either cell) of their difference. On a plane this is the five-point
-        stencil. No cell exchanges more than over four links, so stability depends only on the cell size.
-
-        A stencil of 8 uses two thirds of this flow, and a sixth of it between cells that share an edge. On a plane this is the
-        nine-point Laplacian (4, 1) / 6, with the same error in all directions (Patra and Karttunen, Stencils with isotropic
-        discretization error for differential operators, Numerical Methods for Partial Differential Equations 22, 2006)."""
+        The flow between two linked cells is their difference times 4 / max(4, links of either cell). On a plane, this is the
+        five-point stencil. The total exchange of a cell is at most that over four links, so stability depends only on the cell
+        size. With a stencil of 8, these flows are multiplied by 2/3, and the flows between cells that share an edge by 1/6. On
+        a plane, this is the nine-point Laplacian (4, 1) / 6, which has the same error in all directions (Patra and Karttunen,
+        Stencils with isotropic discretization error for differential operators, Numerical Methods for Partial Differential
+        Equations 22, 2006)."""
         if self.stencil == 4:
             return _DiffusionOperator(self._build_flow_matrix(self.cells.links, 1.0))
         return _DiffusionOperator(
@@ -182,7 +180,7 @@ class PheromoneField:
         )
 
     def _build_flow_matrix(self, links: CellLinks, share: float) -> Any:
-        """Return the flow between linked cells as a sparse matrix [cells, cells].
+        """Return the fractions that flow between linked cells, as a sparse matrix [cells, cells].
 
         Each entry is `share` times 4 / max(4, links of either cell)."""
         from scipy.sparse import csr_array
@@ -197,10 +195,9 @@ class PheromoneField:
         return self._padded.take(np.where(np.asarray(cells) < 0, len(self.cells), cells)).astype(np.float32)
 
     def sample_strongest(self, cells: Cells, k: int = NEAREST_CELL_COUNT) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the largest amount in the `k` nearest cells of each of `cells`, and the position of that cell.
-
-        The results are float32[n] each, positions in mm. Of cells with equal amounts, the first is returned. If all amounts
-        are 0, it is the position of the given cell. For cell -1 the position is (0, 0, 0)."""
+        """Return the largest amount among the `k` nearest cells of each of `cells`, and x, y and z (mm) of the cell that has
+        it. All four results are float32[n]. Of cells with equal amounts, the first is used. If all amounts are 0, the position
+        is that of the given cell. For cell -1, it is (0, 0, 0)."""
         agent_cells = np.asarray(cells).astype(np.int32, copy=False)
         best, value = np.empty(agent_cells.size, np.int64), np.empty(agent_cells.size)
         find_strongest_nearby_cells(agent_cells, self._get_nearest_cells(k), self._padded, best, value)
@@ -210,16 +207,16 @@ class PheromoneField:
     def get_dependent_cells(self, k: int) -> tuple[NDArray[np.int64], Cells]:
         """Return, for each cell, the cells that have it among their `k` nearest cells.
 
-        The result is two arrays, `start` and `cell`: cell a has `cell[start[a]:start[a+1]]`, ascending. The cells of the
-        field must be unable to grow."""
+        The result is two arrays, `start` and `cell`. For cell a, these are `cell[start[a]:start[a+1]]`, ascending. Only for
+        fields that cannot get new cells."""
         if k not in self._dependents_by_size:
             self._dependents_by_size[k] = _find_dependent_cells(self._get_nearest_cells(k), len(self.cells))
         return self._dependents_by_size[k]
 
     def sample_gradient(self, cells: Cells, k: int = NEAREST_CELL_COUNT) -> tuple[Floats, Floats, Floats]:
-        """Return x, y, z of the gradient (per mm) along the surface at each of `cells`, float32[n] each.
+        """Return the gradient (per mm) along the surface at each of `cells`, as x, y and z, each float32[n].
 
-        It is a least-squares fit over the `k` nearest cells; 0 for cell -1."""
+        It is a least-squares fit over the `k` nearest cells. It is 0 for cell -1."""
         agent_cells = np.asarray(cells, np.int64)
         has_cell = (agent_cells >= 0) & (len(self.cells) > 0)
         agent_cells = np.where(has_cell, agent_cells, 0)
@@ -254,7 +251,7 @@ class PheromoneField:
 
     @cached_property
     def _sensed_positions(self) -> NDArray[np.float32]:
-        """Return the cell positions as float32, one contiguous row per cell, as `sensed_positions` returns them."""
+        """Return the cell positions as float32, one contiguous row per cell, for `sensed_positions`."""
         single_positions = np.zeros((len(self.cells) + 1, 4), np.float32)
         single_positions[:, :3] = self._cell_positions.T
         return single_positions
@@ -266,7 +263,7 @@ class PheromoneField:
 
 
 def _find_dependent_cells(nearest_cells: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:
-    """Return the result of `PheromoneField.get_dependent_cells`. `nearest_cells` [cells, k]: the nearest cells of each cell."""
+    """Compute the result of `PheromoneField.get_dependent_cells`. `nearest_cells` [cells, k]: the nearest cells of each cell."""
     flat = nearest_cells.ravel()
     start = np.zeros(cells + 2, np.int64)
     np.cumsum(np.bincount(flat, minlength=cells + 1), out=start[1:])
@@ -274,8 +271,8 @@ def _find_dependent_cells(nearest_cells: Cells, cells: int) -> tuple[NDArray[np.
 
 
 class _DiffusionOperator:
-    """A symmetric flow between cells. `inflow_matrix`: the fraction of each linked cell's amount that flows in, as a sparse
-    matrix."""
+    """An operator that computes a symmetric flow between cells. `inflow_matrix`: a sparse matrix [cells, cells] with the
+    fraction of each linked cell's amount that flows into a cell."""
 
     def __init__(self, inflow_matrix: Any) -> None:
         rows = np.repeat(np.arange(inflow_matrix.shape[0]), np.diff(inflow_matrix.indptr))
@@ -299,9 +296,9 @@ class _DiffusionOperator:
 
 
 def _solve_symmetric_system(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Return the three components of the solution x of M x = v, computed by cofactors.
+    """Solve M x = v for symmetric 3×3 matrices M by cofactors.
 
-    M is a symmetric 3×3 matrix; `matrix` has its entries xx, yy, zz, xy, xz, yz."""
+    Return the three components of x. `matrix`: the entries xx, yy, zz, xy, xz, yz of M. `vector`: the components of v."""
     xx, yy, zz, xy, xz, yz = matrix
     c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     c11, c12, c22 = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
@@ -327,8 +324,8 @@ def compute_cell_inflow(
 ) -> None:
     """Write the inflow minus the outflow of each cell from `begin` to before `end` to `change`.
 
-    `cell[start[n]:start[n+1]]`: the cells linked to cell n. `inflow_shares`: for each entry of `cell`, the fraction of its
-    amount that flows in. `outflow_shares`: the fraction of each cell's amount that flows out."""
+    `cell[start[n]:start[n+1]]`: the cells linked to cell n. `inflow_shares`: for each entry of `cell`, the fraction of that
+    cell's amount that flows into cell n. `outflow_shares`: the fraction of each cell's amount that flows out."""
     for n in range(begin, end):
         total = 0.0
         for k in range(start[n], start[n + 1]):
@@ -353,10 +350,10 @@ def advance_cells(
 ) -> None:
     """Advance the cells from `begin` to before `end` by one step.
 
-    Adds `spread` times `change` (nothing if the array is empty), multiplies by `remaining_share`, then applies deposits.
-    `pending_deposits`: the deposits in multiples of `deposit_quantum`; set to 0 after they are applied. `deposit_mode`: 1 adds
-    deposits; 2 raises the cell's amount to at least the deposit. `max_amount`: the largest amount. Amounts between
-    `flush_floor` and `flush_threshold` become 0."""
+    Adds `spread` times `change` (nothing if `change` is empty), multiplies by `remaining_share`, then applies deposits.
+    `pending_deposits`: the deposits in multiples of `deposit_quantum`; they are set to 0 once applied. `deposit_mode`: 1 adds
+    deposits; 2 raises a cell's amount to its deposit if that is larger. `max_amount`: the largest allowed amount. Amounts
+    between `flush_floor` and `flush_threshold` become 0."""
     spreads = change.size > 0
     for n in simd_range(begin, end):
         value = values[n]
@@ -380,7 +377,7 @@ def advance_cells(
 def find_strongest_nearby_cells(
     agent_cells: Array1[I32], nearest_cells: Array2[I32], values: Array1[F64], best_cells: Array1[I64], value: Array1[F64]
 ) -> None:
-    """For each agent, write the largest amount near its cell to `value`, and the first cell with that amount to `best_cells`.
+    """For each agent, write the largest amount near its cell to `value`, and the first cell with this amount to `best_cells`.
 
     If all amounts are 0, `best_cells` is the agent's own cell and `value` is 0. `agent_cells` [n]: the agents' cells, -1 for
     none. `nearest_cells` [cells, k]: the nearest cells of each cell. `values` [cells + 1]: the amounts, with a final 0 for "no

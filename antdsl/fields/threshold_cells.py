@@ -1,5 +1,4 @@
-"""Tracks the cells near which a pheromone reaches a threshold. Each step updates only the cells that have changed in this
-respect."""
+"""Tracks the cells near which a pheromone reaches a threshold. Each step updates only the cells for which this changes."""
 
 from __future__ import annotations
 
@@ -18,9 +17,8 @@ _CELLS_PER_CHUNK = 512  # cells per chunk: compared first, then the changed ones
 
 
 class CellsNearThreshold:
-    """Cells with at least one strong neighbour: one of the `k` nearest cells has at least the amount `threshold`.
-
-    All cells count if `threshold` is 0 or less, if the field can get new cells, or if there are too many cells for a table."""
+    """The set of cells near a strong cell: at least one of their `k` nearest cells has an amount of `threshold` or more. It
+    contains all cells if `threshold` is 0 or less, if the field can get new cells, or if a table would be too large."""
 
     def __init__(self, field: PheromoneField, threshold: np.float32, k: int) -> None:
         self._inputs, self._k = (field, field.version, threshold), k
@@ -38,7 +36,7 @@ class CellsNearThreshold:
         return own_field is field and own_version == field.version and own_threshold == threshold
 
     def update_counts(self, threads: int = 1) -> NDArray[np.uint8]:
-        """Return uint8[cells + 1], above 0 for cells near which the current amounts reach the threshold.
+        """Return for each cell how many of its nearest cells reach the threshold now, uint8[cells + 1].
 
         The last entry stands for "no cell". The next call overwrites the array."""
         if not self._is_always_above:
@@ -60,10 +58,10 @@ class CellsNearThreshold:
 def write_changed_cells(
     values: Array1[F64], threshold: F32, is_above: Array1[BOOL], changed: Array1[I64], begin: I64, end: I64
 ) -> tuple[I64, I64]:
-    """Compare cells with `is_above`. Write the cells with an outdated entry into `changed`, from index `begin` on.
+    """Find the cells from `begin` to before `end` with an outdated entry in `is_above`.
 
-    Returns `begin`, and the number of cells written. Cells from `begin` to before `end` are compared.
-    `is_above`: whether the amount of each cell, in float32, is at least `threshold`."""
+    Write them to `changed`, from index `begin` on. Return `begin` and the number of cells written. `is_above`: whether each
+    cell's amount, as float32, was at least `threshold`."""
     other, count = allocate_scratch(_CELLS_PER_CHUNK, I32), 0
     for low in range(begin, end, 512):
         high = min(low + _CELLS_PER_CHUNK, end)
@@ -78,9 +76,9 @@ def write_changed_cells(
 
 @kernel
 def update_counts(changed: Array1[I64], start: Array1[I64], cell: Array1[I32], is_above: Array1[BOOL], count: Array1[U8]) -> None:
-    """Invert `is_above` for the cells `changed`, and update `count` for all cells that have one of these among their nearest
-    cells. `count`: how many of the nearest cells of each cell are above the threshold. `cell[start[a]:start[a+1]]`: the cells
-    that have cell a among their nearest cells."""
+    """Invert `is_above` for the cells `changed`, and update `count` for all cells near them. `count`: for each cell, how many
+    of its nearest cells reach the threshold. `cell[start[a]:start[a+1]]`: the cells that have cell a among their nearest
+    cells."""
     for n in range(changed.size):
         a = changed[n]
         change = -1 if is_above[a] else 1

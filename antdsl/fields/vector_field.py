@@ -1,4 +1,4 @@
-"""Vector fields. Each consists of three scalar fields on the same cells, one per component."""
+"""Vector fields, which consist of three scalar fields on the same cells, one per component."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class VectorField:
 
     @property
     def cells(self) -> SurfaceCells:
-        """Return the cells, which all components share."""
+        """Return the cells that all three components share."""
         return self.components[0].cells
 
     @property
@@ -39,7 +39,7 @@ class VectorField:
         return np.sqrt((x * x + y * y) + z * z)
 
     def limit_lengths(self) -> None:
-        """Shorten vectors that are longer than the limit."""
+        """Shorten vectors that are longer than `limit` to this length."""
         if not np.isfinite(self.limit):
             return
         lengths = self.amounts
@@ -51,6 +51,6 @@ class VectorField:
 
 
 def list_program_fields(world: World) -> dict[str, PheromoneField | VectorField]:
-    """Return the fields by their names in the program: scalar fields, and vector fields instead of their components."""
+    """Return the world's fields by their names in the program. A vector field is listed once, instead of its three components."""
     components = {id(each) for vectors in world.vector_fields.values() for each in vectors.components}
     return {name: field for name, field in world.fields.items() if id(field) not in components} | world.vector_fields
