@@ -2,7 +2,7 @@
 
 The sort counts the agents of each cell. Running sums of the counts give the first position of each cell, and each agent is
 stored at the next position of its cell (D. E. Knuth, The Art of Computer Programming 3, 5.2). Each thread processes one chunk
-of agents. Within a cell, chunks follow each other, so the order is the same as with one thread."""
+of agents. Within a cell, agents are ordered by chunk, so the order is the same as with one thread."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ NO_ORDER = np.empty(0, np.int64)
 @dataclass(frozen=True, slots=True)
 class GridShape:
     """A box divided into cells. Each list has one value per axis, in the order longest, second, shortest (also called fast,
-    middle, slow). `axes`: the axes as indices into x, y, z. `low_corner`: the least corner of the box (mm). `extent`: the
-    lengths of the box (mm). `cell_widths`: the lengths of a cell (mm). `cells_per_axis`: the number of cells along each axis."""
+    middle, slow). `axes`: the axes as indices into x, y, z. `low_corner`: the low corner (mm). `extent`: the size of the box
+    (mm). `cell_widths`: the size of a cell (mm). `cells_per_axis`: the number of cells along each axis."""
 
     axes: tuple[int, ...]
     low_corner: list[float]
@@ -78,7 +78,7 @@ class GridShape:
         return 1 / a, 1 / b, 1 / c
 
     def has_cell_table(self, agents: int) -> bool:
-        """Return whether a table of all cells is small enough for a crowd of `agents` agents."""
+        """Return whether a table with one entry per cell is small enough to be used for a crowd of `agents` agents."""
         return self.cell_count <= max(1 << 16, 16 * agents)
 
     def flatten_to_one_layer(self) -> GridShape:
@@ -87,8 +87,8 @@ class GridShape:
         return GridShape(self.axes, self.low_corner, self.extent, widths, counts)
 
     def is_one_layer_enough(self, positions: Positions) -> bool:
-        """Return whether one layer of cells is enough for a crowd at these positions (float32[n] mm). This is so if few agents,
-        or few layers of cells, lie above each other along the shortest axis, as on ground."""
+        """Return whether one layer of cells is enough for a crowd at `positions` (float32[n] mm). It is if few agents, or few
+        layers of cells, are above each other along the shortest axis, as on ground."""
         if not self.extent[2] > 0:
             return False  # there is already only one layer of cells
         occupied = np.zeros((2, max(1 << 16, 64 * len(positions[0]))), np.bool_)
@@ -98,7 +98,7 @@ class GridShape:
 
 
 def reorder_axes(axes: tuple[int, ...], positions: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return the x, y and z arrays reordered to fast, middle and slow axis."""
+    """Return the x, y and z arrays in the order fast, middle, slow axis. `axes`: the indices of these axes."""
     a, b, c = axes
     return positions[a], positions[b], positions[c]
 
@@ -112,18 +112,17 @@ def find_bounding_box(positions: Positions) -> tuple[list[float], list[float]]:
 
 
 class CellOrder:
-    """Agents sorted by their cells, with arrays that the next sort reuses. Agents without a finite position come last, in no
-    cell. An agent's index in the sorted arrays is called its position in the order.
+    """Agents sorted by their cells, with arrays that the next sort reuses. Agents without a finite position are in no cell and
+    come last. The index of an agent in the sorted arrays is called its position in the order.
 
-    `columns`: x, y and z of the sorted agents, float32[n + 8] each; the last eight values are spare.
-    `packed_positions`: x, y, z and row of each sorted agent, four entries per agent. `rows` int32[n]: only the rows.
-    `position_by_row` int32[n + 8]: the position in the order of each row.
-    `cell_starts` int32: the first sorted agent of each cell, then the number of agents; empty if there are too many cells.
-    `keys` int64[n]: the cell of each sorted agent; used if `cell_starts` is empty.
-    `tables`: the arrays that machine code reads, by name; a new mapping whenever one of them is replaced. Among them,
-    `places` [n + 8, 4] has x, y, z and row of each sorted agent, the row as the bits of an int32;
-    `floats` has the low corner, width and inverse width of cells along the fast, middle and slow axis;
-    `whole` has the three axes, the numbers of cells along them, and the number of agents."""
+    `columns`: x, y and z of the sorted agents, float32[n + 8] each; the last eight values are spare. `packed_positions`: x, y,
+    z and row of each sorted agent, four entries per agent. `rows` int32[n]: the row of each sorted agent. `position_by_row`
+    int32[n + 8]: for each row, its position in the order. `cell_starts` int32: the first sorted agent of each cell, then the
+    number of agents; empty if there are too many cells. `keys` int64[n]: the cell of each sorted agent; used if `cell_starts`
+    is empty. `tables`: the arrays that machine code reads, by name; a new mapping whenever one of them is replaced. Among
+    them, `places` [n + 8, 4] has x, y, z and row of each sorted agent, the row as the bits of an int32; `floats` has the low
+    corner, width and inverse width of cells along the fast, middle and slow axis; `whole` has the three axes, the numbers of
+    cells along them, and the number of agents."""
 
     def __init__(self, count: int, threads: int) -> None:
         self.count, self.threads = count, threads
@@ -186,9 +185,9 @@ class CellOrder:
 
 
 def run_in_chunks(run_kernel: partial[Any], chunks: int, threads: int) -> None:
-    """Call the kernel `run_kernel` for all `chunks` in parallel. A thread processes at least one chunk.
+    """Call the kernel `run_kernel` for all `chunks` in parallel; each thread processes at least one chunk.
 
-    The kernel's last arguments `begin` and `end` are a range of chunks in units of 1 / `WORK_UNITS_PER_CHUNK`."""
+    The kernel's last arguments are the begin and end of a range of chunks, in units of 1 / `WORK_UNITS_PER_CHUNK`."""
     parallel.run_in_parts(run_kernel, WORK_UNITS_PER_CHUNK * chunks, threads, WORK_UNITS_PER_CHUNK)
 
 
@@ -243,7 +242,7 @@ def _is_one_layer_enough(
     axis_positions: Columns, low: FloatTriple, inverse: FloatTriple, size: CellCounts, occupied: Array2[BOOL]
 ) -> BOOL:
     """Return whether columns of cells contain few agents or few layers. If there are too many columns, several are counted as
-    one. `occupied` (2, k): buffers for flags of the columns and of the cells that contain agents."""
+    one. `occupied` (2, k): buffers with a flag for each column, and for each cell, that contains agents."""
     agents, columns, cells = 0, 0, 0
     for row in range(axis_positions[0].size):
         a, b, c = axis_positions[0][row], axis_positions[1][row], axis_positions[2][row]
@@ -263,13 +262,13 @@ def _is_one_layer_enough(
 
 @inlined
 def _compute_axis_cell(place: Any, low: F64, inverse: F64, size: I64) -> F64:
-    """Return the index of the cell at a coordinate along an axis, as float64."""
+    """Return the index, as float64, of the cell at the coordinate `place` along an axis."""
     return np.floor(min(max((np.float64(place) - low) * inverse, 0.0), np.float64(size - 1)))
 
 
 @inlined
 def compute_cell_key(positions: AnyTypeColumns, row: I64, low: FloatTriple, inverse: FloatTriple, size: CellCounts) -> I64:
-    """Return the number of the cell of the agent at row `row`. Agents without a finite position get the number of cells."""
+    """Return the cell number of the agent at `row`. For an agent without a finite position, it is the total number of cells."""
     fast, middle, slow = positions[0][row], positions[1][row], positions[2][row]
     layer = _compute_axis_cell(slow, low[2], inverse[2], size[2])
     line = layer * np.float64(size[1]) + _compute_axis_cell(middle, low[1], inverse[1], size[1])
@@ -280,7 +279,7 @@ def compute_cell_key(positions: AnyTypeColumns, row: I64, low: FloatTriple, inve
 
 @inlined
 def _compute_chunk_range(chunk: I64, chunks: I64, count: I64) -> tuple[I64, I64]:
-    """Return the first agent of chunk `chunk`, and the agent after its last, if `count` agents are divided into `chunks`."""
+    """Return the first agent of `chunk` and the agent after its last one, for `count` agents in `chunks` chunks."""
     length = -(-count // (8 * chunks)) * 8
     return min(chunk * length, count), min((chunk + 1) * length, count)
 
@@ -290,10 +289,10 @@ def count_cells(
     axis_positions: AnyTypeColumns, low: FloatTriple, inverse: FloatTriple, size: CellCounts, shift: I64, order: Array1[I64],
     keys: Array1[I64], counts: Array2[I32], begin: I64, end: I64,
 ) -> I64:  # fmt: skip
-    """Write each agent's cell number plus `shift` to `keys`, and the number of agents of each cell to `counts`.
-
-    Returns how many ordered pairs of agents in the same chunk share a cell. Each agent also counts as a pair with itself.
-    `order`: the agents' rows, empty for all. `counts` [chunks, cells + 3]: a cell's count has index cell + 2; may be empty."""
+    """Write each agent's cell number plus `shift` to `keys`, and the number of agents of each cell to `counts`. Returns how
+    many ordered pairs of agents in the same chunk share a cell. Each agent also counts as a pair with itself. `order`: the
+    rows of the agents; empty for all rows. `counts` [chunks, cells + 3]: the count of a cell is at index cell + 2; the array
+    may be empty."""
     shared_cell_pairs = 0
     for chunk in range(begin // WORK_UNITS_PER_CHUNK, end // WORK_UNITS_PER_CHUNK):
         first, last = _compute_chunk_range(chunk, counts.shape[0], keys.size)
@@ -324,9 +323,9 @@ def _count_cells(
 
 @kernel
 def convert_counts_to_starts(counts: Array2[I32], cells: I64) -> None:
-    """Replace counts by start positions, at index cell + 1: where each chunk stores its first agent of each cell.
-
-    After `take_next_sorted_index` was called for all agents, the last row of `counts` contains the first agent of each cell."""
+    """Replace counts by start positions: the index at which each chunk stores its first agent of a cell, at index cell + 1.
+    Once `take_next_sorted_index` has been called for all agents, the last row of `counts` contains the first agent of each
+    cell."""
     last, position = counts.shape[0] - 1, 0
     for chunk in range(last):
         for cell in range(cells + 2):
@@ -381,7 +380,7 @@ def _store_columns(ordered_agents: Array1[F32], x: Array1[F32], y: Array1[F32], 
 def pack_columns_by_position(
     position_by_row: Array1[I32], registers: FourColumns, table: Array1[F32], begin: I64, end: I64
 ) -> None:
-    """Write four values of each agent to `table`: four entries per agent, in the order of cells. `registers`: values by row."""
+    """Write four values per agent to `table`, in consecutive entries, in the order of cells. `registers`: the values by row."""
     for row in range(begin, end):
         first = 4 * position_by_row[row]
         table[first], table[first + 1] = registers[0][row], registers[1][row]

@@ -5,12 +5,12 @@ Source: J. van den Berg, S. Guy, M. Lin, D. Manocha, Reciprocal n-Body Collision
 in Advanced Robotics 70, 2011, p. 3-19.
 
 Each neighbour limits the velocity to a half-plane. Each of the two agents makes half of the necessary change (section 4). An
-incremental linear program finds the nearest point that lies in all half-planes and within the circle of the greatest speed.
-Constraints are added one by one, the nearest neighbour's first. If no point satisfies all, it finds the point that violates
-them least (section 5.3).
+incremental linear program finds the nearest point that is in all half-planes and in the circle of the greatest speed.
+Constraints are added one by one, beginning with the nearest neighbour. If no point satisfies all of them, the program finds
+the point that violates them least (section 5.3).
 
-Values are float64 and use only single sums, products, quotients and roots. Thus an agent's result has the same bits, whichever
-other agents are computed."""
+All values are float64, computed with scalar sums, products, quotients and roots only. So an agent's result has the same bits,
+whichever other agents are computed with it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _MAX_SPEED = 1e9  # mm/s, upper limit of speeds
 class WishedVelocities(NamedTuple):
     """The velocities that the requesting agents want to have.
 
-    `velocity`: x, y, z of each requester's wish (mm/s). `horizon`: for how many seconds each requester avoids collisions.
+    `velocity`: x, y, z of each requester's wish (mm/s). `horizon`: how far ahead (s) each requester avoids collisions.
     `max_speed`: the greatest speed (mm/s) of each row of the requesters' species."""
 
     velocity: tuple[Column, Column, Column]
@@ -121,8 +121,8 @@ def write_velocity_border(
     """Write the half-plane of velocities that the neighbour `other` allows to entry `index` of `borders`.
 
     If the half-plane is not finite, the entry has no direction and allows every velocity. `preferred_side`: the direction to
-    use if both agents have the same position and velocity. `own_x`, `own_y`: the agent's velocity. `horizon`: separate agents
-    avoid collisions for this time (s). `dt`: overlapping agents separate within this time (s)."""
+    use if both agents have the same position and velocity. `own_x`, `own_y`: the agent's velocity. `horizon`: the time (s) for
+    which agents that do not overlap avoid a collision. `dt`: the time (s) in which overlapping agents separate."""
     px, py, dx, dy, is_valid = borders
     x, y, r = other.x, other.y, other.radius_sum
     square, square_radius = x * x + y * y, r * r
@@ -152,8 +152,9 @@ def write_velocity_border(
 def find_nearest_allowed_velocity(
     borders: BorderColumns, line_buffers: BorderColumns, border_count: I64, max_speed: F64, wished_x: F64, wished_y: F64
 ) -> tuple[F64, F64]:
-    """Return x and y of the velocity nearest to the wish (`wished_x`, `wished_y`) and allowed by the first `border_count`
-    borders. If the borders allow none, return the velocity that violates them least. `line_buffers`: work memory."""
+    """Return x and y of the velocity that is nearest to the wish (`wished_x`, `wished_y`) among those that the first
+    `border_count` borders allow. If they allow none, return the velocity that violates them least. `line_buffers`: work
+    memory."""
     size = math.sqrt(wished_x * wished_x + wished_y * wished_y)
     part = 1.0
     if size > max_speed:
@@ -179,11 +180,11 @@ def _compute_border_violation(borders: BorderColumns, border_index: I64, x: F64,
 def _find_point_on_borders(
     borders: BorderColumns, border_count: I64, max_speed: F64, wished_x: F64, wished_y: F64, x: F64, y: F64, seek_farthest: BOOL
 ) -> tuple[F64, F64, I64]:
-    """Return the allowed velocity nearest to the wish (`wished_x`, `wished_y`) as x and y, and the index of the border that
-    cannot be satisfied.
+    """Find the allowed velocity nearest to the wish (`wished_x`, `wished_y`).
 
-    If a velocity is allowed by all borders, the index is `border_count`. The search starts from (`x`, `y`), within the circle
-    of radius `max_speed`. With `seek_farthest`, return the allowed velocity that is farthest in the wish's direction."""
+    Return its x and y, and the index of the first border that cannot be satisfied; `border_count` if all can. The search
+    starts from (`x`, `y`), within the circle of radius `max_speed`. With `seek_farthest`, it finds the allowed velocity that
+    is farthest in the direction (`wished_x`, `wished_y`)."""
     px, py, dx, dy, _ = borders
     best_x, best_y = x, y
     for k in range(border_count):
@@ -222,9 +223,8 @@ def _find_point_on_borders(
 def _find_least_violation(
     borders: BorderColumns, line_buffers: BorderColumns, border_count: I64, max_speed: F64, x: F64, y: F64, failed_border: I64
 ) -> tuple[F64, F64]:
-    """Return x and y of the velocity that violates the borders least.
-
-    The search starts from (`x`, `y`), a velocity that all borders before `failed_border` allow. `line_buffers`: work memory."""
+    """Return x and y of the velocity that violates the borders least. The search starts from (`x`, `y`), a velocity that all
+    borders before `failed_border` allow. `line_buffers`: work memory. `max_speed`: limits the velocity (mm/s)."""
     px, py, dx, dy, is_valid = borders
     qx, qy, ex, ey, _ = line_buffers
     best_x, best_y, deepest = x, y, 0.0

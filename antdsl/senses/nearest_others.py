@@ -1,4 +1,4 @@
-"""Search for the nearest agents of any species around agents that stand on a ground.
+"""Finds the nearest agents of any species around agents that stand on a ground.
 
 The search visits the cells within the radius and lists candidates in scratch memory of the thread. When the list is full, only
 the nearest candidates remain, and the search radius becomes smaller."""
@@ -54,12 +54,12 @@ _DISTANCE_ZERO_BITS_MASK = (1 << 29) - 1  # mask of the last bits of a float64, 
 
 
 class CrowdTables(NamedTuple):
-    """All agents of a grid, in the order of cells. Values that are not finite are 0.
+    """The data of all agents in a grid, in the order of cells. Values that are not finite are stored as 0.
 
-    `packed_up`: four entries per agent: its up direction x, y, z, and its rank in the order of species and ids.
-    `packed_motion`: four entries per agent: its velocity x, y, z (mm/s), and its radius (mm). `name_ranks`: for each rank of
-    `packed_up`, the agent's rank in the order of species names and ids. It is empty if there is only one species. `image_reach`
-    (3): periodic images at this distance (mm) or farther along an axis are ignored; infinite if the scene has no images."""
+    `packed_up`: four entries per agent: x, y and z of its up direction, and its rank by species and id. `packed_motion`: four
+    entries per agent: x, y and z of its velocity (mm/s), and its radius (mm). `name_ranks`: for each rank in `packed_up`, the
+    agent's rank by species name and id. It is empty if there is only one species. `image_reach` (3): periodic images at this
+    distance (mm) or farther along an axis are ignored; infinite if the scene has no images."""
 
     grid: CellGridTables
     packed_up: Array1[F32]
@@ -69,13 +69,11 @@ class CrowdTables(NamedTuple):
 
 
 class NeighbourRequests(NamedTuple):
-    """Agents of one species that search for others.
+    """Agents of one species that search for other agents.
 
-    `positions`: the position of each requester in the order of cells.
-    `rows`: the row of each requester in the population of the species.
-    `radius`: the radius (mm) of each search.
-    `max_others`: how many others each search may return.
-    `heading`: x, y, z of the heading of each row of the species."""
+    `positions`: the position of each requester in the order of cells. `rows`: the row of each requester in its population.
+    `radius`: the radius (mm) of each search. `max_others`: how many others each search may return. `heading`: x, y, z of the
+    heading of each row of the species."""
 
     positions: Array1[I32]
     rows: Array1[I64]
@@ -95,9 +93,9 @@ class TangentPlane(NamedTuple):
 class CandidateMemory(NamedTuple):
     """Scratch memory of a search. Each array has room for `MAX_SEARCH_CANDIDATES` numbers.
 
-    `candidates`: agents within the radius, as positions in the order of cells. `candidate_keys`, `distance_ranks`: the sort key
-    of each candidate, and its rank by distance. `nearest_rows`, `nearest_keys`: the result, sorted: the nearest agents as
-    positions in the order of cells, and their keys."""
+    `candidates`: agents within the radius, as positions in the order of cells. `candidate_keys`, `distance_ranks`: the sort
+    key of each candidate, and its rank by distance. `nearest_rows`, `nearest_keys`: the sorted result, which is the nearest
+    agents (as positions in the order of cells) and their keys."""
 
     candidates: Array1[I64]
     candidate_keys: Array1[I64]
@@ -233,7 +231,7 @@ def _select_nearest_others(
 
 @inlined
 def compute_relative_agent(crowd: CrowdTables, plane: TangentPlane, own_position: I64, other_position: I64) -> RelativeAgent:
-    """Return the agent at `other_position`, relative to the agent at `own_position`, both in the order of cells."""
+    """Return the agent at `other_position` relative to the agent at `own_position`. Both are positions in the order of cells."""
     x, y, z, _ = load_consecutive(crowd.grid.packed_positions, 4 * own_position, 4)
     u, v, w, _ = load_consecutive(crowd.grid.packed_positions, 4 * other_position, 4)
     displacement = np.float64(u - x), np.float64(v - y), np.float64(w - z)
@@ -264,9 +262,8 @@ def pack_up_and_motion(
     position_by_row: Array1[I32], up: VectorColumns, velocity: VectorColumns, radius: Array1[F32], numbers: Array1[I32],
     table: Array1[F32], motion: Array1[F32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
-    """Write the columns of agents to `packed_up` and `packed_motion` of a `CrowdTables`, for rows from `begin` to before `end`.
-
-    `numbers`: the rank of each row in the order of species and ids. `table`: the array for `packed_up`."""
+    """Write the fields `packed_up` and `packed_motion` of a `CrowdTables`, for rows from `begin` to before `end`. `numbers`:
+    the rank of each row by species and id. `table`: the array for `packed_up`. `motion`: the array for `packed_motion`."""
     for row in range(begin, end):
         first, wide = 4 * position_by_row[row], np.isfinite(radius[row]) & (radius[row] > np.float32(0.0))
         u = replace_non_finite_vector(up[0][row], up[1][row], up[2][row])

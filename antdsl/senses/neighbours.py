@@ -1,6 +1,6 @@
 """A sorted cell grid of agents' positions, which returns pairs (query, neighbour) within a radius.
 
-The pairs are bit-identical, and in the same order, for any order of rows, chunk size or cell size."""
+The pairs have the same bits and the same order for any order of rows, chunk size or cell size."""
 
 from __future__ import annotations
 
@@ -45,13 +45,12 @@ PairColumns = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F
 
 
 class CellGridTables(NamedTuple):
-    """A `CellGrid` as kernels read it. Agents are in the order of cells.
+    """The tables of a `CellGrid` for kernels. Agents are in the order of cells.
 
     `positions`: x, y, z of each agent (mm). `axis_positions`: the same arrays in the order of the fast, middle and slow axis.
-    `packed_positions`: x, y, z and row of each agent, four entries per agent.
-    `rows`, `ids`, `keys`: row, id and cell of each agent. `cell_starts`: the first agent of each cell.
-    `low_corner`, `cells_per_mm`, `cell_widths`, `cells_per_axis`: low corner (mm), cells per mm, cell width (mm) and number of
-    cells along each axis."""
+    `packed_positions`: x, y, z and row of each agent, four entries per agent. `rows`, `ids`, `keys`: row, id and cell of each
+    agent. `cell_starts`: the first agent of each cell. `low_corner`, `cells_per_mm`, `cell_widths`, `cells_per_axis`: low
+    corner (mm), cells per mm, cell width (mm) and number of cells along each axis."""
 
     positions: Columns
     axis_positions: Columns
@@ -67,10 +66,10 @@ class CellGridTables(NamedTuple):
 
 
 class SearchProgress(NamedTuple):
-    """The progress of a search for pairs when its kernel stops.
+    """The progress of a search for pairs when its kernel returns.
 
-    `next_query`: the query at which it continues. `pair_count`: the number of pairs that are written.
-    `needed_spans`, `needed_candidates`: the lengths of the buffers `spans` and `candidates` that the search needs to continue.
+    `next_query`: the query with which the search continues. `pair_count`: the number of pairs written so far. `needed_spans`,
+    `needed_candidates`: the lengths of the buffers `spans` and `candidates` that the search needs to continue.
     `needed_candidates` is -1 if a query has more others within its radius than allowed."""
 
     next_query: I64
@@ -80,17 +79,15 @@ class SearchProgress(NamedTuple):
 
 
 class TooManyNeighboursError(Exception):
-    """Error: there are more agents within the radius of one query than may be examined."""
+    """Error raised if there are more agents within the radius of one query than may be examined."""
 
 
 @dataclass(frozen=True, slots=True)
 class NeighbourPairs:
-    """Pairs of a query and a neighbour within its radius. They are sorted by query, then by the neighbour's cell, then by its id.
-
-    `i`: index of the query, from 0. `j`: row of the neighbour in the grid.
-    `dx`, `dy`, `dz`: the neighbour's position minus the query's, float32 mm. `distance`: the length of that vector (mm).
-
-    Pairs do not depend on the order of rows. The order of one query's pairs may change with the extent of the crowd."""
+    """Pairs of a query and a neighbour within its radius. They are sorted by query, then by the neighbour's cell, then by its
+    id. `i`: the index of the query. `j`: the row of the neighbour in the grid. `dx`, `dy`, `dz`: the neighbour's position
+    minus the query's, float32 mm. `distance`: the length of that vector (mm). The pairs do not depend on the order of rows.
+    The order of a query's pairs may depend on the extent of the crowd."""
 
     i: Rows
     j: Rows
@@ -122,12 +119,11 @@ class CellGrid:
     ) -> NeighbourPairs:  # fmt: skip
         """Return the neighbours of the agents `rows` (None: all) within `radius` (mm; one number, or one for each row).
 
-        Without `qx qy qz`, queries are for the grid's own agents, and no agent is its own neighbour.
-        With `qx qy qz`, queries are for agents at these positions: `rows` selects from them, and `qid` gives their ids if they
-        are in the grid.
-        `view`, one value per query, limits neighbours to its field of view.
-        An agent gets at most `limits.MAX_QUERY_NEIGHBOURS` neighbours, the nearest by (distance, id). Raises TooManyNeighbours
-        early if an agent has more than `limit` others within its radius."""
+        Without `qx`, `qy` and `qz`, queries are for the grid's own agents, and no agent is its own neighbour. With them,
+        queries are for agents at these positions; `rows` selects some of them, and `qid` has their ids if they are in the
+        grid. `view`: limits the neighbours of each query to a field of view. An agent gets at most
+        `limits.MAX_QUERY_NEIGHBOURS` neighbours, the nearest by (distance, id). Raises TooManyNeighboursError early if an
+        agent has more than `limit` others within its radius."""
         if qx is None or qy is None or qz is None:
             qx, qy, qz, qid = self.x, self.y, self.z, self.ids
         if rows is not None:
@@ -140,7 +136,7 @@ class CellGrid:
         return self._search_pairs((qx, qy, qz), reach, qid, view, threads, 1 << 62 if limit is None else limit)
 
     def make_tables(self) -> CellGridTables:
-        """Return the grid in the form that kernels read."""
+        """Return the tables of the grid for kernels."""
         order, shape, rows = self.order, self.shape, np.ascontiguousarray(self.order.rows)
         columns: Any = order.columns
         cells: Any = tuple(shape.low_corner), shape.cells_per_mm, tuple(shape.cell_widths), tuple(shape.cells_per_axis)
@@ -182,9 +178,9 @@ class CellGrid:
 def _find_pairs(
     grid: CellGridTables, axes: tuple[int, ...], query: list[NDArray[Any]], limit: int
 ) -> tuple[NDArray[Any], ...] | None:
-    """Return the columns of `NeighbourPairs` for all queries [m]; None if one has more than `limit` others within its radius.
-    `query`: x, y, z, ids (empty if they are not the grid's own), radius; then heading x, y, z and cosine of half the view,
-        empty for all-round queries."""
+    """Return the columns of `NeighbourPairs` for all queries [m]; None if a query has more than `limit` others within its
+    radius. `query`: x, y, z, ids (empty for agents outside the grid) and radius. Then follow x, y and z of the heading and the
+    cosine of half the view angle, empty for all-round queries."""
     positions, (ids, radius, hx, hy, hz, cosine) = query[:3], query[3:]
     queries = (tuple(positions), tuple(positions[axis] for axis in axes), ids, radius, (hx, hy, hz), cosine)
     m = radius.size
@@ -205,7 +201,7 @@ def _find_pairs(
 
 @inlined
 def find_first_cell(coordinate: F64, low: F64, inverse: F64, size: I64) -> I64:
-    """Return the first cell of the range that starts at `coordinate` (mm) along an axis, from 0 to `size`.
+    """Return the first cell, 0 to `size`, of a range of cells that starts at `coordinate` (mm) along an axis.
 
     `low`: the lowest coordinate of the grid (mm). `inverse`: cells per mm. `size`: the number of cells."""
     return math.floor(min(max((coordinate - low) * inverse, 0.0), float(size)))
@@ -213,13 +209,13 @@ def find_first_cell(coordinate: F64, low: F64, inverse: F64, size: I64) -> I64:
 
 @inlined
 def find_last_cell(coordinate: F64, low: F64, inverse: F64, size: I64) -> I64:
-    """Return the last cell of the range that ends at `coordinate` (mm) along an axis, from -1 to `size` - 1."""
+    """Return the last cell, -1 to `size` - 1, of a range of cells that ends at `coordinate` (mm) along an axis."""
     return math.floor(min(max((coordinate - low) * inverse, -1.0), size - 1.0))
 
 
 @inlined
 def _compute_axis_distance(q: F64, cell: I64, low: F64, width: F64) -> F64:
-    """Return the least distance (mm) along an axis from coordinate q to a cell, rounded down."""
+    """Return the distance (mm) along an axis from the coordinate `q` to the nearest point of a cell, rounded down."""
     edge = low + cell * width
     return max(max(edge - q, q - (edge + width)), 0.0) * _DISTANCE_SLACK
 
@@ -241,8 +237,8 @@ def _find_spans(
     """Find all cells within the radius of a position, and write the ranges of their sorted agents to `spans`.
 
     Returns the number of spans, and the number of agents in all spans. If `spans` is too short, returns -1 and the required
-    length. A span is a range of sorted agents with two entries: its first agent, and the agent after its last. `a`, `b`, `c`:
-    the position along the fast, middle and slow axis of the grid (mm)."""
+    length. A span is a range of sorted agents. It has two entries in `spans`: its first agent, and the agent after its last
+    one. `a`, `b`, `c`: the position along the fast, middle and slow axis of the grid (mm)."""
     tiny = 1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18
     r = radius * RADIUS_SLACK + tiny
     b0, b1 = find_first_cell(b - r, low[1], inverse[1], size[1]), find_last_cell(b + r, low[1], inverse[1], size[1])
@@ -285,10 +281,9 @@ def _find_last_neighbour(
     x: F32, y: F32, z: F32,
     reach: F32, own_id: I64,
 ) -> tuple[F32, I64]:  # fmt: skip
-    """Return the distance and the id of the farthest neighbour that counts: number `MAX_QUERY_NEIGHBOURS` by distance and id.
-
-    The agents are the first `candidate_count` entries of `candidates`, except the agent with id `own_id`. The search bisects
-    the bits of the distance, then the ids at that distance."""
+    """Return the distance and the id of the farthest neighbour that is used: number `MAX_QUERY_NEIGHBOURS` in the order of
+    distance and id. The candidates are the first `candidate_count` entries of `candidates`, except the agent with the id
+    `own_id`. The search bisects the bits of the distance, then the ids of agents at this distance."""
     low, high = 0, float_to_bits(np.float64(reach)) >> _FLOAT32_ZERO_BITS
     nearer_count, closer_count = 0, 0
     while low < high:
@@ -332,10 +327,10 @@ def _fill_pairs(
     first_query: I64,
     pair_count: I64,
 ) -> SearchProgress:
-    """Write the pairs of queries from `first_query` on, after `pair_count` earlier pairs. Return the progress.
+    """Write the pairs of the queries from `first_query` on to `pairs`, after `pair_count` earlier pairs. Return the progress.
 
-    The search stops when all queries are done, or when an array is too short.
-    If a query has more than `MAX_QUERY_NEIGHBOURS` others, the nearest by distance and id are used."""
+    The search stops when all queries are done, or when an array is too short. If a query has more than `MAX_QUERY_NEIGHBOURS`
+    others, the nearest by distance and id are used."""
     (sx, sy, sz), _, _, rows, names, keys, cell_starts, low, inverse, width, size = grid
     (qx, qy, qz), (fast, middle, slow), query_ids, radius, (hx, hy, hz), cosine = query
     i, j, dx, dy, dz, distance = pairs

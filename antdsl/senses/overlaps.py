@@ -1,4 +1,4 @@
-"""The overlap of agents' bodies. The measurement is not slower if many bodies are at one position."""
+"""Measures how far the bodies of agents overlap. The measurement stays fast even if many bodies are at one position."""
 
 from __future__ import annotations
 
@@ -18,11 +18,10 @@ _FIRST_QUERY_NEIGHBOURS = 8  # neighbours of the first query; each further query
 
 
 def measure_worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
-    """Return each agent's greatest overlap with another agent, float32[n]: 0 without overlap, 1 if both have one position.
-
-    `x`, `y`, `z`, `radius`: float32[n] mm. The overlap of a pair is 1 - distance / (sum of both radii), at least 0. In dense
-    crowds, a list of all pairs would grow with the square of the number of agents. Therefore, dense crowds are measured by
-    queries of nearest neighbours, until no agent farther away can overlap more."""
+    """Return each agent's greatest overlap with another agent, float32[n]: 0 without overlap, 1 if both have the same
+    position. `x`, `y`, `z`, `radius`: float32[n] mm. The overlap of a pair is 1 - distance / (sum of both radii), at least 0.
+    In dense crowds, a list of all pairs would grow with the square of the number of agents. So these crowds are measured by
+    nearest-neighbour queries, until no agent farther away can overlap more."""
     x, y, z, radius = make_contiguous(x, y, z, radius)
     overlap, wide = np.zeros(len(x), np.float32), [each.astype(np.float64) for each in (x, y, z, radius)]
     budget = _MAX_PAIRS_PER_AGENT * len(x)
@@ -39,14 +38,15 @@ def measure_worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> F
 
 
 def _compute_overlap_share(distance: Floats, first: Floats, second: Floats) -> Floats:
-    """Return 1 - distance / (sum of both radii), limited to 0 to 1. `first`, `second`: the radii of the two agents (mm)."""
+    """Return the overlap 1 - distance / (sum of both radii), clamped to 0 to 1. `first`, `second`: the radii of the two agents
+    (mm)."""
     radius_sum = np.maximum(first + second, np.float32(1e-9))
     part: Floats = np.clip(1 - distance / radius_sum, 0, 1)
     return part
 
 
 def _measure_overlaps_by_nearest(place: Floats, radius: Floats) -> Floats:
-    """Return the result of `measure_worst_overlaps` for agents at `place` [n,3], computed by nearest-neighbour queries."""
+    """Compute the result of `measure_worst_overlaps` by nearest-neighbour queries, for agents at `place` [n,3]."""
     from scipy.spatial import cKDTree
 
     # A tree cannot separate agents at one position. The widest represents them all, and all overlap completely.
@@ -87,8 +87,8 @@ def fill_worst_overlaps(
 ) -> I64:  # fmt: skip
     """Update each agent's entry of `overlap` with its greatest overlap among the pairs of a search.
 
-    Returns `max_pairs` minus the number of pairs. If it is negative, the measurement stopped before the last pair. The
-    arguments before `position` are the fields of a `PairSearch`."""
+    Returns `max_pairs` minus the number of pairs; a negative result means that the measurement stopped before the last pair.
+    The arguments before `position` are the fields of a `PairSearch`."""
     (query_positions, query_rows, query_keys), (ordered, rows, _) = searching_agents, agents
     for agent in range(query_rows.size):
         (x, y, z, wide), a = load_consecutive(query_positions, 4 * agent, 4), query_rows[agent]

@@ -1,7 +1,7 @@
-"""Pairs of agents that are near enough to touch. Every pair occurs once. Method: a uniform grid with cells as wide as two
-agents, and a search of half of each cell's neighbours (C. Ericson, Real-Time Collision Detection, 2005, 7.1). Agents of
-similar size have one grid; all smaller agents query it as well. In a dense cluster, each agent is paired with a bounded number
-of the agents in reach. Thus many agents at one position need no more time than as many agents next to each other."""
+"""Finds pairs of agents that are near enough to touch. Every pair occurs once. Method: a uniform grid with cells as wide as
+two agents, and a search of half of each cell's neighbours (C. Ericson, Real-Time Collision Detection, 2005, 7.1). Agents of
+similar size share a grid; all smaller agents query this grid, too. In a dense cluster, each agent is paired with a limited
+number of the agents in reach. So many agents at one position take no more time than the same number next to each other."""
 
 from __future__ import annotations
 
@@ -62,11 +62,11 @@ class TouchingPairs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchingAgents:
-    """For each agent of one species, the agents of another species that it touches, called partners.
+    """The partners of each agent of one species: the agents of another species that it touches.
 
-    `partner_ids[partner_starts[r]:partner_starts[r + 1]]`: ids of the partners of row r. The deepest overlap is first; equal
-    overlaps are sorted by id.
-    `can_start_contact`: for each entry of `partner_ids`, whether the overlap is deep enough for a new contact."""
+    Those of row r have the ids `partner_ids[partner_starts[r]:partner_starts[r + 1]]`. They are sorted by overlap, deepest
+    first, then by id. `can_start_contact`: for each entry of `partner_ids`, whether the overlap is deep enough for a new
+    contact."""
 
     partner_starts: Rows
     partner_ids: NDArray[np.int64]
@@ -80,7 +80,7 @@ def find_touching_pairs(
 
     `positions`: x, y and z float64[n], mm. Agents without a finite position and reach are in no pair. `order` int64[n], all
     different: determines which pairs are omitted in a dense cluster, independent of the order of rows. `bounds`: the least and
-    the greatest x, y, z and reach, if known. They are not finite if any value is not finite."""
+    the greatest x, y, z and reach, if known; not finite if any of the values is not finite."""
     x, y, z, reach = make_contiguous(*positions, reach)
     rows, bounds = _find_usable_rows((x, y, z), reach, bounds)
     if bounds is None:
@@ -142,7 +142,7 @@ def _iterate_searches(
 
 
 def _find_pairs(search: PairSearch) -> TouchingPairs:
-    """Return the pairs of a search that are within the sum of their reaches."""
+    """Return the pairs of a search with a distance of at most the sum of their reaches."""
     count = search.searching_agents[1].size
     buffers = tuple(
         np.empty((3, _AGENTS_PER_BATCH * search.span_offsets.size * _MAX_PARTNERS_PER_SPAN + _MIN_WRITTEN_CANDIDATES), np.int32)
@@ -156,12 +156,12 @@ def _find_pairs(search: PairSearch) -> TouchingPairs:
 
 
 class PairSearch(NamedTuple):
-    """The input of a kernel that visits pairs of neighbours.
+    """The inputs of a kernel that visits pairs of neighbours.
 
-    `searching_agents`, `agents`: the agents that search, and the agents that can be found, each sorted by cell.
-    `cell_starts`: the first of `agents` in each cell. `cell_count`: the number of cells.
-    `span_offsets`: from the cell of a searching agent to the middle cell of each span. A span is three consecutive cells.
-    `is_self_search`: whether the agents search among themselves; then each pair is visited once."""
+    `searching_agents`, `agents`: the agents that search, and the agents that can be found, each sorted by cell. `cell_starts`:
+    the first of `agents` in each cell. `cell_count`: the number of cells. `span_offsets`: the offsets from the cell of a
+    searching agent to the middle cells of the spans. A span is three consecutive cells. `is_self_search`: whether the agents
+    search among themselves; then each pair is visited once."""
 
     searching_agents: Agents
     agents: Agents
@@ -174,10 +174,10 @@ class PairSearch(NamedTuple):
 class _ContactGrid(NamedTuple):
     """A grid of agents of similar size, sorted by cell. At either end of each axis, one row of cells is empty.
 
-    `axes`: the axes from the longest to the shortest. `low_corner` and `cells_per_axis` are in this order. `low_corner`: low
-    corner (mm). `cells_per_mm`: cells per mm. `cells_per_axis`: numbers of cells, 1 if layers are not separated. `agents`:
-    position and reach (four entries per agent), row, and cell of each agent. `cell_starts`: the first agent of each cell,
-    empty if there are too many cells for a table."""
+    `axes`: the axes from the longest to the shortest; the other fields are in this order. `low_corner`: in mm. `cells_per_mm`:
+    cells per mm. `cells_per_axis`: the number of cells along each axis; 1 for the shortest if layers are not separated.
+    `agents`: position and reach (four entries per agent), row, and cell of each agent. `cell_starts`: the first agent of each
+    cell, empty if there are too many cells for a table."""
 
     axes: tuple[int, ...]
     low_corner: tuple[float, ...]
@@ -188,9 +188,8 @@ class _ContactGrid(NamedTuple):
 
     @staticmethod
     def build(place: PositionColumns, reach: Floats, rows: Rows, bounds: Bounds, widen_cells: bool) -> _ContactGrid:
-        """Return the grid of agents `rows` (empty: all rows), with positions and reaches within `bounds`.
-
-        `widen_cells`: whether cells become wider until a table can hold all of them."""
+        """Return the grid of the agents `rows` (empty: all rows). `bounds`: the bounds of their positions and reaches.
+        `widen_cells`: whether cells are made wider until a table can hold all of them."""
         low, extent = [low for low, _ in bounds[:3]], [high - low for low, high in bounds[:3]]
         axes = tuple(sorted(range(3), key=lambda axis: -extent[axis]))
         cell = max(2 * bounds[3][1], extent[axes[0]] / _MAX_CELLS_PER_AXIS, 1e-9)
@@ -230,7 +229,7 @@ class _ContactGrid(NamedTuple):
     def _count_agents(
         self, place: PositionColumns, rows: Rows, keys: NDArray[np.int64], max_cells: int
     ) -> tuple[NDArray[np.int32], int]:
-        """Write the cell of each row to `keys`. Return the counts of all cells, and the number of pairs in one cell.
+        """Write the cell of each row to `keys`. Return the counts of all cells, and the number of pairs that share a cell.
 
         The counts are a table as `cell_order.count_cells` writes it, empty if there are more than `max_cells` cells."""
         counts = np.empty((1, self.cell_count + SPARE_TABLE_ENTRIES if self.cell_count <= max_cells else 0), np.int32)
@@ -295,9 +294,8 @@ def _store_queries(
     positions: Columns, axis_positions: Columns, reach: Array1[F64], low: Corner, inverse: Corner, size: CellCounts, shift: I64,
     order: Array1[I64], searching_agents: Array1[F64], rows: Array1[I32], cells: Array1[I64],
 ) -> I64:  # fmt: skip
-    """Write the agents that are at most one cell away from cells with agents of the grid. Return their number.
-
-    `order`: the rows to test. `searching_agents`, `rows`, `cells`: the results, as in `Agents`."""
+    """Write the agents that are in the grid's cells or at most one cell outside. Return their number. `order`: the rows to
+    test. `searching_agents`, `rows`, `cells`: receive position and reach (four entries), row and cell of each agent."""
     count = 0
     for k in range(order.size):
         row = order[k]
@@ -322,8 +320,8 @@ def find_span_start(
     agents: Agents, cell_starts: Array1[I32], cells: I64, is_self_search: BOOL, position: I64, span: I64, key: I64
 ) -> I64:
     """Return the position of the first agent in the three cells around cell `key`. `position`: the position of the searching
-    agent. If the searching agent is in these cells itself (`is_self_search`), only agents after it count, so each pair is
-    found once."""
+    agent. If the searching agent may itself be in these cells (`is_self_search`), only agents after it are returned, so that
+    each pair is visited once."""
     return (
         position + 1 if is_self_search and span == 0 else count_agents_before(cell_starts, agents[2], min(max(key - 1, 0), cells))
     )
@@ -344,8 +342,8 @@ def _fill_pairs(
     """Write the rows of pairs to `i` and `j`. Return the number of pairs, and the number of spans in which pairs were omitted.
 
     The number of pairs is -1 if the arrays are too short. A span is three consecutive cells near an agent. The agent is paired
-    with at most `max_partners` agents of each span. `span_offsets`: from the agent's cell to the middle cell of each span.
-    `buffers`: work memory."""
+    with at most `max_partners` agents of each span. `span_offsets`: the offsets from the agent's cell to the middle cells of
+    the spans. `buffers`: work memory."""
     (query_positions, query_rows, query_keys), (ordered, rows, _), (one, other, near) = searching_agents, agents, buffers
     pair_count, count, left_out = 0, query_rows.size, 0
     for begin in range(0, count, _AGENTS_PER_BATCH):

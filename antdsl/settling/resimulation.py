@@ -1,4 +1,4 @@
-"""Simulates some agents of an edited cache again; all other agents follow the edited cache."""
+"""Simulates the affected agents of an edited cache again, while all other agents follow the edited cache."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ _START_SEPARATION_ROUNDS, _START_SEPARATION_SECONDS = 8, 0.25  # of contacts tha
 class SettlingResult:
     """The agents that were simulated again. `checkpoint_frame`: the frame of the checkpoint from which they were simulated.
 
-    `left_out_count`: the number of affected agents that the shot does not have."""
+    `left_out_count`: the number of affected agents that could not be simulated because they are not in the shot."""
 
     frames: SettledFrames
     checkpoint_frame: int
     left_out_count: int
 
     def describe_result(self) -> str:
-        """Return a text with the number of agents, their frames, and the checkpoint."""
+        """Return a text for the user that states the number of agents, their frames, and the checkpoint."""
         others = (
             f"; {self.left_out_count:,} others are unchanged: their body or species was edited" if self.left_out_count else ""
         )
@@ -47,7 +47,7 @@ class SettlingResult:
 
 
 class SettlingError(Exception):
-    """Error if agents cannot be simulated again. The message needs no further context. `help`: what the user can do."""
+    """Error raised if agents cannot be simulated again. The message is complete; `help` states what the user can do."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
@@ -57,7 +57,7 @@ class SettlingError(Exception):
 def settle_cache(
     cache: EditedCache, scene: Path | None = None, grants: Mapping[str, Path] | None = None, threads: int = 1
 ) -> SettlingResult | None:
-    """Return the frames of the agents that the edits of a cache affect; None if there are none.
+    """Simulate the agents that the edits of a cache affect, and return their new frames; None if there are no such agents.
 
     Raises SettlingError, or ExplainError if the shot of the cache is not found or has changed."""
     settling = EditSettling(cache, lambda _: _open_history(cache, scene, grants, threads), find_next_ids(cache.original))
@@ -78,13 +78,13 @@ def _open_history(cache: EditedCache, scene: Path | None, grants: Mapping[str, P
 
 
 class EditSettling:
-    """Simulates again the agents that the edits of a cache affect. `run_rounds` works in parts, so that callers can do other work
-    in between.
+    """Simulates the agents again that the edits of a cache affect. `run_rounds` is a generator, so that callers can do other
+    work between frames.
 
     - `open_history`: returns the history of the cache for the first frame that is simulated again
     - `next_ids`: for each species, the first id that no agent of the run uses
     - `attributes`: the names of the agent arrays in frames, by default those of the scene's output
-    - `settlement`: the result; None until the end, and None if edits affect no agent"""
+    - `settlement`: the result; None until `run_rounds` has ended, or if edits affect no agent"""
 
     def __init__(
         self,
@@ -98,9 +98,9 @@ class EditSettling:
         self._open_history = open_history
 
     def run_rounds(self) -> Iterator[str]:
-        """Settle the cache. Yield a text about the progress after each frame.
+        """Settle the cache.
 
-        Raises SettlingError, or what `open_history` raises."""
+        Yield a text about the progress after each frame. Raises SettlingError and the errors of `open_history`."""
         affected: dict[int, int] = {}
         yield from self._find_affected(self.cache, affected, includes_touched=True)
         if not affected:
@@ -121,7 +121,8 @@ class EditSettling:
         self.settlement = settlement
 
     def _find_affected(self, cache: EditedCache, affected: dict[int, int], *, includes_touched: bool) -> Iterator[str]:
-        """Add affected agents by key, each with the first frame in which it is affected."""
+        """Add affected agents to `affected` by key, each with the first frame in which it is affected. Yield texts about the
+        progress."""
         for number, keys in find_affected_agents_by_frame(cache, includes_touched=includes_touched):
             for key in keys:
                 affected.setdefault(key, number)
@@ -149,7 +150,7 @@ class EditSettling:
 def _choose_agents(cache: EditedCache, shot: Shot, affected: dict[int, int]) -> dict[int, int]:
     """Return the affected agents that the shot can simulate.
 
-    They belong to its species and have bodies that edits did not replace."""
+    They belong to species of the shot, and edits did not replace their bodies."""
     chosen: dict[int, int] = {}
     for number, entry in enumerate(cache.manifest.species):
         keys = np.array([key for key in affected if key % SPECIES_PER_KEY == number], np.int64)
@@ -162,9 +163,9 @@ def _choose_agents(cache: EditedCache, shot: Shot, affected: dict[int, int]) -> 
 
 
 def _restore_world(history: History, frame: int) -> tuple[World, int]:
-    """Return a world at a frame in which bodies are separated, and the frame of the checkpoint from which it was simulated.
+    """Return a world at `frame` with contacts turned on, and the frame of the checkpoint from which it was simulated.
 
-    Raises ExplainError if no good checkpoint leads to this frame."""
+    Raises ExplainError if no valid checkpoint leads to this frame."""
     points = reversed([each for each in history.checkpoint_frames() if each <= frame])
     world = next((restored for point in points if (restored := history.restore_world(point)) is not None), None)
     if world is None:
@@ -180,7 +181,7 @@ def _restore_world(history: History, frame: int) -> tuple[World, int]:
 
 
 def _step(history: History, world: World) -> None:
-    """Advance a world by a frame. Agents with faults stay as they are. Raises SettlingError if the limits stop the world."""
+    """Advance a world by one frame. Agents with faults do not change. Raises SettlingError if the limits stop the world."""
     history.apply_interventions(world)
     try:
         step(world)
@@ -194,7 +195,7 @@ def _step(history: History, world: World) -> None:
 class _Resimulation:
     """A run in which only some agents are simulated freely; all others follow the cache.
 
-    `begins`: for each agent, the last frame in which it still follows the edits; it is free from the next frame on. `frames`: the
+    `begins`: for each agent, the last frame in which it follows the edits; from the next frame on, it is free. `frames`: the
     arrays of the free agents, by frame."""
 
     def __init__(
@@ -230,7 +231,7 @@ class _Resimulation:
             yield f"frame {number} is simulated again"
 
     def _find_free(self, number: int) -> dict[str, Ids]:
-        """Return the ids of the agents that are free in the step to a frame, by species."""
+        """Return, by species, the ids of the agents that are free in the step that leads to the frame `number`."""
         free = [key for key, begin in self.begins.items() if begin < number]
         return {
             entry.name: np.array(sorted(key // SPECIES_PER_KEY for key in free if key % SPECIES_PER_KEY == k), np.int64)
@@ -244,7 +245,7 @@ class _Resimulation:
             population.next_id = max(population.next_id, self.next_ids.get(name, 0))
 
     def _separate_at_start(self, number: int, free_ids: Mapping[str, Ids]) -> None:
-        """Separate bodies in the first frame of a cache, without a step."""
+        """Separate overlapping bodies in the first frame of a cache, to which no step leads."""
         for _ in range(_START_SEPARATION_ROUNDS):
             with increase_mass_of_scripted_agents(self.world, free_ids), np.errstate(all="ignore"):
                 stances = record_stances(self.world)

@@ -1,4 +1,4 @@
-"""Agents of a world that a cache places: in each frame they have the positions of the cache, whatever their program did."""
+"""Places agents of a world as in a cache: in each frame, they get the positions of the cache, whatever their program did."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def place_scripted_agents(
 ) -> None:
     """Copy all agents of a frame into a world, except the free ones, which keep their state.
 
-    - `next_arrays`: the next frame; velocities lead to the positions there, where free agents meet the copied agents
+    - `next_arrays`: the next frame; copied agents get velocities that lead to their positions there
     - `free_ids`: the free agents by species
     - `next_ids`: by species, the first id of copies that edits made
 
-    Agents that the frame lacks are removed. Agents that the world lacks are added. Copies made by an edit are added like their
-    original, others like the agent with the nearest lower id."""
+    Agents that the frame lacks are removed. Agents that the world lacks are added. An added copy made by an edit gets the
+    registers of its original. Other added agents get those of the agent with the nearest lower id."""
     numbers, ids = get_species_numbers(arrays), get_agent_ids(arrays)
     for number, entry in enumerate(manifest.species):
         population = world.populations.get(entry.name)
@@ -62,7 +62,7 @@ def _place_agents(
     known_rows: NDArray[np.intp],
     period: int,
 ) -> NDArray[np.intp]:
-    """Put agents of one species, the rows `own_rows` of a frame, into a world, and return their rows there."""
+    """Place the agents at `own_rows` of a frame, all of one species, in a world, and return their rows in the world."""
     unit_mm, ids = UNIT_MM[manifest.units], get_agent_ids(arrays)[own_rows]
     position = np.asarray(arrays["P"], np.float64)[own_rows] * unit_mm
     footing = world.ground.find_nearest(position)[0]
@@ -105,7 +105,7 @@ def _place_agents(
 def _aim_velocities(
     world: World, population: Population, rows: NDArray[np.intp], next_arrays: Arrays, number: int, unit_mm: float
 ) -> None:
-    """Give agents the velocities that lead to their positions in the next frame; 0 if they are not there."""
+    """Give agents the velocities that lead to their positions in the next frame; 0 for agents that are not in the next frame."""
     own = np.flatnonzero(get_species_numbers(next_arrays) == number)
     at, is_there = match_rows(population.ids[rows], get_agent_ids(next_arrays)[own])
     goal = np.asarray(next_arrays["P"], np.float64)[own][at] * unit_mm if len(own) else np.zeros((len(rows), 3))
@@ -126,9 +126,9 @@ def _write_register(population: Population, name: str, rows: NDArray[np.intp], v
 
 @contextmanager
 def increase_mass_of_scripted_agents(world: World, free_ids: Mapping[str, Ids]) -> Iterator[None]:
-    """Within the context, make all agents except `free_ids` so heavy that contacts push only the free ones.
+    """Within the `with` block, make all agents except `free_ids` so heavy that contacts push only the free agents.
 
-    The heavy agents are also made fast enough for their paths."""
+    Also raise the speed limits of the heavy agents so that they can follow their paths."""
     limits = {}
     for name, population in world.populations.items():
         own = population.ids[~np.isin(population.ids, free_ids[name])]
