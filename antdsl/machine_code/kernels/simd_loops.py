@@ -218,8 +218,7 @@ class SimdWriter(StatementWriter):
         self._rejoin_after_loop(outer_mask, body)
 
     def _write_uniform_loop(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
-        """Emit an inner loop with a range that is the same for all lanes. No lane leaves it early, so the mask does not
-        change."""
+        """Emit an inner loop with a range that is equal in all lanes. No lane leaves it early, so the mask does not change."""
         with self._write_scalar_loop(begin, end, step) as at:
             self.variables[name] = at
             fresh = set(self.unwritten_slots)

@@ -1,6 +1,6 @@
 """Reads the resources that are available to this process (cores and memory), and the processor's name.
 
-On Linux, control groups (cgroups) limit a process. The limits of its own group and of all enclosing groups apply."""
+On Linux, control groups (cgroups) limit a process. The limits of its group and of all enclosing groups apply."""
 
 from __future__ import annotations
 

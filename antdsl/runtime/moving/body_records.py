@@ -1,4 +1,4 @@
-"""Records of bodies that stay outside their ground, as kernels read them."""
+"""The records through which kernels read bodies that stay outside their ground."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class BodyLimits(NamedTuple):
     """Limits of bodies in a step.
 
     `max_tilts`: the largest tilt of each agent in this step (radians). `max_turn`: its largest turn (rad/s). `size`: its size
-    (mm). `max_speed` (mm/s). `body_numbers`: the number of its body. `dt`: the duration of the step (s). `unit_shapes`: the
-    numbers of a `BodyShape` of 1 mm, for each body of the species. `voluntary_shift`: how far a body may shift without being
-    forced to (body lengths). `max_shift`: the largest shift (body lengths)."""
+    (mm). `max_speed` (mm/s). `body_numbers`: the index of its body in `unit_shapes`. `dt`: the duration of the step (s).
+    `unit_shapes`: for each body of the species, the fields of its `BodyShape` at a size of 1 mm. `voluntary_shift`: how far a
+    body may shift without being forced to (body lengths). `max_shift`: the largest shift (body lengths)."""
 
     max_tilts: Array1[F32]
     max_turn: Array1[F32]
@@ -44,9 +44,9 @@ class BodyLimits(NamedTuple):
 class BodyRegisters(NamedTuple):
     """Values that a body retains from step to step.
 
-    `lift`: its shift from the feet (mm). `wait_share`: how much its feet wait for the body, from 0 to 1; -1 while it retreats.
-    `penetration_depth`: its depth inside a surface (body lengths). `outward_direction`: the direction out of the surface that
-    it touched. `idle_time`: for how long (s) its feet have not moved although they should."""
+    `lift`: its shift relative to the feet (mm). `wait_share`: how far its feet slow down to wait for the body, from 0 to 1; -1
+    while it retreats. `penetration_depth`: how deep it is inside a surface (body lengths). `outward_direction`: the direction
+    out of the surface that it touched. `idle_time`: for how long (s) its feet have not moved although they should."""
 
     lift: VectorColumns
     wait_share: Array1[F32]
@@ -56,14 +56,15 @@ class BodyRegisters(NamedTuple):
 
 
 class BodyRows(NamedTuple):
-    """Rows of agents. `bend_levels`: how sharply the ground around each agent bends; see `MeshGround.mark_bend_levels`."""
+    """Rows of agents, with a bend level for each. `bend_levels`: how sharply the ground around the agent bends; see
+    `MeshGround.mark_bend_levels`."""
 
     rows: Array1[I64]
     bend_levels: Array1[U8]
 
 
 class BodyStances(NamedTuple):
-    """Stances of all bodies: positions (n, 3) mm, normals (n, 3) of the ground, and poses."""
+    """The stances of all bodies: positions (n, 3) mm, normals (n, 3) of the ground, and poses (up direction and heading)."""
 
     positions: Strided2[F64]
     normals: Array2[F32]
@@ -71,7 +72,7 @@ class BodyStances(NamedTuple):
 
 
 class FaceBuffers(NamedTuple):
-    """Work buffers for face numbers. There are `buffer_count` buffers, each for a chunk of `rows_per_chunk` rows."""
+    """Work buffers for face numbers. There are `buffer_count` buffers; each serves a chunk of `rows_per_chunk` rows."""
 
     face_numbers: Array1[I64]
     buffer_count: I64
@@ -91,10 +92,9 @@ class ContactFaces(NamedTuple):
 class FaceSearch(NamedTuple):
     """Tables for a search of the faces near a path.
 
-    `has_several_pieces`: whether a path may meet another mesh piece, or a face that cuts its own piece.
-    `clearances`: lower bounds of the distances to such faces. `piece_numbers`: the piece of each face. `cut_starts`: which
-    faces are cut.
-    `box_tree`: a tree of the faces' boxes. `buffers`: work memory."""
+    `has_several_pieces`: whether a path may meet a face of another mesh piece, or a face that cuts its own piece.
+    `clearances`: lower bounds of the distance to such faces. `piece_numbers`: the mesh piece of each face. `cut_starts`: which
+    faces are cut by others. `box_tree`: a tree of the faces' boxes. `buffers`: work memory."""
 
     has_several_pieces: BOOL
     clearances: ClearanceTables
@@ -106,6 +106,6 @@ class FaceSearch(NamedTuple):
 
 @inlined
 def compute_body_shape(limits: BodyLimits, i: I64, size: F64) -> BodyShape:
-    """Return the capsule of agent i, scaled to a body of `size` mm."""
+    """Return the capsule of the agent at row `i`, scaled to a body size of `size` mm."""
     k, shapes = limits.body_numbers[i], limits.unit_shapes
     return BodyShape(shapes[k, 0] * size, shapes[k, 1] * size, shapes[k, 2] * size, shapes[k, 3] * size)

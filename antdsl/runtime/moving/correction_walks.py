@@ -1,4 +1,4 @@
-"""Walks agents by the displacements that contacts request, over their ground and along obstacles.
+"""Moves agents by the displacements that contacts request, over their ground and along obstacles.
 
 No agent moves farther than it can walk in the step's duration."""
 
@@ -35,7 +35,7 @@ _FLOAT32_ZERO, _FLOAT32_ONE, _MIN_VECTOR_LENGTH, _MIN_MASS = np.float32(0), np.f
 
 
 class CorrectionWalker:
-    """The walks of a crowd's agents that contacts displace within one substep of `dt` s.
+    """Moves the agents of a crowd that contacts displace, within one substep of `dt` s.
 
     `began`: the positions (n, 3) mm at the start of the substep, by species."""
 
@@ -43,7 +43,8 @@ class CorrectionWalker:
         self._crowd, self._start_positions, self._dt = crowd, start_positions, dt
 
     def walk_corrections(self, rows: Rows, displacement: Floats) -> Floats:
-        """Walk the given ascending rows of the crowd by (3, k) mm. Return the displacements that they reach."""
+        """Move agents by `displacement` (3, k) mm over their ground. Return their actual displacements (3, k) mm. `rows`:
+        ascending rows of the crowd."""
         got: list[Floats] = []
         for population, own in self._crowd.split_rows(rows):
             first = sum(each.shape[1] for each in got)
@@ -51,9 +52,9 @@ class CorrectionWalker:
         return got[0] if len(got) == 1 else np.concatenate(got, axis=1)
 
     def _walk_species(self, population: Population, rows: Rows, displacement: Floats) -> Floats:
-        """Walk agents of one species by (3, k) mm over their ground, along obstacles. Return the displacements that they reach.
+        """Move agents of one species by `displacement` (3, k) mm over their ground and along obstacles.
 
-        Their velocity loses its component against the displacement."""
+        Return their actual displacements. Their velocity loses its component against the displacement."""
         if not len(rows):
             return np.empty_like(displacement)
         world, threads = self._crowd.world, self._crowd.world.options.threads
@@ -73,9 +74,9 @@ class CorrectionWalker:
     def _prepare_walk(
         self, population: Population, rows: Rows, displacement: Floats
     ) -> tuple[VectorArrays, VectorComponents, Floats, Floats, Floats]:
-        """Return the inputs of a walk by `displacement` (3, k) mm for the given rows.
+        """Return the inputs of a walk by `displacement` (3, k) mm.
 
-        They are the steps (float32), the ground normals (float32), the same normals and the headings (float64 (k, 3)), and the
+        These are the steps and the ground normals (float32), the same normals and the headings (both float64 (k, 3)), and the
         sizes (mm)."""
         now = population.now
         step, feet = np.empty((2, 3, len(rows)), np.float32)
@@ -95,7 +96,7 @@ class CorrectionWalker:
         return (step[0], step[1], step[2]), feet, up.T, heading.T, size
 
     def _move_back_in_range(self, population: Population, rows: Rows, move: GroundMove, size: Floats) -> Rows | None:
-        """Move agents back towards their start if curved ground took them too far.
+        """Move agents back towards their start position if they went too far, as may happen on curved ground.
 
         Return the ascending indices of the rows that are within range afterwards, or None for all rows."""
         for _ in range(_MAX_BACKTRACKS):
@@ -114,9 +115,9 @@ class CorrectionWalker:
         return None if far is None else np.flatnonzero(far <= most * _DISTANCE_SLACK_FACTOR)
 
     def _measure_distance_limits(self, population: Population, rows: Rows, move: GroundMove) -> tuple[Floats | None, Floats]:
-        """Return the distances (mm) of agents from their start, and the largest allowed distances.
+        """Return the distances (mm) of agents from their start positions, and the largest allowed distances.
 
-        The first result is None if no agent is farther than allowed."""
+        The first result is None if no agent is farther away than allowed."""
         began, max_speed = self._start_positions[population.name], population.now["max_speed"]
         far, most = np.empty((2, len(rows)))
         is_too_far = _has_row_out_of_range(rows, move.position, began, population.position, max_speed, self._dt, far, most)
@@ -125,8 +126,8 @@ class CorrectionWalker:
     def _apply_move(self, population: Population, rows: Rows, move: GroundMove) -> Floats:
         """Write the new positions and footings of agents; return their displacements (3, k) mm.
 
-        Bodies retain their up, because leaning bodies would overlap others again. The next step aligns them with their feet.
-        The arrays were created by the walk of this substep, so they are not shared."""
+        Bodies retain their up direction, because otherwise leaning bodies might overlap others again. The next step aligns
+        them with their feet. The arrays are changed in place: the walk of this substep created them, so they are not shared."""
         at, velocity = (vec.get_vector_registers(population.now, name) for name in ("position", "velocity"))
         got = np.empty((3, len(rows)))
         _store_arrivals(rows, move.position, move.up, self._dt, at, velocity, population.position, population.normal, got)
@@ -136,7 +137,7 @@ class CorrectionWalker:
 
 @inlined
 def _read_column_vector(table: Strided2[F64], column: I64) -> Vec3:
-    """Return row i of vectors (n, 3)."""
+    """Return row `column` of vectors (n, 3)."""
     return table[column, 0], table[column, 1], table[column, 2]
 
 
@@ -146,11 +147,10 @@ def _to_float32(v: Vec3) -> Vec3F32:
 
 
 class SpeciesStances(NamedTuple):
-    """Positions and abilities of the agents of a species.
+    """Positions and limits of the agents of a species.
 
-    `start_position`, `current_position` (n, 3) mm: positions at the start of the substep, and current positions. `normal` (n,
-    3): ground normals.
-    `max_speed` (mm/s), `mass` (n): the speed limit and the mass of each agent."""
+    `start_position` (n, 3) mm: positions at the start of the substep. `current_position` (n, 3) mm: current positions.
+    `normal` (n, 3): ground normals. `max_speed` (mm/s), `mass` (n): the speed limit and the mass of each agent."""
 
     start_position: Strided2[F64]
     current_position: Strided2[F64]
@@ -171,9 +171,9 @@ def write_stances(
     max_distance: Array1[F64],
     mass: Array1[F64],
 ) -> None:
-    """Write the stances of rows after a substep of `dt` s, from index `first_index` on.
+    """Write the data of agents after a substep of `dt` s to the outputs, from index `first_index` on.
 
-    The outputs are as in `contact_solver._ContactAgents`; `travel` (3, k) is the displacement (mm)."""
+    The outputs are fields of `contact_solver._ContactAgents`, and `travel` (3, k), the displacements (mm)."""
     began, place, feet, max_speed, weight = species
     for n in simd_range(0, rows.size):
         row, k = rows[n], first_index + n
@@ -187,9 +187,8 @@ def write_stances(
 
 @kernel
 def write_approach(rows: Array1[I64], first_index: I64, velocity: VectorColumns, dt: F32, approach: Array2[F64]) -> None:
-    """Write the previous displacement (mm) of the given rows of a species, from index `first_index` on. It is their velocity
-    times
-    `dt`."""
+    """Write the previous displacements (mm) of agents of a species, which are their velocities times `dt`, to `approach`. The
+    first one is written at index `first_index`."""
     for n in simd_range(0, rows.size):
         for axis in range(3):
             approach[axis, first_index + n] = velocity[axis][rows[n]] * dt
@@ -208,9 +207,9 @@ def _prepare_walk(
     heading: Array2[F64],
     size: Array1[F64],
 ) -> None:
-    """Write the inputs of a walk by (3, k) mm for the given rows of a species.
+    """Write the inputs of a walk by `displacement` (3, k) mm for agents of a species.
 
-    These are: step and ground normal, float32; the same normal, headings and sizes (mm), float64."""
+    These are the step and the ground normal as float32, and the same normal, the heading and the size (mm) as float64."""
     for k in simd_range(0, rows.size):
         row = rows[k]
         size[k] = body_lengths[row]
@@ -231,11 +230,9 @@ def _has_row_out_of_range(
     distances: Array1[F64],
     max_distances: Array1[F64],
 ) -> BOOL:
-    """Return whether any of the given rows would end at `end_positions` (k, 3) farther from its start than allowed, or at an
-    unknown distance.
-
-    `start_positions` (n, 3): start positions. Writes the distances from the start (mm) to `distances`, and the allowed distances
-    to `max_distances`."""
+    """Return whether any agent at `end_positions` (k, 3) would be farther from its start position than allowed, or at an
+    unknown distance. `start_positions` (n, 3): positions at the start of the substep. Writes the distances (mm) to
+    `distances`, and the allowed distances to `max_distances`."""
     is_too_far = False
     for k in range(rows.size):
         row = rows[k]
@@ -262,9 +259,8 @@ def _store_arrivals(
     ground_normal: Strided2[F32],
     reached_moves: Array2[F64],
 ) -> None:
-    """Write the values of agents at the end of their corrections, except footings.
-
-    `end_positions`, `arrival_ups` (k, 3): positions and ups. `reached_moves` (3, k) mm: the displacements."""
+    """Write positions, normals and velocities of agents after their corrections, and their displacements. `end_positions`,
+    `arrival_ups` (k, 3): new positions and up directions. `reached_moves` (3, k) mm: receives the displacements."""
     for k in simd_range(0, rows.size):
         row = rows[k]
         end, up = _read_column_vector(end_positions, k), _to_float32(_read_column_vector(arrival_ups, k))
@@ -288,7 +284,7 @@ def _store_arrivals(
 
 
 def select_corrected_rows(corrections: Floats) -> tuple[Rows, Floats]:
-    """Return the rows with a nonzero displacement in `correction_walks` (3, k) mm, and these displacements."""
+    """Return the rows with a nonzero displacement in `corrections` (3, k) mm, and these displacements."""
     moved_rows, requested_moves = np.empty(corrections.shape[1], np.intp), np.empty_like(corrections)
     count = _select_moves(corrections, moved_rows, requested_moves)
     return moved_rows[:count], requested_moves[:, :count]
@@ -297,17 +293,18 @@ def select_corrected_rows(corrections: Floats) -> tuple[Rows, Floats]:
 def find_unresolved_rows(
     nearby_pairs: NearbyCapsulePairs, moved_rows: Rows, requested_moves: Floats, reached_moves: Floats, is_held: Flags
 ) -> Flags:
-    """Return which rows (k) must be measured again, because they moved or could not move. Update their capsules.
+    """Return which rows (k) must be measured again, because they moved or could not move.
 
-    `moved_rows`: the rows to move. `requested_moves`, `reached_moves` (3, ..) mm: their requested and actual displacements.
-    `is_held` (k): set for rows that advanced too little; flags that are already set stay."""
+    Also update their capsules. `moved_rows`: the rows that had to move. `requested_moves`, `reached_moves` (3, ..) mm: their
+    requested and actual displacements. `is_held` (k): set for rows that moved too little; flags that are set already stay set."""
     touched = np.zeros(len(is_held), np.bool_)
     _mark_unresolved_rows(moved_rows, requested_moves, reached_moves, nearby_pairs.radius, nearby_pairs.middle, is_held, touched)
     return touched
 
 
 def find_overlapping_pairs(nearby_pairs: NearbyCapsulePairs, is_touched: Flags) -> Flags | None:
-    """Return which pairs (m) have a row with `is_touched` (k); None if no such pair overlaps enough for another pass."""
+    """Return which pairs (m) have a row that is flagged in `is_touched` (k); None if none of these pairs overlaps enough for
+    another pass."""
     which = np.empty(len(nearby_pairs.first_indices), np.bool_)
     return (
         which
@@ -355,9 +352,9 @@ def _mark_unresolved_rows(
 def _mark_overlapping_pairs(
     i: Array1[I64], j: Array1[I64], gap: Array1[F64], radius: Array1[F64], is_touched: Array1[BOOL], is_overlapping: Array1[BOOL]
 ) -> BOOL:
-    """Write to `is_overlapping` which pairs have a row with `is_touched`.
+    """Flag the pairs that have a row in `is_touched` in `is_overlapping`.
 
-    Returns whether any of them overlaps enough for another pass."""
+    Return whether any of these pairs overlaps enough for another pass."""
     for pair in simd_range(0, i.size):
         is_overlapping[pair] = is_touched[i[pair]] | is_touched[j[pair]]
     has_overlap = False

@@ -1,8 +1,7 @@
-"""Bodies that crouch below low ceilings. They lower themselves before a ceiling. A ceiling that is too low acts as a wall.
-
-The registers exist for species with `crouch`. Rays up from points around each agent measure the free height. An agent lowers
-itself to the least of these heights, no faster than a body moves, and stands up after the ceiling. A step below a ceiling for
-which it is still too tall is taken back. Each agent is computed from its own values."""
+"""Lowers bodies that crouch below low ceilings. They are lowered before they reach a ceiling, and a ceiling that is too low
+acts as a wall. The registers exist only for species with `crouch`. Rays up from points around each agent measure the free
+height. An agent lowers itself to the least of these heights, at a limited speed, and stands up after the ceiling. A step below
+a ceiling for which it is still too tall is undone. Each agent is computed from its own values."""
 
 from __future__ import annotations
 
@@ -42,13 +41,13 @@ def has_crouch(population: Population) -> bool:
 
 
 def compute_body_heights(population: Population, rows: Rows | slice = slice(None)) -> Floats:
-    """Return the heights (mm) of standing bodies; the `size` of species without a height."""
+    """Return the heights (mm) of standing bodies, or their `size` if the species has no height."""
     height = population.now["height" if "height" in population.plan.settings else "size"][rows].astype(np.float64)
     return np.where(np.isfinite(height) & (height > 0), height, 0.0)
 
 
 def compute_lowering(population: Population, rows: Rows | slice = slice(None)) -> NDArray[np.float32]:
-    """Return by how much (mm) bodies are lower than when they stand; 0 for a species that does not crouch."""
+    """Return by how much (mm) crouching has lowered each body; 0 for a species that does not crouch."""
     heights = compute_body_heights(population, rows).astype(np.float32)
     lowering: NDArray[np.float32] = population.now[LOWERING_REGISTER][rows] if has_crouch(population) else np.zeros_like(heights)
     return lowering * heights
@@ -57,8 +56,8 @@ def compute_lowering(population: Population, rows: Rows | slice = slice(None)) -
 def crouch_below_ceilings(
     world: World, population: Population, start: StepStartStance, steps: Floats, dt: float
 ) -> tuple[Rows, Floats, GroundMove] | None:
-    """Lower and raise bodies after a walk. Return the rows with undone steps, the steps (k, 3) mm that replace these, and
-    their ends. None if no step is undone. `steps` (n, 3): the steps of the walk (mm)."""
+    """Lower and raise bodies after a walk. Return the rows with undone steps, the steps (k, 3) mm that replace them, and the
+    ends of these steps. Return None if no step is undone. `steps` (n, 3): the steps of the walk (mm)."""
     every = np.arange(len(population))
     free = _measure_free_heights(world, population, every, population.position, steps, dt)
     least, lowering = _find_least_shares(population, every), population.now[LOWERING_REGISTER]
@@ -87,10 +86,10 @@ def _find_least_shares(population: Population, rows: Rows) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _HeadroomMeasurements:
-    """The free heights at k agents, as shares of the height that a standing body needs.
-
-    `walking_direction` (k, 3): the directions in which they go. `share_above`, `least_share_around`, `share_ahead` (k): the
-    free height at their position; the least of those at, before, next to and behind it; and where they will be soon."""
+    """The free heights at k agents, as fractions of the height that a standing body needs. `walking_direction` (k, 3): the
+    directions of their walks. `share_above` (k): the free height at the position of each agent. `least_share_around` (k): the
+    least free height at this position and before, behind and next to it. `share_ahead` (k): the free height where the agent
+    will be soon."""
 
     walking_direction: Floats
     share_above: Floats
@@ -101,9 +100,8 @@ class _HeadroomMeasurements:
 def _measure_free_heights(
     world: World, population: Population, rows: Rows, position: Floats, steps: Floats, dt: float
 ) -> _HeadroomMeasurements:
-    """Return the free heights at agents. `position`, `steps` (k, 3): of the agents in `rows` (mm).
-
-    A face between the body and the point before it leaves no room there."""
+    """Return the free heights at the agents in `rows`. `position`, `steps` (k, 3): their positions and steps (mm). If a face
+    is between the body and the point before it, the free height at this point is 0."""
     up, height = np.asarray(world.up, np.float64), compute_body_heights(population, rows)
     level = steps - dot(steps, up)[:, None] * up
     far = np.sqrt(dot(level, level))
@@ -119,7 +117,8 @@ def _measure_free_heights(
     middle = position + low[:, None] * up
 
     def measure_at(reach: Floats, hidden_share: float) -> Floats:
-        """Return the free heights at points `reach` (k, 3) mm away. `hidden_share`: the result where a face hides that point."""
+        """Return the free heights at points with the offsets `reach` (k, 3) mm. `hidden_share`: the result where a face hides
+        the point."""
         reach = reach - (dot(reach, normal) / rise)[:, None] * up  # along the ground
         part = _cast_rays(world, middle + reach, up * (needed - low)[:, None])
         free = np.nan_to_num((low + (needed - low) * part) / np.maximum(needed, 1e-12), nan=1.0)
@@ -135,12 +134,13 @@ def _measure_free_heights(
 
 
 def _compute_side_directions(ahead: Floats, up: Floats) -> Floats:
-    """Return the directions (k, 3) to the side of level directions `ahead` (k, 3)."""
+    """Return the horizontal directions (k, 3) at right angles to the horizontal directions `ahead` (k, 3)."""
     return np.stack(vec.cross(tuple(np.broadcast_to(up, ahead.shape).T), tuple(ahead.T)), axis=1)
 
 
 def _cast_rays(world: World, origin: Floats, displacement: Floats) -> Floats:
-    """Return the shares of rays from `origin` by `displacement` (k, 3) mm before their first hit; 1 without a hit."""
+    """Cast rays from `origin` along `displacement` (k, 3) mm. Return the fraction of each ray before its first hit; 1 without
+    a hit."""
     part, threads = np.ones(len(origin)), world.options.threads
     length = np.sqrt(dot(displacement, displacement))
     for obstacle in world.obstacles.values():
@@ -165,10 +165,10 @@ def _walk_along_low_ceilings(
     is_wall: NDArray[np.bool_],
     dt: float,
 ) -> tuple[Floats, GroundMove]:
-    """Return other steps (k, 3) mm of the agents in `rows`, and their ends.
+    """Return the steps (k, 3) mm that replace undone steps of the agents in `rows`, and the ends of these steps.
 
-    Before a wall (`is_wall`) an agent walks along it, to the side with more room. All other agents, and those without space at
-    the side, stay and wait until their body is low enough."""
+    Before a wall (`is_wall`), an agent walks along the wall, to the side with more space. All other agents, and agents without
+    space at the side, wait until their body is low enough."""
     up, result = np.asarray(world.up, np.float64), np.zeros_like(steps)
     moved = move_along_ground(world, population, start, rows, result)
     side = _compute_side_directions(ahead, up)

@@ -1,9 +1,7 @@
-"""A substep of a crowd, from pushes to positions: acceleration, limits of speed and turn, obstacles, walk, headings and bodies.
-
-a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as in the source). An agent with a response
-of at most one step changes its velocity at once and faces its direction of motion. The headings of other agents follow within 0.1
-s. An agent with a direction to face turns to that direction instead, and walks backward and sideways along its velocity.
-
+"""Runs a substep of a crowd, from pushes to positions: acceleration, limits of speed and turn, obstacles, walk, headings and
+bodies. a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as there). An agent with a
+`response` of at most one step changes its velocity at once, and faces its direction of motion. The headings of other agents
+follow within 0.1 s. An agent with a direction to face turns to that direction instead, so it may walk backward or sideways.
 The first loop over all agents computes everything that does not depend on obstacles or walls. The second loop walks all agents
 that stay on their own surface, and updates them after the walk (`substep_kernels`). Separate loops process the few agents that
 may touch an obstacle, search for walls, lean or have a wall ahead."""
@@ -75,7 +73,7 @@ _ARRIVALS_PER_THREAD = 64  # fewer agents with separate arrival are not worth an
 def move_agents(world: World, population: Population, substep_index: int) -> BodyClearanceStep | None:
     """Move all agents of a species by one substep. This changes position, velocity, heading, up and footing.
 
-    If bodies stay outside their ground, return their step, because contacts must correct it."""
+    If bodies stay outside their ground, return their clearance step, which is used again after contacts; else None."""
     if not len(population):
         return None
     dt = _F(world.dt / world.setting.substeps)
@@ -122,7 +120,8 @@ def move_agents(world: World, population: Population, substep_index: int) -> Bod
 
 
 def _move_bodies_outside_ground(world: World, population: Population, dt: np.float32, substep: int) -> BodyClearanceStep | None:
-    """Move agents with bodies that stay outside their ground. Return None if the ground does not consist of triangles."""
+    """Move agents with bodies that stay outside their ground. Return their clearance step, or None if the ground does not
+    consist of triangles."""
     crowd = _CrowdSubstep.build(world, population, dt, False)
     crowd.prepare_steps(substep)
     crowd.deflect_at_obstacles()
@@ -144,11 +143,10 @@ def _move_bodies_outside_ground(world: World, population: Population, dt: np.flo
 
 @dataclass(slots=True)
 class _CrowdSubstep:
-    """One substep of a crowd, which lasts `dt` of the `frame_time` seconds of a frame.
-
-    `registers`: position, velocity, heading and up. The other arrays are results of the kernels in `substep_kernels`.
-    `must_align_all`: whether the bodies of all agents must be aligned with their feet after the walk.
-    `previous_axes`: buffers for the previous up and heading of agents with bodies that must be aligned."""
+    """One substep of a crowd. It lasts `dt` seconds; a frame lasts `frame_time` seconds. `registers`: position, velocity,
+    heading and up. The other arrays receive results of the kernels in `substep_kernels`. `must_align_all`: whether the bodies
+    of all agents must be aligned with their feet after the walk. `previous_axes`: buffers for the previous up and heading of
+    bodies that must be aligned."""
 
     world: World
     population: Population
@@ -169,7 +167,7 @@ class _CrowdSubstep:
 
     @staticmethod
     def build(world: World, population: Population, dt: np.float32, align_all: bool) -> _CrowdSubstep:
-        """Return the state of a substep before the first stage."""
+        """Return a new substep, before its first stage."""
         now, n = population.now, len(population)
         buffer = population.get_buffers("on the way", 17, (n,), np.float32)
         (reach,), (state,) = (
@@ -186,7 +184,7 @@ class _CrowdSubstep:
         return self.world.options.threads
 
     def prepare_steps(self, substep: int) -> None:
-        """Compute the intended motion of all agents, before obstacles are considered."""
+        """Compute the intended motion of all agents, without regard to obstacles."""
         p, now, frame_time = self.population, self.population.now, self.frame_time
         drive = MotionInputs(vec.get_vector_registers(now, "push"), *self.registers[1:], p.normal)
         abilities = MotionLimits(now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
@@ -229,8 +227,8 @@ class _CrowdSubstep:
             self.step = step
 
     def tilt_bodies_after_walk(self, previous_positions: NDArray[np.float64], walls: WallsAhead, posture: Posture) -> None:
-        """Turn bodies that are not aligned with their feet towards the feet. `previous_positions` (n, 3): positions before the
-        walk (mm)."""
+        """Turn bodies that are not aligned with their feet towards the pose of the feet. `previous_positions` (n, 3):
+        positions before the walk (mm)."""
         p, n = self.population, len(self.population)
         previous, limits = (
             PreviousBodyPose(*self.previous_axes, previous_positions),
@@ -242,7 +240,8 @@ class _CrowdSubstep:
         parallel.run_in_parts(work, n, self.threads)
 
     def walk_agents(self, ground: Ground) -> ArrivalArrays:
-        """Walk all agents over a ground to their new positions, and update their registers. Return the arrays for this."""
+        """Walk all agents over a ground to their new positions, and update their registers. Return the arrays that later
+        stages use to update them again."""
         now = self.population.now
         limits = SpeedAndTurnLimits(now["max_speed"], now["max_turn"], now["response"])
         times = TurnTimes(self.frame_time * MAX_INSTANT_RESPONSE_STEPS, self.dt, compute_heading_turn_share(self.dt))
@@ -306,7 +305,7 @@ class _CrowdSubstep:
         p.footing, p.position, p.normal = Footing.from_plane(place), place, arrival.normals
 
     def _walk_meshes(self, ground: MeshGround, arrival: ArrivalArrays) -> bool:
-        """Walk all agents over the triangles of the ground. Return False if the ground does not consist of triangles."""
+        """Walk all agents over the triangles of the ground. Return whether the ground consists of triangles."""
         p, n = self.population, len(self.population)
         walk = ground.build_crowd_walk(self.max_step_length, self.max_size)
         if walk is None:
@@ -338,9 +337,9 @@ class _CrowdSubstep:
         place: NDArray[np.float64],
         statuses: NDArray[np.uint8],
     ) -> None:
-        """Move the agents that `walk_triangles` left out, then update their registers.
+        """Move the agents that `walk_triangles` left out, and update their registers.
 
-        These agents leave the faces of their surface, have no footing, or have NaN values."""
+        These agents walk off the faces of their surface, have no footing, or have NaN values."""
         p, n = self.population, len(self.population)
         above, ahead, direction = p.get_buffers("walked", 3, (3, n), np.float64)
         (distance,), (blocked,) = p.get_buffers("gone", 1, (n,), np.float64), p.get_buffers("blocked", 1, (n,), np.bool_)
@@ -364,7 +363,7 @@ class _CrowdSubstep:
         p.footing, p.position, p.normal = moved.footing, moved.position, arrival.normals
 
     def _move_rows_over_ground(self, ground: Ground, rows: NDArray[np.intp] | slice) -> GroundMove:
-        """Return where the ground moves the given agents."""
+        """Return the result of walking the agents at `rows` over the ground."""
         p = self.population
         stands = self.state[rows] == STANDING_BODY_STATE
         heading = vec.select_vectors(stands, vec.take_rows(self.registers[2], rows), vec.take_rows(self.level_headings, rows))
@@ -380,9 +379,9 @@ class _CrowdSubstep:
 def raise_to_min_speed(
     world: World, population: Population, step: VectorArrays, up: VectorComponents, dt: np.float32
 ) -> VectorArrays:
-    """Return the steps (mm) after deflection by obstacles, lengthened for agents with a minimum speed.
+    """Return the steps (mm), lengthened for agents that obstacles made slower than their minimum speed.
 
-    Their steps get the minimum length in the same direction, if that path is free."""
+    These steps get the minimum length in the same direction, if the path is free."""
     now = population.now
     if MIN_SPEED_REGISTER not in now or not world.plan.obstacles:
         return step

@@ -1,6 +1,6 @@
-"""Limit the speed of falls: no agent moves farther in a step than `max_speed` allows.
+"""Limits the speed of falls: no agent moves farther in a step than `max_speed` allows.
 
-An agent that lost its ground to digging stays in the air during its fall."""
+An agent that loses its ground because of digging is in the air while it falls."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _FALL_BODY_LENGTHS_PER_SECOND = 7.5  # falling speed of agents with a max_speed 
 
 
 def limit_fall_speed(world: World, population: Population, move: GroundMove, dt: np.float32) -> GroundMove:
-    """Limit the result of a walk. An agent that would exceed `max_speed` moves only that far, on the straight line to its target.
-
-    It is then in the air of the solid that it falls from or falls to. Its next step continues from that position."""
+    """Return the result of a walk, limited to `max_speed`. An agent that would move faster moves only as far as allowed, on
+    the straight line to its target. It is then in the air of the solid that it falls from or falls to. Its next step continues
+    from this position."""
     now, first = population.now, len(world.ground.names) - len(world.solids)
     speed = np.where(now["max_speed"] > 0, now["max_speed"], now["size"] * np.float32(_FALL_BODY_LENGTHS_PER_SECOND)).astype(
         np.float64
@@ -43,7 +43,7 @@ def limit_fall_speed(world: World, population: Population, move: GroundMove, dt:
 
 
 def find_airborne(world: World, population: Population, rows: Rows) -> Rows:
-    """Return which of the given agents fall through the air of a solid, as ascending indices into `rows`."""
+    """Return which of the agents at `rows` are falling through the air of a solid, as ascending indices into `rows`."""
     first = len(world.ground.names) - len(world.solids)
     mesh = population.footing.mesh[rows]
     is_airborne = np.zeros(len(rows), np.bool_)
@@ -57,8 +57,8 @@ def find_airborne(world: World, population: Population, rows: Rows) -> Rows:
 
 
 def move_airborne(world: World, population: Population, rows: Rows, displacement: Floats) -> GroundMove:
-    """Return the positions to which pushes (k, 3) mm move agents in the air of a solid. They move in a straight line, but not
-    into a solid."""
+    """Return where agents in the air of a solid are after they are displaced by (k, 3) mm. They move in a straight line, but
+    not into a solid."""
     place = population.position[rows] + displacement
     for volume in world.solids.values():
         inside = volume.sample_distances(place) < 0

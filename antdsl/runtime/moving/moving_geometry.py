@@ -1,6 +1,6 @@
 """Moves the moving things of a world to a frame, together with the agents that they carry or push.
 
-All results are functions of the frame and of the agents' positions."""
+All results depend only on the frame and on the agents' positions."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _F = np.float32
 
 
 def move_geometry(world: World) -> None:
-    """Move all moving things to the next frame. Agents move with their ground. Then they move out of obstacles that have
-    reached them. In a periodic world, agents that have left its box are moved into it first."""
+    """Move all moving things to the next frame. Agents move with their ground, and then out of obstacles that have reached
+    them. In a periodic world, agents that have left the box are first moved back into it."""
     wrap_world(world)
     if not world.setting.motion:
         return
@@ -65,13 +65,14 @@ def pose_geometry(world: World, frame: int) -> None:
 
 
 def get_moving_ground(world: World) -> MovingGround | None:
-    """Return the mesh ground if some of its meshes move, else None."""
+    """Return the ground if it consists of meshes and some of them move, else None."""
     meshes = world.ground.meshes
     return meshes if isinstance(meshes, MovingGround) else None
 
 
 def set_ground_pose(world: World, frame: int) -> None:
-    """Move only the ground to a frame, without ray scenes. This is for callers that read a world and cast no rays."""
+    """Move only the ground to a frame, without updating the scenes for raycasts. For callers that read a world but cast no
+    rays."""
     ground = get_moving_ground(world)
     if ground is not None:
         moved = [name for name in world.setting.motion.meshes if name in world.setting.surfaces]
@@ -79,7 +80,7 @@ def set_ground_pose(world: World, frame: int) -> None:
 
 
 def compute_vertices(world: World, name: str, frame: int) -> NDArray[np.float64]:
-    """Return the vertices of a mesh at a frame of the scene, in the world's coordinates."""
+    """Return the vertices of the mesh `name` at a frame of the scene, in the world's coordinates."""
     moves, setting = world.setting.motion, world.setting
     mesh = setting.surfaces[name] if name in setting.surfaces else setting.obstacles[name]
     if name not in moves.meshes:
@@ -88,7 +89,7 @@ def compute_vertices(world: World, name: str, frame: int) -> NDArray[np.float64]
 
 
 def make_sampled_curve(points: NDArray[np.float64]) -> SampledCurve:
-    """Return a curve through `points`, prepared for queries."""
+    """Return a curve through `points`, sampled for nearest-point queries."""
     return SampledCurve(points, _CURVE_SPACING_MM)
 
 
@@ -117,7 +118,8 @@ def compute_agent_rest_positions(world: World, population: Population) -> NDArra
 
 
 def compute_rest_positions(world: World, footing: Footing, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return rest positions as `compute_agent_rest_positions` does, for footings at positions `place` (n, 3) mm."""
+    """Return the rest positions (n, 3) mm of ground points. `footing`, `place` (n, 3) mm: footings, and their current
+    positions."""
     ground = get_moving_ground(world)
     if ground is None:
         return place
@@ -128,7 +130,8 @@ def compute_rest_positions(world: World, footing: Footing, place: NDArray[np.flo
 
 
 def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, vectors: VectorArrays) -> VectorArrays:
-    """Rotate vectors from the ground's rest pose to its current pose at each agent: three float32 arrays in, three out."""
+    """Rotate vectors near agents from the rest pose of the ground to its current pose. `vectors` and result: three float32
+    arrays."""
     ground = get_moving_ground(world)
     if ground is None:
         return vectors
@@ -148,9 +151,8 @@ def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp
 
 
 def move_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, positions: VectorArrays) -> VectorArrays:
-    """Return the current positions of points near agents, given at the ground's rest pose (three float32 arrays, mm).
-
-    All ground near an agent is assumed to have moved with the agent's own face."""
+    """Return the current positions of points near agents that are given for the rest pose of the ground. `positions` and
+    result: three float32 arrays, mm. All ground near an agent is assumed to have moved with the agent's own face."""
     ground = get_moving_ground(world)
     if ground is None:
         return positions
@@ -209,7 +211,7 @@ def _carry_agents_with_ground(
 
 
 def _rotate_vectors(previous_axes: FaceAxes, next_axes: FaceAxes, v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return vectors (3, n) with the same components along the next axes as they had along the previous axes."""
+    """Return vectors (3, n) that have the same components along `next_axes` as `v` has along `previous_axes`."""
     parts = [(a[0] * v[0] + a[1] * v[1]) + a[2] * v[2] for a in previous_axes]
     turned: NDArray[np.float64] = (parts[0] * next_axes[0] + parts[1] * next_axes[1]) + parts[2] * next_axes[2]
     return turned
@@ -220,7 +222,7 @@ def _read_vectors(population: Population, name: str, rows: NDArray[np.intp]) -> 
 
 
 def _push_agents_out_of_obstacle(world: World, population: Population, name: str) -> None:
-    """Walk agents out of an obstacle that has reached them, away from its nearest face, until their margin is free."""
+    """Move agents out of an obstacle that has reached them. They walk away from its nearest face until they keep their margin."""
     scene, now = get_obstacle_scene(world, name), population.now
     place = vec.get_vector_registers(now, "position")
     margin = np.maximum(now["radius"], _F(0)) * _OBSTACLE_MARGIN_SHARE
@@ -255,7 +257,7 @@ def _push_agents_out_of_obstacle(world: World, population: Population, name: str
 
 
 def _apply_move(population: Population, rows: NDArray[np.intp], move: GroundMove) -> None:
-    """Place the given agents at the results of a push, and project their velocity onto the ground at the new positions."""
+    """Move the agents at `rows` to the positions of `move`, and project their velocity onto the ground there."""
     footing = population.footing.copy()  # a copy: a snapshot may share the previous footing
     footing.write_rows(rows, move.footing)
     population.footing = footing

@@ -34,7 +34,7 @@ _RAY_SLACK_FACTOR, _STEP_SLACK_FACTOR = 1 + 1e-6, _F(1) + _F(1e-6)  # larger tha
 
 
 def slide_steps(world: World, population: Population, step: VectorArrays, up: VectorComponents, radius: Floats) -> VectorArrays:
-    """Return the step (mm) of every agent, deflected along the obstacles ahead. `up` is the normal of the ground."""
+    """Return the steps (mm) of all agents, deflected along obstacles ahead. `up`: the normals of the ground."""
     names = _list_obstacle_names(world)
     if names:
         place, began = (
@@ -49,7 +49,7 @@ def slide_steps(world: World, population: Population, step: VectorArrays, up: Ve
 
 
 def slide_rows(world: World, population: Population, rows: Rows, step: VectorArrays, up: VectorComponents) -> VectorArrays:
-    """Return deflected steps, like `slide_steps`, for agents that have already moved in this step."""
+    """Return the steps of the agents at `rows`, deflected as by `slide_steps`. These agents have already moved in this step."""
     names = _list_obstacle_names(world)
     if names:
         place, radius, drift = _measure_distances_from_start(population, rows)
@@ -60,7 +60,7 @@ def slide_rows(world: World, population: Population, rows: Rows, step: VectorArr
 
 
 def _measure_distances_from_start(population: Population, rows: Rows) -> tuple[VectorArrays, Floats, Floats]:
-    """Return the positions (mm) of some agents, their radii (mm), and upper bounds of their distances from the step's start."""
+    """Return positions, radii, and upper bounds of the distances from the step's start, of the agents at `rows`, all in mm."""
     positions, start = (vec.get_vector_registers(registers, "position") for registers in (population.now, population.start))
     place, radius, drift = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
     measure_distance_from_start(rows, positions, start, population.now["radius"], place, radius, drift)
@@ -73,14 +73,14 @@ def _list_obstacle_names(world: World) -> list[str]:
 
 
 def get_obstacle_scene(world: World, name: str) -> RayScene:
-    """Return the mesh of an obstacle that agents cannot enter; solids are not among these obstacles."""
+    """Return the mesh of an obstacle that agents cannot enter, which is not a solid."""
     scene = world.obstacles[name]
     assert isinstance(scene, RayScene)
     return scene
 
 
 def _are_agents_at_step_start(population: Population, threads: int) -> bool:
-    """Return whether all agents are still where the step began; this is false after a first substep."""
+    """Return whether all agents are still at their positions at the start of the step, as in the first substep."""
     now, start = vec.get_vector_registers(population.now, "position"), vec.get_vector_registers(population.start, "position")
     work, least = partial(are_vectors_equal, now, start), parallel.MIN_LIGHT_ITEMS_PER_THREAD
     return all(parallel.run_in_parts(work, len(population), threads, least))
@@ -90,8 +90,8 @@ def _slide_along_obstacle(
     scene: RayScene, place: VectorArrays, step: VectorArrays, up: VectorComponents, radius: Floats,
     clearance: Floats, threads: int,
 ) -> VectorArrays:  # fmt: skip
-    """Return the steps (mm) of agents at `place`, deflected along one obstacle. `clearance`: a lower bound (mm) of their distance
-    from it."""
+    """Return the steps (mm) of agents at `place`, deflected along one obstacle. `clearance`: lower bounds (mm) of the
+    distances from it."""
     n, tables = len(radius), scene.get_tables()
     if tables is not None:
         (rows, hit_rows), columns, faces = np.empty((2, n), np.int64), np.empty((10, n), np.float32), np.empty((4, n), np.float32)
@@ -127,7 +127,7 @@ def _deflect_at_hits(
     scene: RayScene, step: VectorArrays, rows: NDArray[np.int64], step_columns: Floats, hit_rows: NDArray[np.int64],
     hits: Floats, chunk_counts: list[tuple[int, int, int, int]], threads: int,
 ) -> VectorArrays:  # fmt: skip
-    """Return the steps with the results of `deflect_steps`. Steps that still hit a face are deflected along that face."""
+    """Return `step` with `rows` replaced from `step_columns`. Steps that still hit a face are deflected along this face."""
     rows, step_columns = parallel.join_parts(chunk_counts, rows, step_columns)
     if not len(rows):
         return step
@@ -145,7 +145,7 @@ def _deflect_at_hits(
 
 
 def _replace_rows(step: VectorArrays, rows: NDArray[np.int64], new_steps: Floats) -> VectorArrays:
-    """Return the steps, with those of the given rows replaced by `new_steps` (3, k)."""
+    """Return a copy of the steps in which those of `rows` are replaced by `new_steps` (3, k)."""
     to = np.empty((3, len(step[0])), np.float32)
     write_replaced_steps(step, rows, new_steps, to)
     return to[0], to[1], to[2]
@@ -156,7 +156,7 @@ def _deflect_at_face(
     hit_rows: Rows,
     free_length: Floats, normal: VectorArrays, threads: int,
 ) -> None:  # fmt: skip
-    """Deflect, in place, the steps of agents `hit_rows` along a face with this normal, which they hit after `free_length` mm."""
+    """Deflect the steps of the agents `hit_rows` in place along a face with this `normal`, which is `free_length` mm ahead."""
     u, intended_steps = vec.take_rows(up, hit_rows), vec.take_rows(step, hit_rows)
     size = vec.length(intended_steps)
     wall = vec.normalise_or_fallback(vec.project_to_plane(normal, u), normal)
@@ -178,7 +178,7 @@ def _deflect_at_face(
 def _find_hits(
     scene: RayScene, place: VectorArrays, step: VectorArrays, margin: Floats, threads: int
 ) -> tuple[Rows, Floats, VectorArrays]:
-    """Return the agents that hit a face on their step, the free length of each step (mm), and the normal of the face."""
+    """Return the agents that would hit a face on their step, the distance (mm) to the face, and the normal of the face."""
     size = vec.length(step)
     going = np.flatnonzero(size > _MIN_STEP_MM)
     size, margin = size[going], margin[going]
@@ -191,7 +191,7 @@ def _find_hits(
 
 @kernel
 def are_vectors_equal(first: VectorColumns, second: VectorColumns, begin: I64, end: I64) -> BOOL:
-    """Return whether two sets of vectors are equal from `begin` to before `end`, without any NaN."""
+    """Return whether two sets of vectors are equal, without any NaN, from index `begin` to before `end`."""
     is_same = True
     for i in range(begin, end):
         is_same = is_same and first[0][i] == second[0][i] and first[1][i] == second[1][i] and first[2][i] == second[2][i]
@@ -200,7 +200,7 @@ def are_vectors_equal(first: VectorColumns, second: VectorColumns, begin: I64, e
 
 @inlined
 def _measure_step(step: VectorColumns, radius: Array1[F32], clearance: Array1[F32], row: I64) -> tuple[F32, F32, BOOL]:
-    """Return the length (mm) of agent i's step, the margin (mm) from obstacles, and whether the step may touch an obstacle."""
+    """Return the length (mm) of an agent's step, the margin (mm) from obstacles, and whether the step may touch one."""
     vector = (step[0][row], step[1][row], step[2][row])
     size = np.sqrt(dot(vector, vector))
     margin = (_FLOAT32_ZERO if radius[row] <= 0 else radius[row]) * _CENTRE_MARGIN_RADIUS_SHARE
@@ -211,7 +211,7 @@ def _measure_step(step: VectorColumns, radius: Array1[F32], clearance: Array1[F3
 def _slide_step_outside_margin(
     step: Vec3F32, up: Vec3F32, size: F32, margin: F32, clearance: F32, gap: F32, direction: Vec3F32
 ) -> tuple[Vec3F32, F32, BOOL]:
-    """Return a step that keeps the margin from a face at a distance `gap` (mm), its length, and whether it may hit a face."""
+    """Return a step that keeps `margin` (mm) from a face `gap` mm away, its length, and whether it may still hit a face."""
     wall = minus(direction, times(up, dot(direction, up)))
     long = np.sqrt(dot(wall, wall))
     if long > _MIN_VECTOR_LENGTH and np.isfinite(long):
@@ -236,8 +236,8 @@ def _slide_step_outside_margin(
 class ObstacleHitCounts(NamedTuple):
     """Counts for a range of agents that starts at `first_row`.
 
-    `touching_count`: agents with a step that may touch an obstacle. `hit_count`: those that hit it although they keep the margin.
-    `unknown_count`: agents for which the grid has no answer."""
+    `touching_count`: agents with a step that may touch an obstacle. `hit_count`: those that hit it although their steps were
+    changed to keep the margin. `unknown_count`: agents for which the grid has no answer."""
 
     first_row: I64
     touching_count: I64
@@ -251,10 +251,11 @@ def slide_steps_near_grid(
     clearance: Array1[F32], rows: Array1[I64], columns: Array2[F32], hit_rows: Array1[I64], hits: Array2[F32], begin: I64,
     end: I64
 ) -> ObstacleHitCounts:  # fmt: skip
-    """Find the agents from `begin` to before `end` with a step that may touch an obstacle. Write from index `begin` on: `rows`:
-    these agents. `columns` [10, n]: position, deflected step, `up` of the ground, margin. `hit_rows`: the agents that hit.
-    `hits` [4, n]: free length of the step (mm) and normal of the face. `clearance`: a lower bound (mm) of the distance. Agents
-    outside the obstacle are left out if its nearest face is out of range: their steps do not change."""
+    """Deflect the steps of agents from `begin` to before `end` that may touch an obstacle. The outputs are written from index
+    `begin` on. `rows`: these agents. `columns` [10, n]: position, deflected step, `up` of the ground, margin. `hit_rows`: the
+    agents that still hit a face. `hits` [4, n]: free length of the step (mm) and normal of the face. `clearance`: a lower
+    bound (mm) of the distance. Agents outside the obstacle are left out if its nearest face is out of range: their steps do
+    not change."""
     asking = begin
     for i in range(begin, end):
         _, _, may_touch = _measure_step(step, radius, clearance, i)
@@ -301,7 +302,7 @@ def slide_steps_near_grid(
 
 @kernel
 def write_replaced_steps(step: VectorColumns, rows: Array1[I64], new_steps: Strided2[F32], target: Array2[F32]) -> None:
-    """Write the steps to `target` (3, n), with those of the given rows replaced by `new_steps` (3, k)."""
+    """Copy the steps to `target` (3, n), with those of `rows` replaced by `new_steps` (3, k)."""
     for i in simd_range(0, step[0].size):
         target[0, i], target[1, i], target[2, i] = step[0][i], step[1][i], step[2][i]
     for k in range(rows.size):
@@ -343,11 +344,10 @@ def slide_steps_outside_margins(
     moving_rows: Array1[I64],
     rays: Array2[F32],
 ) -> I64:
-    """Write steps `new_steps` [3, n] that keep the margin from the nearest face, for agents found by
-    `select_agents_near_obstacle`.
-
-    `up_columns`: up of the ground. `gaps`, `direction` [3, n]: distance and direction of the nearest face. Returns the number of
-    agents that may hit it. Writes them to `moving_rows`, and position, direction, range, step and margin to `rays` [9, n]."""
+    """Write steps that keep the margin from the nearest face to `new_steps` [3, n], for agents found by
+    `select_agents_near_obstacle`. `up_columns`: the normals of the ground. `gaps`, `direction` [3, n]: distance (mm) and
+    direction of the nearest face. Returns the number of agents that may hit it. Writes them to `moving_rows`, and position,
+    direction, range, step and margin to `rays` [9, n]."""
     count = 0
     for i in range(gaps.size):
         margin, up, away = (
@@ -373,8 +373,8 @@ def slide_steps_outside_margins(
 def scale_velocities_with_steps(
     intended_step: VectorColumns, step: VectorColumns, velocity: VectorColumns, steps_per_second: F32, begin: I64, end: I64
 ) -> None:
-    """Set velocities to `steps_per_second` times the step, for agents from `begin` to before `end` with a step that differs from
-    `intended_step`."""
+    """For agents with a step that differs from `intended_step`, set the velocity to the step times `steps_per_second`. Agents
+    from `begin` to before `end` are processed."""
     for i in simd_range(begin, end):
         if step[0][i] != intended_step[0][i] or step[1][i] != intended_step[1][i] or step[2][i] != intended_step[2][i]:
             for k in range(3):
@@ -391,7 +391,7 @@ def measure_distance_from_start(
     radius: Array1[F32],
     drift: Array1[F32],
 ) -> None:
-    """Write positions (3, k) and radii of rows, and an upper bound `drift` (mm) of their distance from the step's start."""
+    """Write positions (3, k) and radii of agents, and upper bounds `drift` (mm) of their distances from the step's start."""
     for k in simd_range(0, rows.size):
         row = rows[k]
         to = (place[0][row], place[1][row], place[2][row])

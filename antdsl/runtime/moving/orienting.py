@@ -1,8 +1,8 @@
-"""Orients bodies by methods that do not use the ground's smooth normal. If a method fails, the normal is used.
+"""Orients bodies by two methods that do not use the smooth normal of the ground.
 
-Both methods follow the sources (R15). `turns` (method 1 in the source) does not query the ground. Two successive directions of
-motion span the plane of flat ground, and their cross product is its normal. `probes` (method 2) finds two points on the
-surface, ahead and to the left. The body is perpendicular to the directions to these points."""
+If a method fails, the normal is used. Both methods follow the sources (R15). `turns` (method 1 in the source) does not query
+the ground. On flat ground, the cross product of two successive directions of motion is the normal. `probes` (method 2) finds
+two points on the surface, ahead and to the left. The body's up is perpendicular to the directions to these points."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _MAX_PROBE_TILT_COSINE = 0.7071067811865476
 def orient_bodies(
     world: World, population: Population, previous_velocity: VectorArrays, previous_up: VectorArrays, normal: NDArray[np.float32]
 ) -> None:
-    """Orient bodies as the scene requests, starting from the orientation by the ground's normal. This changes up and heading.
+    """Change up and heading of bodies as the scene requests. Before the call, bodies are oriented by the normal of the ground.
 
-    `previous_velocity`, `previous_up`: velocity and up of the body before the step.
-    `normal` (n, 3): normal of the ground below the feet before the step."""
+    `previous_velocity`, `previous_up`: velocity and up of the body before the step. `normal` (n, 3): normal of the ground
+    below the feet before the step."""
     ground = population.normal.T.astype(np.float64)
     up = _UP_ESTIMATORS[world.setting.orient](
         world, population, np.stack(previous_velocity).astype(np.float64), np.stack(previous_up), normal, ground
@@ -56,7 +56,7 @@ def _estimate_up_from_turns(
     """Return up vectors (3, n) perpendicular to the last two directions of motion, at most 10 degrees from the ground's
     normal.
 
-    The previous up is retained where the directions agree and where an agent stands. It is also retained where the ground
+    The previous up is retained if both directions are almost equal, or if the agent stands. It is also retained if the ground
     curves by more than a tenth of the angle between the directions."""
     zero = np.zeros_like(previous_velocity)
     one, other = _normalise_or_default(previous_velocity, zero), _normalise_or_default(population.read_vector("velocity").T, zero)
@@ -71,7 +71,8 @@ def _estimate_up_from_turns(
 
 
 def _limit_tilt(up: Floats, ground: Floats) -> Floats:
-    """Return up vectors (3, n), rotated towards the ground's normals so that they differ by at most 10 degrees."""
+    """Return the up vectors (3, n), rotated towards the ground's normals as far as necessary for an angle of at most 10
+    degrees."""
     aside = _normalise_or_default(up - ground * dot(up, ground), np.zeros_like(up))
     most = ground * _MAX_TILT_COSINE + aside * np.sqrt(1.0 - _MAX_TILT_COSINE * _MAX_TILT_COSINE)
     return np.where(dot(up, ground) < _MAX_TILT_COSINE, _normalise_or_default(most, ground), up)
@@ -87,8 +88,8 @@ def _estimate_up_from_probes(
 ) -> Floats:
     """Return up vectors (3, n) perpendicular to the directions to two ground points.
 
-    The points are the ground points nearest to half a body ahead and half a body to the left. Where a point is in line with the
-    body, or the result is more than 45 degrees from the ground's normal, the normal is returned."""
+    These are the ground points nearest to the positions half a body length ahead and half a body length to the left. The
+    ground's normal is returned instead if this gives no direction, or one more than 45 degrees from the normal."""
     heading = population.read_vector("heading").T
     reach = np.maximum(population.now["size"], np.float32(0)).astype(np.float64) / 2
     place = population.position.T
@@ -104,7 +105,7 @@ def _estimate_up_from_probes(
 
 
 def _normalise_or_default(v: Floats, default_vectors: Floats) -> Floats:
-    """Return unit vectors (3, n) in the directions of `v`, or `default_vectors` where v has no direction."""
+    """Return unit vectors (3, n) in the directions of `v`, or `default_vectors` where `v` is zero."""
     size = np.sqrt(dot(v, v))
     good = size > 1e-12
     return np.where(good, v / np.where(good, size, 1.0), default_vectors)

@@ -1,7 +1,6 @@
-"""Slows agents down to a fraction of their speed, as if their time passed more slowly.
-
-Between steps, velocities are those of the motion in the scene. While agents decide and while their push acts, velocities are
-divided by the share. So a program sees the speed that its agents would have, and they reach it again afterwards."""
+"""Slows agents down to a fraction of their speed, as if their time passed more slowly. Between steps, velocities are those of
+the slowed motion, as seen in the scene. While agents decide and while their push acts, velocities are divided by the fraction.
+So a program sees the full speed of its agents, and agents regain it when they are no longer slowed."""
 
 from __future__ import annotations
 
@@ -23,10 +22,10 @@ _LIMIT_NAMES = ("max_speed", "max_turn", "min_speed")
 
 @dataclass(slots=True, eq=False)
 class SpeedShares:
-    """The agents of a species that move at a share of their speed in this step.
+    """The agents of a species that move at a fraction of their speed in this step.
 
-    `slowed_rows`: their rows. `speed_shares` float32: from 0, standing still, to 1. `previous_speed_shares`: those of the step
-    before."""
+    `slowed_rows`: their rows. `speed_shares` float32: the fractions, from 0 (standing still) to 1. `previous_speed_shares`:
+    the fractions in the step before."""
 
     slowed_rows: NDArray[np.intp]
     speed_shares: NDArray[np.float32]
@@ -35,20 +34,21 @@ class SpeedShares:
     _full_limits: dict[str, NDArray[np.float32]] = field(default_factory=dict)
 
     def restore_full_velocities(self, population: Population) -> None:
-        """Give agents the velocities that they would have at their full speed."""
+        """Set the velocities of slowed agents to those that they would have at full speed."""
         self._full_velocities = vec.take_rows(vec.get_vector_registers(population.start, "velocity"), self.slowed_rows)
         for registers in (population.start, population.now):
             _undo_speed_shares(vec.get_vector_registers(registers, "velocity"), self.slowed_rows, self.previous_speed_shares)
 
     def scale_limits(self, population: Population) -> None:
-        """Set the velocities at the step's start to those of the slowed motion, and store the full limits."""
+        """Set the velocities at the step's start back to those of the slowed motion, and store the unscaled limits of speed
+        and turn."""
         assert self._full_velocities is not None
         for register, values in zip(vec.get_vector_registers(population.start, "velocity"), self._full_velocities, strict=True):
             register[self.slowed_rows] = values
         self._full_limits = {name: population.now[name][self.slowed_rows] for name in _LIMIT_NAMES if name in population.now}
 
     def prepare_substep(self, population: Population, substep: int, dt: np.float32) -> None:
-        """Set velocities and limits for the push of a substep of `dt` s. Turns are slowed down, speeds are not."""
+        """Set velocities and limits for the push in a substep of `dt` s. Limits of turns are scaled; limits of speed are not."""
         now = population.now
         if substep:
             _undo_speed_shares(vec.get_vector_registers(now, "velocity"), self.slowed_rows, self.speed_shares)
@@ -59,7 +59,7 @@ class SpeedShares:
         now["max_turn"][self.slowed_rows] = np.where(self.speed_shares > 0, fastest * self.speed_shares, 0)
 
     def scale_motions(self, population: Population, *motions: VectorArrays | NDArray[np.float32]) -> None:
-        """Scale velocities, steps and step lengths, and the limits of speed for contacts."""
+        """Multiply the given velocities, steps or step lengths by the fractions. Also scale the limits of speed, for contacts."""
         for motion in motions:
             for component in motion if isinstance(motion, tuple) else (motion,):
                 component[self.slowed_rows] *= self.speed_shares
@@ -73,7 +73,7 @@ class SpeedShares:
 
 
 def find_speed_shares(world: World, population: Population) -> SpeedShares | None:
-    """Return the agents of a species that move at a share of their speed in this step; None without any."""
+    """Return the agents of a species that move at a fraction of their speed in this step; None if there are none."""
     return None if world.notes is None else world.notes.paces.get(population.name)
 
 

@@ -1,7 +1,7 @@
 """The postures of bodies: their up direction can be anywhere between the normal of their ground and the up of the world.
 
-The register exists for species that set `upright`. With 0, bodies stand along the normal of the ground; with 1, along the up
-of the world. Values in between rotate bodies by this fraction of the angle."""
+The register exists only for species that set `upright`. At 0, bodies stand along the normal of the ground; at 1, along the
+world's up direction. Values in between rotate bodies by this fraction of the angle."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ _MIN_OPPOSITE_AXIS_SINE = 1e-6  # sine of an angle near half a turn, without a r
 class Posture(NamedTuple):
     """How upright the bodies of a species stand.
 
-    `has_posture`: whether the species sets `upright`. `upright`: for each agent, the share of the angle from the normal of the
-    ground to `world_up`. `world_up`: the up direction of the world, a unit vector."""
+    `has_posture`: whether the species sets `upright`. `upright`: for each agent, the fraction of the angle from the normal of
+    the ground to `world_up`. `world_up`: the up direction of the world, a unit vector."""
 
     has_posture: BOOL
     upright: Array1[F32]
@@ -46,7 +46,7 @@ class Posture(NamedTuple):
 
 
 def has_posture(population: Population) -> bool:
-    """Return whether a species defines how its bodies stand."""
+    """Return whether a species sets `upright`, that is, how its bodies stand."""
     return UPRIGHT_REGISTER in population.plan.settings
 
 
@@ -59,7 +59,7 @@ def read_posture(world: World, population: Population) -> Posture:
 
 @kernel_helper
 def set_upright_share(up: Vec3, posture: Posture, row: I64) -> Vec3:
-    """Rotate `up` of body i towards the world's up, by the body's share `upright`."""
+    """Return `up` rotated towards the world's up by the fraction `upright` of the body at `row`."""
     share = posture.upright[row]
     if not share > 0:
         return up
@@ -76,13 +76,13 @@ def set_upright_share(up: Vec3, posture: Posture, row: I64) -> Vec3:
 
 @inlined
 def read_vector(vectors: VectorColumns, i: I64) -> Vec3:
-    """Return vector i of vectors (3, n), in float64."""
+    """Return vector `i` of vectors (3, n), in float64."""
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
 
 
 @inlined
 def compute_perpendicular_direction(v: Vec3, up: Vec3) -> Vec3:
-    """Return the unit vector perpendicular to `up` that is nearest to v, or an arbitrary one if v has no direction."""
+    """Return the unit vector perpendicular to `up` that is nearest to `v`, or an arbitrary one if there is no nearest."""
     flat = minus(v, times(up, dot(v, up)))
     size = np.sqrt(dot(flat, flat))
     if size > 1e-6:
@@ -94,9 +94,9 @@ def compute_perpendicular_direction(v: Vec3, up: Vec3) -> Vec3:
 
 @kernel_helper
 def find_rotation_axis(first: Vec3, second: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
-    """Return the axis of the least rotation from one unit vector to another, the cosine of its angle, and the sine.
+    """Return the axis, the cosine and the sine of the smallest rotation from the unit vector `first` to `second`.
 
-    Near half a turn, where the axis is undefined, the rotation passes through `ahead`."""
+    Near 180 degrees, where the axis is undefined, the rotation passes through `ahead`."""
     axis, cosine = cross(first, second), min(max(dot(first, second), -1.0), 1.0)
     sine = np.sqrt(dot(axis, axis))
     if sine > _MIN_AXIS_SINE or cosine > 0:
@@ -106,16 +106,16 @@ def find_rotation_axis(first: Vec3, second: Vec3, ahead: Vec3) -> tuple[Vec3, F6
 
 @kernel_helper
 def turn_heading(heading: Vec3, first_normal: Vec3, second_normal: Vec3) -> Vec3:
-    """Return `heading` after the least rotation from `first_normal` to `second_normal`, perpendicular to `second_normal`."""
+    """Return `heading` after the smallest rotation that takes `first_normal` to `second_normal`. It is perpendicular to
+    `second_normal`."""
     axis, cosine, sine = find_rotation_axis(first_normal, second_normal, heading)
     return compute_perpendicular_direction(rotate_about_axis(heading, axis, cosine, sine), second_normal)
 
 
 @kernel_helper
 def tilt_body_towards(body_up: Vec3, heading: Vec3, goal_up: Vec3, max_angle: F32) -> tuple[Vec3, Vec3, tuple[F32, F32]]:
-    """Rotate a body's up direction `body_up` towards `goal_up` by at most `max_angle` radians, and its heading `heading` with it.
-
-    Returns the new up direction, the new heading, and two angles (radians): that of this rotation, and that to `goal_up`."""
+    """Rotate a body towards the up direction `goal_up`, by at most `max_angle` radians. Return its new up direction, its new
+    heading, and two angles (radians): the angle of this rotation, and the total angle to `goal_up`."""
     axis, cosine, sine = find_rotation_axis(body_up, goal_up, heading)
     full_tilt = atan2(_F(sine), _F(cosine))
     tilt, c, s, up = full_tilt, cosine, sine, goal_up

@@ -1,5 +1,5 @@
-"""Walks of agents that the scene guides. They go straight ahead at one speed for a distance, without senses or decisions
-(P18)."""
+"""Walks agents that the scene guides. They walk straight ahead at a fixed speed for a given distance, without senses or
+decisions (P18)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _F = np.float32
 
 
 def find_scripted_walks_by_line(world: World, population: Population) -> dict[int, ScriptedWalkData]:
-    """Return the walks of a species, by the number of the crowd line."""
+    """Return the walks that the scene gives to agents of a species, by the number of their crowd line."""
     walks = {}
     for crowd in world.setting.crowds:  # called several times per step; most scenes guide no agents
         if crowd.walk is not None and crowd.species == population.name:
@@ -39,9 +39,9 @@ def find_deciding_rows(world: World, population: Population) -> Rows | None:
 
 
 def start_scripted_walks(world: World, population: Population, rows: Rows) -> None:
-    """Start the walks of the guided agents in `rows`: turn each to its direction along the ground, at the scene's speed.
+    """Start the walks of the guided agents in `rows`.
 
-    That speed may exceed the agents' own limit."""
+    Each turns to its direction along the ground and gets the scene's speed, which may exceed its own speed limit."""
     now, start = population.now, population.start
     for group, walk in find_scripted_walks_by_line(world, population).items():
         own = rows[now["group"][rows] == group]
@@ -57,9 +57,9 @@ def start_scripted_walks(world: World, population: Population, rows: Rows) -> No
 
 
 def compute_scripted_velocities(world: World, population: Population, velocity: VectorArrays, up: VectorArrays) -> VectorArrays:
-    """Return velocities (mm/s) in which guided agents continue in their direction at the scene's speed.
+    """Return `velocity` (mm/s), changed so that guided agents continue in their direction at the scene's speed.
 
-    They stop once they have walked the scene's distance since their birth."""
+    They stop when they have walked the distance that the scene sets."""
     velocities = velocity
     for group, walk in find_scripted_walks_by_line(world, population).items():
         own = np.flatnonzero(population.now["group"] == group)

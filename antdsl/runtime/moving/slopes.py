@@ -1,8 +1,8 @@
 """Treats ground that is too steep for agents as a wall. Steps onto such ground are deflected along it or cancelled.
 
-The register exists for species with `max_slope`. A step is too steep if it leads up ground steeper than that, or from other
-ground onto it. Steps of stairs are not walls. An agent crosses a steep part if it can stand beyond it, at most a quarter of
-its height higher or lower. Only agents with such a step are computed here, each from its own values."""
+The register exists only for species with `max_slope`. A step is too steep if it leads up ground steeper than that, or from
+other ground onto such ground. Stair steps are not walls: an agent crosses a steep part if it can stand beyond it, at most a
+quarter of its height higher or lower. Only agents with too steep a step are computed here, each from its own values."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class StepStartStance:
     def find_rows_on_steep_ground(
         self, world: World, population: Population, rows: Rows, footing: Footing, pose: tuple[Floats, Floats]
     ) -> Rows:
-        """Return the indices in `rows` of agents for which the step from the start to `footing` is too steep.
+        """Return which agents have a step from the start to `footing` that is too steep, as indices into `rows`.
 
-        `pose`: positions (k, 3) mm and smooth normals (k, 3) at the footing."""
+        `pose`: the positions (k, 3) mm and smooth normals (k, 3) at `footing`."""
         up, limit = np.asarray(world.up, np.float64), find_steepest_cosines(population, rows)
         position, smooth = pose
         displacement = position - self.position[rows]
@@ -62,13 +62,13 @@ class StepStartStance:
 
 
 def _dot_vectors(a: Floats, b: Floats) -> Floats:
-    """Return the scalar products of vectors (k, 3) with vectors (k, 3) or one vector (3), summed in one order."""
+    """Return the dot products of vectors (k, 3) with vectors (k, 3) or with one vector (3). Terms are added in a fixed order."""
     product: Floats = (a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]) + a[..., 2] * b[..., 2]
     return product
 
 
 def find_face_normals(world: World, footing: Footing, smooth_normals: Floats) -> Floats:
-    """Return the unit normals (k, 3) of the faces below agents, on the side of the smooth normals. Agents without a footing get
+    """Return the unit normals (k, 3) of the faces below agents, oriented like the smooth normals. Agents without a footing get
     the smooth normals."""
     normal = world.ground.normal(footing)
     side = _dot_vectors(normal, smooth_normals)[:, None]
@@ -77,7 +77,7 @@ def find_face_normals(world: World, footing: Footing, smooth_normals: Floats) ->
 
 
 def find_steepest_cosines(population: Population, rows: Rows) -> Floats:
-    """Return the cosines of the steepest slopes that agents can walk, slightly reduced because of rounding."""
+    """Return the cosine of the steepest slope that each agent can walk, slightly reduced to allow for rounding."""
     angle = np.clip(population.now[MAX_SLOPE_REGISTER][rows], np.float32(0), np.float32(np.pi))
     cosine: Floats = elementary.cos(angle).astype(np.float64)
     return cosine - _COSINE_TOLERANCE
@@ -89,9 +89,9 @@ def has_slope_limit(population: Population) -> bool:
 
 
 def deflect_pushes_along_slopes(world: World, population: Population) -> None:
-    """Rotate the pushes of agents on steep ground into that ground, so that a push ahead leads over steps of stairs.
+    """Rotate the pushes of agents on steep ground into the plane of the ground, so that a push ahead leads over stair steps.
 
-    The part of a push across the ground becomes a push up or down along it."""
+    The component of a push along the normal becomes a push up or down the slope."""
     up, every = np.asarray(world.up, np.float64), np.arange(len(population))
     normal = find_face_normals(world, population.footing, population.normal.astype(np.float64))
     rows = np.flatnonzero(_dot_vectors(normal, up) < find_steepest_cosines(population, every))
@@ -107,7 +107,8 @@ def deflect_pushes_along_slopes(world: World, population: Population) -> None:
 
 
 def find_rows_blocked_by_slope(world: World, population: Population, start: StepStartStance) -> Rows:
-    """Return the rows of agents with a too steep step, except those that can cross the steep part as a step of stairs."""
+    """Return the rows of agents with a step that is too steep. Agents that can cross the steep part like a stair step are left
+    out."""
     every, pose = np.arange(len(population)), (population.position, population.normal.astype(np.float64))
     rows = start.find_rows_on_steep_ground(world, population, every, population.footing, pose)
     if not len(rows):
@@ -116,7 +117,7 @@ def find_rows_blocked_by_slope(world: World, population: Population, start: Step
 
 
 def _can_stand_beyond_slope(world: World, population: Population, start: StepStartStance, rows: Rows) -> NDArray[np.bool_]:
-    """Return which agents can stand beyond the steep part ahead of them."""
+    """Return which of `rows` can stand beyond the steep part ahead of them, bool[k]."""
     meshes = world.ground.meshes
     crosses = np.zeros(len(rows), np.bool_)
     if meshes is None:
@@ -143,7 +144,7 @@ def _can_stand_beyond_slope(world: World, population: Population, start: StepSta
 def deflect_steps_along_slopes(
     world: World, population: Population, start: StepStartStance, rows: Rows, step: Floats
 ) -> tuple[Floats, GroundMove]:
-    """Return the steps (k, 3) mm of agents along the steep ground that stopped them, and the ends of these steps.
+    """Return steps (k, 3) mm of agents along the edge of the steep ground that stopped them, and the ends of these steps.
 
     `step` (k, 3) mm: the steps that were too steep. Agents that would meet steep ground again do not move."""
     up = np.asarray(world.up, np.float64)
@@ -164,7 +165,7 @@ def deflect_steps_along_slopes(
 
 
 def move_along_ground(world: World, population: Population, start: StepStartStance, rows: Rows, step: Floats) -> GroundMove:
-    """Return where the ground moves agents from their start by steps (k, 3) mm."""
+    """Return the result of walking agents over the ground from their start stances, by steps (k, 3) mm."""
     normal, heading = start.normal[rows].astype(np.float64), population.read_vector("heading")[rows].astype(np.float64)
     size = population.now["size"][rows].astype(np.float64)
     return world.ground.move(start.footing.select_rows(rows), step, heading, normal, size, world.options.threads)

@@ -1,4 +1,4 @@
-"""Kernels that deflect and shorten paths until no two bodies meet on them."""
+"""Kernels that deflect and shorten paths until no two bodies collide on them."""
 
 from __future__ import annotations
 
@@ -29,12 +29,10 @@ def deflect_paths_at_impacts(
     stopped_rows: Array1[I64],
     is_changed: Array1[BOOL],
 ) -> I64:
-    """Deflect paths at the impacts of `encounters`: a body continues from the impact along the other body.
+    """Deflect paths at the impacts in `encounters`: from the impact on, a body continues along the other body.
 
-    Returns the number of rows that are stopped.
-
-    `approach` (3, n) mm: displacements in the previous period of equal length. A body follows a body that withdraws. The other
-    arguments are as in `step_clamping.deflect_along_limits`."""
+    Returns the number of stopped rows. `approach` (3, n) mm: the displacements in the substep before. A body may follow
+    another body that moves away. The other arguments are as in `step_clamping.deflect_along_limits`."""
     for pair in simd_range(0, encounters.first_rows.size):
         direction, over = get_column(encounters.separation_axis, pair), 0
         for side in range(2):
@@ -72,11 +70,11 @@ def find_next_impacts(
     was_touched: Array1[BOOL],
     first_impact_time: Array1[F64],
 ) -> I64:
-    """Write the impacts of pairs with a row that `is_touched` to `encounters`, and the time of each row's first impact to
+    """Write the impacts of pairs with a row in `is_touched` to `encounters`. Write the time of each row's first impact to
     `first_impact_time` (n).
 
-    Returns the number of impacts. `was_touched` (n): rows that have changed since the last call. Only the impacts of pairs
-    with these rows are updated."""
+    Returns the number of impacts. `was_touched` (n): flags of rows that have changed since the last call. Only impacts of
+    pairs with such a row are updated."""
     for pair in range(encounters.first_rows.size):
         p, q = encounters.first_rows[pair], encounters.second_rows[pair]
         if (was_touched[p] | was_touched[q]) & (is_touched[p] | is_touched[q]):
@@ -101,11 +99,11 @@ def shorten_paths(
     path_factor: Array1[F64],
     is_touched: Array1[BOOL], was_touched: Array1[BOOL],
 ) -> None:  # fmt: skip
-    """Shorten the displacements of the rows that move towards another row up to their impact.
+    """Shorten the displacements of rows that move towards another row, so that they end at the impact.
 
-    The tangent plane at the impact then separates both bodies for the whole substep, even if paths become shorter. `only_first`:
-    use only impacts that are the first of both rows, because later ones may not occur. `stops_rows`: stop the rows completely.
-    `path_factor` (n): a work buffer. Sets the flags `is_touched` and `was_touched`."""
+    The tangent plane at the impact then separates both bodies for the whole substep, even if paths become shorter.
+    `only_first`: use only impacts that are the first one for both rows, because later ones may not occur. `stops_rows`: stop
+    the rows completely instead. `path_factor` (n): a work buffer. Sets the flags `is_touched` and `was_touched`."""
     path_factor[:] = 1.0
     for pair in range(encounters.first_rows.size):
         time = encounters.meeting_time[pair]
@@ -130,7 +128,8 @@ def shorten_paths(
 
 @kernel
 def list_corrections(displacement: Array2[F64], travel: Array2[F64], rows: Array1[I64], corrections: Array2[F64]) -> I64:
-    """Write the rows of which the displacement differs from `travel` (3, n) mm, and the differences. Return their number."""
+    """Write the rows with a displacement that differs from `travel` (3, n) mm to `rows`, and the differences to `corrections`.
+    Return the number of rows."""
     for k in simd_range(0, rows.size):
         path, step = get_column(displacement, k), get_column(travel, k)
         rows[k] = 1 if (path[0] != step[0]) | (path[1] != step[1]) | (path[2] != step[2]) else 0

@@ -1,7 +1,7 @@
-"""A substep of a crowd in two loops over all agents.
+"""Runs a substep of a crowd in two loops over all agents.
 
-`prepare_steps` does everything before obstacles and walls. Then one loop for each kind of ground walks agents and updates them
-    at their new positions."""
+`prepare_steps` does everything that precedes obstacles and walls. Then a loop, one for each kind of ground, walks agents and
+updates them at their new positions."""
 
 from __future__ import annotations
 
@@ -45,10 +45,9 @@ _FLOAT32_ZERO = _F(0)
 class IntendedMotion(NamedTuple):
     """The intended motion of agents in a substep.
 
-    `velocity`: in mm/s. `step`: the displacement in `dt` (mm). `step_length`: the length of the step (mm).
-    `level_heading`: heading along the ground, for agents that lean.
-    `max_tilt`: the largest tilt (radians). `wall_reach`: how far ahead the agent searches for walls (mm).
-    `state`: how the body stands, see `velocities`."""
+    `velocity`: in mm/s. `step`: the displacement in `dt` (mm). `step_length`: the length of the step (mm). `level_heading`:
+    the heading along the ground of agents that lean. `max_tilt`: the largest tilt (radians). `wall_reach`: how far ahead the
+    agent searches for walls (mm). `state`: the state of the body, see `velocities`."""
 
     velocity: VectorColumns
     step: VectorColumns
@@ -60,9 +59,9 @@ class IntendedMotion(NamedTuple):
 
 
 class PendingWalkStates(NamedTuple):
-    """The agents that `walk_triangles` leaves to a later walk.
+    """The walks of agents that `walk_triangles` leaves to a later walk.
 
-    `float_values`, `integer_values`: the states of their walks. `statuses`: the status of every agent."""
+    `float_values`, `integer_values`: the states of these walks. `statuses`: the status of every agent."""
 
     float_values: Array2[F64]
     integer_values: Array2[I64]
@@ -82,10 +81,10 @@ def prepare_steps(
     begin: I64,
     end: I64,
 ) -> tuple[F64, F64]:
-    """Compute the intended motion of agents from `begin` to before `end` after their push. `has_min_speed`: whether `min_speed`
-    applies.
+    """Compute the intended motion of agents from `begin` to before `end` after their push.
 
-    Returns the longest finite step and the greatest size (mm), -inf if there is no finite number."""
+    `has_min_speed`: whether `min_speed` applies. Returns the longest step and the greatest size (mm) among finite numbers;
+    -inf if there are none."""
     heading, up, normal = drive.heading, drive.up, drive.ground_normal
     max_speed, max_turn, dt = abilities.max_speed, abilities.max_turn, push_times.dt
     to, step, looking, long, most, reach, state = motion
@@ -109,7 +108,7 @@ def prepare_steps(
 
 @inlined
 def _choose_level_heading(heading: VectorColumns, headings: VectorColumns, state: Array1[I32], i: I64) -> Vec3:
-    """Return the heading of agent i along the ground, in float64."""
+    """Return the heading of agent `i` along the ground, in float64."""
     if state[i] == STANDING_BODY_STATE:
         return np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
     return np.float64(headings[0][i]), np.float64(headings[1][i]), np.float64(headings[2][i])
@@ -130,11 +129,11 @@ def walk_triangles(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """Walk agents over triangles by their float32 steps and headings. Update the agents that arrive, as `update_arrived_rows`
-    does.
+    """Walk agents over triangles by their float32 steps.
 
-    `footing`: initial footings. `new_footing`, `place` (n, 3): resulting footings and positions (mm). `pending_walks`: values of
-    agents that wait for a later walk. Returns `begin`, and the numbers of waiting agents and of agents that are left out."""
+    Update the agents that arrive as `update_arrived_rows` does. `footing`: footings before the walk. `new_footing`, `place`
+    (n, 3): receive the new footings and positions (mm). `pending_walks`: receives the walks that must be continued later.
+    Returns `begin`, and the numbers of waiting agents and of agents that are left out."""
     mesh, face, b1s, b2s, overs = footing
     first, step, how = surface.first_faces, arrival.step, pending_walks.statuses
     registers, heading, state = arrival.registers, arrival.registers.heading, arrival.body_stances.state
@@ -187,8 +186,8 @@ def walk_triangles(
 def walk_plane(
     plane: Array1[F64], level_heading: VectorColumns, arrival: ArrivalArrays, place: Array2[F64], begin: I64, end: I64
 ) -> None:
-    """Walk agents from `begin` to before `end` along a plane to points `place` (n, 3), and update them as `update_arrived_rows`
-    does.
+    """Walk agents from `begin` to before `end` along a plane, and update them as `update_arrived_rows` does. `place` (n, 3):
+    receives the new positions (mm).
 
     `plane`: the unit normal of the plane."""
     at, step, heading, state = arrival.start, arrival.step, arrival.registers.heading, arrival.body_stances.state

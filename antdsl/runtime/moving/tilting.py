@@ -1,9 +1,9 @@
 """Tilts bodies smoothly to the ground below their feet, no faster than they can turn, and so that heads stay out of walls.
 
-Feet are exact: at an edge, their footing and the normal below them (`Population.normal`) change at once, by any angle. The
-body's up and heading turn gradually towards the feet. Frames store the body's values. Programs sense and push along the axes
-of the feet. Before a wall, the body tilts ahead of the feet: by a right angle over about its own length. If it cannot tilt as
-fast as it walks, the feet slow down."""
+Feet follow the ground exactly: at an edge, the footing and its normal (`Population.normal`) change at once, by any angle. The
+body's up and heading turn gradually towards the feet. Frames store the up and heading of the body. Programs sense and push
+along the axes of the feet. Before a wall, the body tilts earlier than the feet: by a right angle over about its own length. If
+it cannot tilt as fast as it walks, the feet slow down."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _WAITING_VELOCITY_SHARE = _F(0.05)  # share of the velocity that an agent retain
 
 
 def tilt_new_bodies(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Tilt new bodies at once as far as their posture and the walls ahead require, so that their heads are free."""
+    """Tilt new bodies at once as far as their posture and the walls ahead require, so that their heads are not in a wall."""
     n, now = len(population), population.now
     state, reach, rest = np.full(n, STANDING_BODY_STATE, np.int32), np.empty(n), np.zeros(n, np.float32)
     x, y, z = np.empty((3, n), np.float32)
@@ -66,9 +66,9 @@ def tilt_new_bodies(world: World, population: Population, rows: NDArray[np.intp]
 
 
 def align_leaning_bodies_with_ground(population: Population, threads: int = 1) -> None:
-    """Replace heading and up of leaning bodies by those of the feet, along the ground, while programs run.
+    """Replace the heading and up of leaning bodies by those of their feet, along the ground, while programs run.
 
-    So a push ahead continues over an edge while the body tilts."""
+    So a push ahead continues over an edge while the body still tilts."""
     n, start, now = len(population), population.start, population.now
     (leaning_rows,) = population.get_buffers("leaning", 1, (n,), np.int64)
     lean = population.get_buffers("laid", 3, (3, n), np.float32)
@@ -82,7 +82,8 @@ def align_leaning_bodies_with_ground(population: Population, threads: int = 1) -
 
 
 def restore_leaning_bodies(population: Population) -> None:
-    """Restore the up and heading that `level_headings` replaced. Keep headings that have changed since."""
+    """Restore the up and heading that `align_leaning_bodies_with_ground` replaced. Headings that have changed since are not
+    restored."""
     if population.replaced_poses is not None:
         _restore_leaning_rows(
             *population.replaced_poses, *_get_pose_registers(population.start), *_get_pose_registers(population.now)
@@ -102,13 +103,14 @@ def _is_leaning(up: VectorColumns, normal: Array2[F32], i: I64) -> BOOL:
 
 @inlined
 def _measure_approach(displacement: Vec3, wall: Vec3, ahead: Vec3) -> F64:
-    """Return by how much (mm) a displacement reduces the distance to the wall along `ahead`."""
+    """Return by how much (mm) a displacement reduces the distance to a wall, measured along `ahead`."""
     return dot(displacement, wall) / min(dot(ahead, wall), -1e-3)
 
 
 @kernel_helper
 def _tilt_up(n: Vec3, wall: Vec3, ahead: Vec3, angle: F64, wall_distance: F64, tilt_distance: F64, displacement: Vec3) -> Vec3:
-    """Return the up of a body after a displacement, on ground with normal `n`, tilted towards a wall ahead if needed."""
+    """Return the up direction of a body after a displacement, on ground with the normal `n`, tilted if necessary for a wall
+    ahead."""
     part = min(max(1.0 - (wall_distance - _measure_approach(displacement, wall, ahead)) / tilt_distance, 0.0), 1.0) * angle
     axis, cosine = cross(n, wall), dot(n, wall)
     sine = np.sqrt(dot(axis, axis))
@@ -136,10 +138,10 @@ def compute_stance(
     level_headings: VectorColumns,
     state: Array1[I32],
 ) -> None:
-    """Compute the stance of body i at the start of a step.
+    """Compute the stance of the body at `row` at the start of a step.
 
-    Writes its tilt limit (radians) to `max_tilts`, its `state` without walls, and, if it leans, its heading along the ground to
-    `level_headings`."""
+    Writes its tilt limit (radians) to `max_tilts`, and its state without regard to walls to `state`. If it leans, writes its
+    heading along the ground to `level_headings`."""
     walking = maximum(max_speed[row], _FLOAT32_ZERO) / (size[row] if size[row] > 0 else _FLOAT32_ONE) * _RIGHT_ANGLE
     rate = maximum(max_turn[row], _FLOAT32_ZERO)
     if not rate < walking and rate == rate:
@@ -165,7 +167,7 @@ def tilt_bodies_at_walls(
     posture: Posture, start_up: VectorColumns, start_heading: VectorColumns, current_up: VectorColumns,
     current_heading: VectorColumns,
 ) -> None:  # fmt: skip
-    """Tilt the bodies of `rows` that have a wall ahead according to `state`, or a posture."""
+    """Tilt the bodies at `rows` that have a wall ahead according to `state`, or that have a posture."""
     wall, ahead, angle, far, over = walls
     for i in rows:
         j = state[i]
@@ -199,10 +201,10 @@ def _align_leaning_rows(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Replace the headings and ups of leaning agents, from `begin` to before `end`, by those along the ground.
+    """Replace the headings and up directions of leaning agents from `begin` to before `end` by those of their feet.
 
-    Returns `begin` and the number of leaning agents. From index `begin` on, writes their `rows`, and their `up`, `heading` and
-    replaced heading `replaced_headings` (3, n)."""
+    Returns `begin` and the number of leaning agents. From index `begin` on, writes their rows to `rows`, their old values to
+    `up` and `heading`, and the new headings to `replaced_headings` (3, n)."""
     count = begin
     for i in range(begin, end):
         if not _is_leaning(current_up, normal, i):
@@ -234,8 +236,8 @@ def _restore_leaning_rows(
     current_up: VectorColumns,
     current_heading: VectorColumns,
 ) -> None:
-    """Restore up and heading of the given rows. A heading that differs from the replaced one, `replaced_headings`, is not
-    restored."""
+    """Restore the up and heading of the agents at `rows`. A heading that has changed, so that it differs from
+    `replaced_headings`, is not restored."""
     for j in range(rows.size):
         i = rows[j]
         has_turned = (
@@ -264,9 +266,9 @@ def limit_steps_of_tilting_bodies(
     begin: I64,
     end: I64,
 ) -> None:
-    """Shorten steps and reduce velocities of agents from `begin` to before `end` so that bodies can follow the feet.
+    """Shorten the steps and velocities of agents that lean or have a wall ahead, so that bodies can follow the feet.
 
-    This applies to agents that lean or have a wall ahead, according to `state`."""
+    Agents from `begin` to before `end` are processed; `state` tells which of them lean or have a wall."""
     wall, ahead, angle, far, over = walls
     zero = (0.0, 0.0, 0.0)
     for i in range(begin, end):
@@ -297,7 +299,7 @@ def limit_steps_of_tilting_bodies(
 
 
 class PreviousBodyPose(NamedTuple):
-    """Postures of bodies: `up`, `heading`, and position `position` (n, 3) mm."""
+    """The poses of bodies before a step: `up`, `heading`, and `position` (n, 3) mm."""
 
     up: VectorColumns
     heading: VectorColumns
@@ -305,7 +307,8 @@ class PreviousBodyPose(NamedTuple):
 
 
 class TurnLimits(NamedTuple):
-    """Limits of turns: `max_tilt` of each body (radians), `max_turn` (rad/s), duration `dt` (s), and how the bodies stand."""
+    """Limits of turns: `max_tilt` of each body (radians), `max_turn` (rad/s), the duration `dt` (s), and the posture of
+    bodies."""
 
     max_tilt: Array1[F32]
     max_turn: Array1[F32]
@@ -328,10 +331,10 @@ def tilt_bodies_towards_ground(
     begin: I64,
     end: I64,
 ) -> None:
-    """Turn the bodies from `begin` to before `end` after their feet; changes `current_up` and `current_heading`.
+    """Turn the bodies from `begin` to before `end` towards their feet, by changing `current_up` and `current_heading`.
 
-    `previous_posture`: postures before the step. `position`: new positions of the feet. `rows`: a work buffer. Bodies that are
-    aligned with their feet, according to `state`, are skipped. A body tilts first if a turn would move its head into a wall."""
+    Bodies that are aligned with their feet according to `state` are skipped. `previous_posture`: poses before the step.
+    `position`: new positions of the feet. `rows`: a work buffer. A body tilts first if a turn would move its head into a wall."""
     before_up, before_heading, before = previous_posture
     most, max_turn, dt, posture = limits
     wall, ahead, angle, far, over = walls

@@ -1,8 +1,8 @@
 """Computes velocities after a push, and velocities and headings after a walk. Agents are processed one by one in float32.
 
-This module defines how fast headings follow the movement, and the states of bodies. The `state` of a body is the number of the
-wall ahead, or one of three values: the body leans, is aligned with its feet, or hastens. A body hastens if it is aligned with
-its feet but would turn too fast."""
+This module also defines how fast headings follow the movement, and the states of bodies. The `state` of a body is the number
+of a wall ahead, or one of three values: the body leans, is aligned with its feet, or hastens. A body hastens if it is aligned
+with its feet but would turn too fast."""
 
 from __future__ import annotations
 
@@ -36,12 +36,13 @@ LEANING_BODY_STATE, STANDING_BODY_STATE, HURRYING_BODY_STATE = -1, -2, -3
 
 @cache
 def compute_heading_turn_share(dt: np.float32) -> np.float32:
-    """Return the share of the turn towards the movement that is made in a substep of `dt` s."""
+    """Return the fraction of the turn towards the direction of motion that an agent makes in a substep of `dt` s."""
     return _F(1.0 - float(elementary.exp(_F(-float(dt) / _HEADING_TURN_SECONDS))))
 
 
 class MotionInputs(NamedTuple):
-    """What determines the motion of agents: push, velocity (mm/s), heading, up, and the normals (n, 3) of the ground."""
+    """The values that determine the motion of agents: push, velocity (mm/s), heading, up, and the normals (n, 3) of the
+    ground."""
 
     push: VectorColumns
     velocity: VectorColumns
@@ -51,7 +52,7 @@ class MotionInputs(NamedTuple):
 
 
 class MotionLimits(NamedTuple):
-    """Abilities of agents, with the names that programs use."""
+    """Limits of agents' motion, with the names that programs use."""
 
     max_speed: Array1[F32]
     max_force: Array1[F32]
@@ -61,10 +62,9 @@ class MotionLimits(NamedTuple):
 
 
 class PushTimes(NamedTuple):
-    """Durations (s) of a push in a substep.
-
-    `instant_response`: agents with a response of at most this receive the push of the complete step in the first substep.
-    `first_push_time`: the duration of their push in this substep, 0 in later ones. `dt`: the duration for all other agents."""
+    """Durations (s) of a push in a substep. `instant_response`: agents with a `response` of at most this (s) receive the push
+    of the complete step in the first substep. `first_push_time`: the duration of their push in this substep, 0 in later ones.
+    `dt`: the duration for all other agents."""
 
     instant_response: F32
     first_push_time: F32
@@ -72,7 +72,7 @@ class PushTimes(NamedTuple):
 
 
 class SpeedAndTurnLimits(NamedTuple):
-    """The limits of agents' speeds and turns after a walk. Names are those that programs use."""
+    """The limits of agents' speeds and turns after a walk. The names are those that programs use."""
 
     max_speed: Array1[F32]
     max_turn: Array1[F32]
@@ -92,8 +92,8 @@ class ArrivedBodies(NamedTuple):
 class TurnTimes(NamedTuple):
     """Times of a turn after a walk.
 
-    `instant_response`: agents with a response (s) of at most this face their movement at once.
-    `dt`: the duration (s). `turn_share`: the share of the turn that the others make in this time."""
+    `instant_response`: agents with a `response` of at most this (s) turn to their direction of motion at once. `dt`: the
+    duration (s). `turn_share`: the fraction of the turn that all others make in this time."""
 
     instant_response: F32
     dt: F32
@@ -101,7 +101,7 @@ class TurnTimes(NamedTuple):
 
 
 class FacingDirections(NamedTuple):
-    """The directions that agents face. `is_set`: whether the species sets them. `direction`: the directions.
+    """The directions that agents face. `is_set`: whether the species sets these directions. `direction`: the directions.
     `must_align_all`: whether all bodies must be aligned with their feet."""
 
     is_set: BOOL
@@ -136,7 +136,7 @@ class ArrivalArrays(NamedTuple):
 
 
 class WalkedPoses(NamedTuple):
-    """Poses after a walk: position, up, heading and direction of motion (3, n), and whether something blocked the walk."""
+    """Poses after a walk: position, up, heading and direction of motion (3, n), and whether each walk was blocked."""
 
     position: Strided2[F64]
     up: Strided2[F64]
@@ -155,8 +155,8 @@ def apply_push(
     push_times: PushTimes,
     row: I64,
 ) -> Vec3F32:
-    """Return the velocity of agent i after its push along the ground, within the limits of speed and turn. `up`: normal of the
-    ground.
+    """Return the velocity of the agent at `row` after its push along the ground, within its limits of speed and turn. `up`:
+    the normal of the ground.
 
     `has_min_speed`: whether `min_speed` applies."""
     push, velocity, heading, _, _ = inputs
@@ -195,10 +195,10 @@ def apply_push(
 
 @inlined
 def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32, min_speed: F32) -> Vec3F32:
-    """Return a velocity raised to a least speed.
+    """Return `velocity`, increased to at least `min_speed`.
 
-    A slower agent is accelerated in its previous direction, or along its heading if it was at rest. A sideways push turns the
-    agent. Braking never reverses its direction."""
+    A slower agent is accelerated in its previous direction, or along its heading if it was at rest. A sideways push still
+    turns it, and braking never reverses its direction."""
     square = dot(velocity, velocity)
     if not square < min_speed * min_speed:
         return velocity
@@ -214,10 +214,10 @@ def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32
 
 @kernel_helper
 def _limit_velocity_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, max_turn: F32, creep_speed: F32) -> Vec3F32:
-    """Return the velocity turned by at most `max_turn` (radians) from the previous one. From rest it may have any direction.
-    It keeps only its component in that direction. So a push against the motion first brakes, and does not speed up an agent
-    that cannot turn. Below the speed `creep_speed` (mm/s), the length of the velocity does not change, so the agent turns
-    almost on the spot."""
+    """Return `velocity`, turned by at most `max_turn` (radians) from the previous one. From rest, it may have any direction.
+    The result has the length of its component in the new direction. So a push against the motion first brakes, and does not
+    accelerate an agent that cannot turn. Below the speed `creep_speed` (mm/s), the length of the velocity does not change, so
+    the agent turns almost on the spot."""
     if not length(previous_velocity) > 0:
         max_turn = _F(4.0)
     ahead, good = _normalise(previous_velocity)
@@ -242,7 +242,8 @@ def _limit_velocity_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3
 
 @inlined
 def update_arrived_agent(row: I64, pose: AgentPose, is_blocked: BOOL, arrival: ArrivalArrays) -> None:
-    """Write position, up, heading and direction of agent i after its walk, in float64, as `update_arrived_rows` describes."""
+    """Write velocity, heading, position and up of the agent at `row` after its walk, as described for `update_arrived_rows`.
+    `pose`: the float64 result of the walk. `is_blocked`: whether something blocked the walk."""
     place, above, ahead, direction = pose
     old, step, velocity, limits, bodies, times_of, facing, registers, normals = arrival
     max_speed, max_turn, response = limits
@@ -287,11 +288,11 @@ def update_arrived_agent(row: I64, pose: AgentPose, is_blocked: BOOL, arrival: A
 
 @kernel
 def update_arrived_rows(rows: Array1[I64], walked_poses: WalkedPoses, arrival: ArrivalArrays, begin: I64, end: I64) -> None:
-    """Write velocity, heading, position and up of `rows` from `begin` to before `end` into the registers after the walk.
+    """Write velocity, heading, position and up of agents after the walk into the registers.
 
-    The `state` of a body that is aligned with its feet becomes "hastens" in two cases: its up turns by more than `most`
-    (radians), or it turns more than `MAX_TURN_SLACK_FACTOR` times as fast as `max_turn` allows. For all other bodies, the
-    previous up and heading are stored in `bodies`."""
+    Entries `begin` to before `end` of `rows` are processed. The state of a body that is aligned with its feet becomes
+    "hastens" in two cases. Either its up turns by more than `max_tilt`, or it turns more than `MAX_TURN_SLACK_FACTOR` times as
+    fast as `max_turn` allows. For bodies that are then not aligned, the previous up and heading are stored."""
     place, above, ahead, direction, blocked = walked_poses
     for j in range(begin, end):
         i = rows[j]
@@ -306,9 +307,9 @@ def update_arrived_rows(rows: Array1[I64], walked_poses: WalkedPoses, arrival: A
 
 @inlined
 def _compute_squared_angle(squared_chord: F32) -> F32:
-    """Return the squared angle (rad²) between two unit vectors from their squared distance, by the first terms of its series.
+    """Return the squared angle (rad²) between two unit vectors, given their squared distance.
 
-    Beyond 1 rad the result is too small."""
+    It is computed by the first terms of a series, so the result is too small for angles above 1 rad."""
     return squared_chord * (_FLOAT32_ONE + squared_chord * (ANGLE_COEFFICIENT_1_12 + squared_chord * ANGLE_COEFFICIENT_1_90))
 
 
@@ -317,10 +318,10 @@ def _turn_heading_to_velocity(
     heading: Vec3F32, velocity: Vec3F32, up: Vec3F32, has_facing: BOOL, facing_direction: Vec3F32, max_speed: F32,
     max_turn: F32, is_immediate: BOOL, tilt: F32, dt: F32, turn_share: F32
 ) -> Vec3F32:  # fmt: skip
-    """Return the heading turned towards the movement, or towards the direction to face: completely or by the share `turn_share`.
+    """Return the heading turned towards the velocity, or towards the direction to face.
 
-    The turn and the tilt of the body (`tilt`, its squared angle) together are limited by `max_turn`. For more than a right angle,
-    the heading turns over its side first."""
+    It turns completely if `is_immediate`, else by the fraction `turn_share`. Turn and tilt of the body together are limited by
+    `max_turn`. `tilt`: the squared angle of the tilt. A turn by more than a right angle first leads to the side."""
     heading, good = _normalise(project_to_plane(heading, up))
     if not good:
         heading = _find_perpendicular(up)
@@ -360,13 +361,13 @@ def _turn_heading_to_velocity(
 
 @inlined
 def maximum(a: F32, b: F32) -> F32:
-    """Return the greater number, or NaN if the first number is NaN, like NumPy."""
+    """Return the greater of two numbers; NaN if `a` is NaN."""
     return b if a <= b else a
 
 
 @inlined
 def _minimum(a: F32, b: F32) -> F32:
-    """Return the lesser number, or NaN if either number is NaN, like NumPy."""
+    """Return the lesser of two numbers; NaN if one of them is NaN, as in NumPy."""
     return a if a < b or a != a else b
 
 
@@ -377,7 +378,7 @@ def length(a: Vec3F32) -> F32:
 
 @inlined
 def _normalise(a: Vec3F32) -> tuple[Vec3F32, BOOL]:
-    """Return the vector scaled to length 1, and whether it has a direction."""
+    """Return a vector scaled to length 1, and whether it has a direction (is not zero)."""
     size = length(a)
     good = size > _MIN_VECTOR_LENGTH and np.isfinite(size)
     return times(a, _FLOAT32_ONE / (size if good else _FLOAT32_ONE)), good

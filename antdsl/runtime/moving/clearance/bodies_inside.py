@@ -20,19 +20,19 @@ _VISIBLE_DEPTH = _F(0.01)  # body lengths; a shallower overlap counts as contact
 
 
 def find_sampled_bodies_inside(world: World, population: Population) -> NDArray[np.bool_]:
-    """Return a mask, bool[k], of sampled bodies that are inside the ground or a solid.
+    """Return which bodies in a sample are inside the ground or a solid, bool[k].
 
-    The sample has up to about 250 agents, with ids that are multiples of the same number."""
+    The sample has up to about 250 agents: those with ids that are multiples of a certain number."""
     rows = np.flatnonzero(population.ids % (1 + len(population) // _MAX_BODIES_MEASURED_AT_ONCE) == 0)
     return find_bodies_inside(world, population, rows)
 
 
 def find_bodies_inside(world: World, population: Population, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which bodies of `rows` are inside the ground, an obstacle or a solid in the current state, bool[k].
+    """Return which bodies of the agents at `rows` are inside the ground, an obstacle or a solid in the current state, bool[k].
 
-    A body is the capsule of its trunk, with head and abdomen. It is inside a ground or an obstacle if a face crosses its axis. It
-    is also inside if a face is nearer to the axis than the radius, less 1 % of the body length. It is inside a solid if the solid
-    is that near to an end or the middle of the axis."""
+    A body is the capsule of its trunk, with head and abdomen. It is inside a ground or an obstacle if a face crosses its axis.
+    It is also inside if the distance of a face from the axis is less than the radius minus 1 % of the body length. It is
+    inside a solid if the solid is that near to the middle or an end of the axis."""
     now, count = population.now, len(rows)
     size, (shapes, body) = now["size"].take(rows).astype(np.float64), compute_unit_shapes(world, population, 0.0)
     depths, outs = np.zeros(count, np.float32), np.zeros((3, count), np.float32)
@@ -73,6 +73,6 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
 
 
 def _measure_room_below(shapes: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return how far (body lengths) the trunks of `shapes` (k, 4) are above level ground. A crouching body is lowered by at
-    most this."""
+    """Return the height (body lengths) of trunks above level ground, for body shapes (k, 4). A crouching body is lowered by at
+    most this height."""
     return np.maximum(shapes[:, 2] - shapes[:, 1], 0).astype(np.float32)

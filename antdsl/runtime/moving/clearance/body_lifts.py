@@ -1,4 +1,5 @@
-"""Finds bodies that cannot simply follow their feet, and lifts bodies on wide faces above the ground beyond the edges."""
+"""Finds bodies that cannot simply follow their feet. Lifts bodies on wide faces so that they clear ground that rises beyond
+the face's edges."""
 
 from __future__ import annotations
 
@@ -46,12 +47,12 @@ def select_bodies_near_bends(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Write the agents from `begin` to before `end` that may need shorter steps to `rows`, from index `begin` on.
+    """Find the agents from `begin` to before `end` that may need shorter steps.
 
-    Returns `begin` and their number. `bend_levels`: how sharply the ground around each agent bends, 0 if it does not.
-    All agents on ground that bends get a `state` that aligns their bodies after the walk. `level_headings` receives their
-    headings.
-    `selected_bend_levels` receives the `bend_levels` of the written agents."""
+    Write them to `rows`, from index `begin` on. Return `begin` and their number. `bend_levels`: how sharply the ground around
+    each agent bends, 0 if it does not. The `state` of all agents on ground that bends is set so that their bodies are aligned
+    after the walk. `level_headings`: receives the headings of these agents. `selected_bend_levels`: receives the bend levels
+    of the agents in `rows`."""
     count = begin
     for i in range(begin, end):
         if bend_levels[i] > 0 and state[i] == STANDING_BODY_STATE:
@@ -71,7 +72,7 @@ def select_bodies_near_bends(
 
 
 class LiftLists(NamedTuple):
-    """The lists that `list_bodies_to_lift` writes: `rows` with their bend `bend_levels`, and `climbers`. `list_kinds`: a work
+    """The lists that `list_bodies_to_lift` writes: `rows` with their `bend_levels`, and `climbers`. `list_kinds`: a work
     buffer."""
 
     rows: Array1[I64]
@@ -92,10 +93,9 @@ def list_bodies_to_lift(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """List the bodies from `begin` to before `end` that stand on ground that bends, or are shifted, waiting or deep inside.
-
-    Returns `begin`, the number of these rows, and the number of climbers. Climbers are all other bodies on faces that bend.
-    The `state` of the rows becomes that of a body aligned with its feet."""
+    """List the bodies from `begin` to before `end` that need more than their feet. These bodies stand on ground that bends, or
+    are shifted, waiting or inside a surface. Return `begin`, the number of these rows, and the number of climbers, which are
+    all other bodies on faces that bend. The `state` of the listed rows becomes that of a body aligned with its feet."""
     first, (rows, row_levels, climbers, kind) = surface.first_faces, lists
     for row in simd_range(begin, end):
         climbs = False
@@ -131,7 +131,8 @@ def lift_bodies(
     begin: I64,
     end: I64,
 ) -> None:
-    """Lift the bodies of `rows` from `begin` to before `end`, which stand on wide faces, off the neighbouring faces."""
+    """Lift bodies that stand on wide faces so that they clear the neighbouring faces. Entries `begin` to before `end` of
+    `rows` are processed."""
     for k in simd_range(begin, end):
         i = rows[k]
         size, up, heading = np.float64(limits.size[i]), read_vector(pose.up, i), read_vector(pose.heading, i)
@@ -151,8 +152,8 @@ def lift_bodies(
 def _compute_face_lift(
     table: Array1[F64], link: Array2[I32], face: I64, weights: TriangleWeights, shape: BodyShape, up: Vec3, heading: Vec3
 ) -> F64:
-    """Return how far (mm) both ends of a body must rise along its up, to clear its face and the faces that rise beyond its
-    edges."""
+    """Return how far (mm) a body must rise along its up direction. Both ends must clear its face and the faces that rise
+    beyond the face's edges."""
     row, lift = FLOATS_PER_FACE_ROW * face, 0.0
     own = load_vector(table, row + NORMAL_OFFSET)
     side = -1.0 if dot(own, up) < 0 else 1.0

@@ -1,8 +1,8 @@
-"""Measures the path of a body over the triangles below it: how the ground turns along the path, and its height profile.
-
-A path is a straight line over the triangles, ahead of the feet and behind them. At each edge that it crosses, the ground turns
-by a rotation vector along the edge. The mean of these rotations over the path orients the body. So a body begins to turn one
-path length before an edge, is half turned on the edge, and completes the turn at the same distance beyond it."""
+"""Measures the path of a body over the triangles below it: how the ground turns along the path, and its height profile. A path
+is a straight line over the triangles, ahead of the feet and behind them. At each edge that the line crosses, the ground turns;
+the turn is given by a rotation vector along the edge. The mean of these rotations over the path orients the body. So a body
+begins to turn one path length before an edge, is half turned on the edge, and completes the turn at the same distance beyond
+it."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ FLOATS_PER_PATH = FLOATS_PER_PATH_POINT * (MAX_PATH_EDGES + 2)  # points of one 
 class GroundBend(NamedTuple):
     """The mean rotation of the ground's normal along a path, and the size of the path's height profile.
 
-    `roll`, `pitch`: the components of the rotation vector (radians), along the path and to the left.
-    `point_count`: the number of points of the profile."""
+    `roll`, `pitch`: the components of the rotation vector (radians) along the path and to the left of it. `point_count`: the
+    number of points of the profile."""
 
     roll: F64
     pitch: F64
@@ -48,9 +48,9 @@ class GroundBend(NamedTuple):
 
 
 class BodyShape(NamedTuple):
-    """The capsule of a trunk (mm): half the length of its axis, its radius, and the position of its middle.
+    """The capsule of a trunk: half the length of its axis, its radius, and the position of its middle, in mm.
 
-    `middle_height`, `middle_forward_offset`: how far the middle is above the feet, and ahead of them."""
+    `middle_height`, `middle_forward_offset`: how far the middle is above the feet, and how far ahead of them."""
 
     axis_half_length: F64
     radius: F64
@@ -68,7 +68,7 @@ def write_path_point(points: Array1[F64], index: I64, position: Vec3, normal: Ve
 
 
 class FacesNearby(NamedTuple):
-    """The faces near a body: the first `face_count` faces of the list `faces`. The other fields are as in `FaceSearch`."""
+    """The faces near a body, which are the first `face_count` entries of `faces`. The other fields are as in `FaceSearch`."""
 
     box_tree: FaceBoxTree
     faces: FaceList
@@ -79,8 +79,8 @@ class FacesNearby(NamedTuple):
 
 @inlined
 def may_faces_cross(nearby_faces: FacesNearby, face: I64, other_face: I64) -> BOOL:
-    """Return whether `other_face` may cross `face`. This is so if they belong to different mesh pieces, or if both are cut by
-    faces of their piece."""
+    """Return whether `other_face` may cross `face`. It may if the faces belong to different mesh pieces, or if both are cut by
+    faces of their own piece."""
     pieces, cuts = nearby_faces.piece_numbers, nearby_faces.cut_starts
     return pieces[face] != pieces[other_face] or (
         cuts[face + 1] > cuts[face] and cuts[other_face + 1] > cuts[other_face] and face != other_face
@@ -91,11 +91,11 @@ def may_faces_cross(nearby_faces: FacesNearby, face: I64, other_face: I64) -> BO
 def measure_ground_bend(
     surface: SurfaceTables, nearby_faces: FacesNearby, start: FaceWalker, path_length: F64, probe_height: F64, points: Array1[F64]
 ) -> GroundBend:
-    """Walk a path of length `path_length` (mm). Return the turn of the ground along it, as a mean over the path and its mirror
-    image.
+    """Walk a path of length `path_length` (mm), and return how the ground turns along it. The result is the mean over the path
+    ahead and the path behind.
 
-    If a face of `nearby_faces` crosses the path at the height `probe_height` (mm), the path continues on that face. `points`
-    receives the positions of the feet, of the edges and of the end of the path."""
+    If a face of `nearby_faces` crosses the path at the height `probe_height` (mm), the path continues on that face. `points`:
+    receives the height profile, with points at the feet, at each edge and at the end of the path."""
     table, link, forked, _ = surface
     walker, left, roll, pitch, count, climb, walks = start, path_length, 0.0, 0.0, 0, 0.0, True
     normal = times(load_vector(table, FLOATS_PER_FACE_ROW * start.face + NORMAL_OFFSET), start.side)
@@ -173,10 +173,10 @@ def measure_ground_bend(
 def compute_lift_over_profile(
     points: Array1[F64], count: I64, shape: BodyShape, position: Vec3, up: Vec3, heading: Vec3, max_rise: F64
 ) -> F64:
-    """Return how far (mm) a body must rise along its up direction to be above the profile below it, at most `max_rise`.
+    """Return how far (mm) a body at `position` must rise along its up direction to be above the height profile.
 
-    The body stands at `position`. The capsule must clear each point of the profile. Its ends must also clear the lines between
-    the points."""
+    The result is at most `max_rise`. The capsule must clear each point of the profile. Its ends must also clear the lines
+    between the points."""
     lift = 0.0
     old_x, old_y = 0.0, 0.0
     for k in range(count):

@@ -1,4 +1,4 @@
-"""Builds the tables for a step of bodies that stay outside their ground: capsules, registers and stances."""
+"""Builds the inputs for a step of bodies that stay outside their ground: capsules, registers and stances."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SurfaceStances = tuple[Footing, NDArray[np.float64], NDArray[np.float32]]  # foo
 
 
 def make_face_search(walk: CrowdWalk, count: int, threads: int) -> FaceSearch:
-    """Return the tables for a search of faces for `count` rows."""
+    """Return the tables for a search of the faces near the paths of `count` agents."""
     several = parallel.count_parts(count, threads, ROWS_PER_THREAD)
     table, boxes = walk.walk_tables.table, walk.boxes
     buffers = FaceBuffers(np.empty(several * boxes.triangle_order.size, np.int64), several, count)
@@ -50,9 +50,9 @@ def make_contact_faces(world: World, walk: CrowdWalk, count: int, threads: int) 
 def compute_unit_shapes(
     world: World, population: Population, margin: float = _MARGIN_BODY_LENGTHS
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Return the capsules (k, 4) of a species' bodies, and the index of each agent's body, uint8[n].
+    """Return the capsules (k, 4) of the k bodies of a species, and the index of each agent's body, uint8[n].
 
-    A row has the numbers of a `BodyShape` for a body of 1 mm, extended by `margin` at both ends."""
+    Each capsule has the fields of a `BodyShape` for a body size of 1 mm. It is extended by `margin` at both ends."""
     capsules = [find_capsule(world, key) for key in world.setting.list_body_keys(population.name)]
     shapes = [
         BodyShape(max(each.length - each.width, 0.0) / 2 + margin, each.width / 2, each.height, each.forward_offset)
@@ -62,13 +62,13 @@ def compute_unit_shapes(
 
 
 def select_stances(stances: SurfaceStances, selection: NDArray[np.int64] | NDArray[np.bool_]) -> SurfaceStances:
-    """Return the rows `selection` of footings, positions and normals."""
+    """Return the footings, positions and normals at the rows `selection`."""
     selection = np.flatnonzero(selection) if selection.dtype == np.bool_ else selection
     return stances[0].select_rows(selection), stances[1][selection], stances[2][selection]
 
 
 def compute_row_dots(columns: Sequence[NDArray[np.float32]], vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the dot products of vectors, given as three columns, with vectors (k, 3)."""
+    """Return the dot products (k) of vectors in three columns with vectors in rows (k, 3)."""
     result: NDArray[np.float32] = (columns[0] * vectors[:, 0] + columns[1] * vectors[:, 1]) + columns[2] * vectors[:, 2]
     return result
 
@@ -80,8 +80,8 @@ def read_lifts(population: Population, rows: Rows) -> VectorArrays:
 def update_idle_times(
     population: Population, rows: Rows, start_positions: NDArray[np.float64], dt: np.float32
 ) -> NDArray[np.float32]:
-    """For each of `rows`, update how long the feet have not moved although they should, after a step of `dt` seconds. Return
-    these times. `start_positions` (n, 3) mm: positions of all agents before the step."""
+    """After a step of `dt` seconds, update how long the feet of the agents at `rows` have not moved although they should.
+    Return these times (s). `start_positions` (n, 3) mm: positions of all agents before the step."""
     now, position = population.now, population.position
     walks = vec.length(vec.take_rows(vec.get_vector_registers(now, "velocity"), rows)) != 0
     walks &= (position[rows] == start_positions[rows]).all(axis=1)

@@ -1,6 +1,7 @@
-"""Runs a substep of bodies that stay outside their ground. Before the walk, feet slow down. After it, bodies turn, rise and
-shift. A step is undone if it would bring the body deeper into a surface. The body then turns on the spot. If it cannot turn
-either, it keeps its pose. A body deep inside a surface, for example after a birth in a gap, moves freely until it is outside."""
+"""Runs a substep of bodies that stay outside their ground. Before the walk, feet slow down for the body. After the walk,
+bodies turn, rise and shift. A step is undone if it would move the body deeper into a surface. The body then turns on the spot.
+If it cannot turn either, it keeps its pose. A body deep inside a surface, for example after a birth in a gap, moves freely
+until it is outside."""
 
 from __future__ import annotations
 
@@ -74,10 +75,10 @@ def has_clearance(world: World, population: Population) -> bool:
 
 @dataclass(slots=True)
 class BodyClearanceStep:
-    """The substep of the bodies of a species.
+    """One substep of the bodies of a species.
 
-    `walk`: the tables of the ground. `rows`: agents on ground with bends, and agents that are not aligned with their feet.
-    `bend_levels`: the bend of the ground below them, see `MeshGround.mark_bend_levels`."""
+    `walk`: the tables of the ground. `rows`: agents on ground with bends, and agents with bodies that are not aligned with
+    their feet. `bend_levels`: the bend level of the ground below each of `rows`, see `MeshGround.mark_bend_levels`."""
 
     world: World
     population: Population
@@ -102,10 +103,10 @@ class BodyClearanceStep:
         world: World, population: Population, walk: CrowdWalk, stance: tuple[NDArray[np.int32], VectorArrays],
         limits: tuple[NDArray[np.float32], NDArray[np.float32], np.float32]
     ) -> BodyClearanceStep:  # fmt: skip
-        """List the rows with bodies that need more than their feet.
+        """Return the substep, after a search for the bodies that cannot simply follow their feet.
 
-        `stance`: the states of bodies, and the headings along the ground of leaning bodies. `limits`: tilt and turn limits, and
-        the duration (s)."""
+        `stance`: the states of bodies, and the headings of leaning bodies along the ground. `limits`: limits of tilt and turn,
+        and the duration (s)."""
         now, n, threads = population.now, len(population), world.options.threads
         assert isinstance(world.ground, MeshGround)
         (levels,), (row_levels,) = (population.get_buffers(name, 1, (n,), np.uint8) for name in ("bends", "bends of rows"))
@@ -138,8 +139,8 @@ class BodyClearanceStep:
     def turn_bodies_after_walk(
         self, previous_poses: BodyPoses, start_stances: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]
     ) -> None:
-        """Turn and shift bodies after the walk. `previous_poses`: poses before it. `start_stances`: footings, positions and
-        normals before it."""
+        """Turn and shift bodies after the walk. `previous_poses`, `start_stances`: poses, and footings, positions and normals
+        before the walk."""
         p, now, n = self.population, self.population.now, len(self.population)
         self.previous_poses, self.start_positions = previous_poses, start_stances[1]
         (rows,), (climbers,) = (p.get_buffers(name, 1, (n,), np.int64) for name in ("uneven", "climbers"))
@@ -188,7 +189,8 @@ class BodyClearanceStep:
         now["~depth"][rows[uneven]] = depth
 
     def lift_climbers(self, rows: Rows) -> None:
-        """Lift the bodies of `rows`, which have no level but stand on a wide face that bends, once their poses are final."""
+        """Lift the bodies at `rows`, once their poses are final. Their bend level is 0, but they stand on a wide face that
+        bends."""
         p, now = self.population, self.population.now
         poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
         inputs = (get_footing_arrays(p.footing), poses, self.limits, read_body_registers(p), rows)
@@ -198,11 +200,11 @@ class BodyClearanceStep:
         self, subset: Rows, previous_depths: NDArray[np.float32], turned_depths: NDArray[np.float32],
         previous_poses: list[NDArray[np.float32]], start_stances: SurfaceStances
     ) -> NDArray[np.float32]:  # fmt: skip
-        """Step back or aside with bodies that can neither walk nor turn. Return their remaining depths.
+        """Move bodies that can neither walk nor turn a step back or aside.
 
-        A body that cannot do that either keeps its pose. `subset`: indices among `rows`. `previous_depths`: depths before the
-        step. `turned_depths`: depths of the bodies at their current positions. `previous_poses`: poses before the step.
-        `start_stances`: footings, positions and normals before it."""
+        Return their remaining depths. A body that cannot step aside either keeps its pose. `subset`: indices into `rows`.
+        `previous_depths`: depths before the step. `turned_depths`: depths of the bodies at their current positions.
+        `previous_poses`: poses before the step. `start_stances`: footings, positions and normals before it."""
         p, now, most = self.population, self.population.now, np.maximum(previous_depths, _MAX_DEPTH)
         depths = np.where(turned_depths > most, np.minimum(most + _YIELD_DEPTH, _MAX_YIELD_DISTANCE), turned_depths)
         depths[previous_depths > _MAX_YIELD_DISTANCE] = _STRANDED_DEPTH
@@ -234,7 +236,7 @@ class BodyClearanceStep:
         return depths
 
     def _slide_along_obstacles(self, rows: Rows, step: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the steps (k, 3) of (3, k) mm along obstacles ahead."""
+        """Return the steps of some agents (k, 3), mm, deflected along obstacles ahead. `step` (3, k): the steps before, mm."""
         short, above = step.astype(np.float32), up.astype(np.float32)
         slid = slide_rows(self.world, self.population, rows, tuple(short), tuple(above))
         return np.stack(slid, axis=1).astype(np.float64)
@@ -253,7 +255,7 @@ class BodyClearanceStep:
     def correct_moved_bodies(self) -> None:
         """Turn and shift the bodies that contacts have moved.
 
-        A move is undone if it would bring the body deeper into a surface. It is also undone if the body would lean more than
+        A move is undone if it brings the body deeper into a surface. It is also undone if the body then leans more than
         allowed."""
         p, now, rows, climbers = self.population, self.population.now, self.rows, self.climbers
         self.lift_climbers(climbers[(p.position.take(climbers, axis=0) != self.climber_positions).any(axis=1)])
@@ -280,7 +282,7 @@ class BodyClearanceStep:
             now[name][back] = values[at]
 
     def _stand_up(self, subset: Rows) -> None:
-        """Give some bodies the poses of their feet, so that they can be turned again."""
+        """Reset some bodies to the poses of their feet, so that they can be turned again. `subset`: indices into `rows`."""
         p, rows = self.population, self.rows[subset]
         for k, axis in enumerate(AXES):
             p.now[f"up.{axis}"][rows] = p.normal[rows, k]
@@ -296,9 +298,8 @@ class BodyClearanceStep:
             p.now[f"position.{axis}"][rows] = position[:, k]
 
     def settle_new_bodies(self) -> None:
-        """Turn and shift new bodies at once. A body that does not fit tries turns, and takes the one with the least depth.
-
-        A body that fits in no direction steps aside, by up to four body lengths."""
+        """Turn and shift new bodies at once. A body that does not fit tries several headings, and uses the one with the least
+        depth. A body that fits in no direction is moved aside by up to four body lengths."""
         p, now, rows, n = self.population, self.population.now, self.rows, len(self.rows)
         heading = np.stack([now[f"heading.{axis}"].take(rows) for axis in AXES])
         best, pose = np.full(n, np.inf, np.float32), [now[name].take(rows) for name in _POSE_REGISTERS]
@@ -353,9 +354,9 @@ class BodyClearanceStep:
     def _shift_bodies(
         self, rows: Rows, previous_lifts: VectorArrays, start_positions: NDArray[np.float64] | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Shift bodies outside the faces around them. Return the remaining depths and the directions out (3, k).
-
-        `previous_lifts`: shifts before the step. `start_positions` (k, 3) mm: positions before it, if feet have moved."""
+        """Shift bodies out of the faces around them. Return their remaining depths, and the directions out of the surface (3,
+        k). `previous_lifts`: shifts before the step. `start_positions` (k, 3) mm: positions before the step, if feet have
+        moved."""
         p, now = self.population, self.population.now
         if start_positions is not None:
             lifts = (np.stack(previous_lifts, axis=1) - p.position[rows]) + start_positions
@@ -378,7 +379,7 @@ class BodyClearanceStep:
 def settle_bodies_outside_ground(world: World, population: Population, rows: Rows) -> bool:
     """Turn and shift new bodies at once, so that they are outside their ground.
 
-    Returns False if the bodies of the species need not stay outside, or if the ground does not consist of triangles."""
+    Returns False if this does not apply, because bodies of the species need not stay outside or the ground has no triangles."""
     if not has_clearance(world, population):
         return False
     assert isinstance(world.ground, MeshGround)

@@ -1,7 +1,7 @@
 """Kernels that keep bodies outside their ground. They shorten steps, turn bodies over the path below them, and shift bodies.
 
 A body follows the mean turn of the ground along its path (`body_paths`), no faster than it can turn. Its angle to the ground's
-normal is limited. So a step ends before an edge until the body can stand beyond the edge."""
+normal is limited. So an agent waits before an edge until its body can stand beyond the edge."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ _VALLEY_GAP_BODY_LENGTHS = 0.01  # body lengths; the same for a valley that is t
 
 @inlined
 def _get_face_list(buffers: FaceBuffers, box_tree: FaceBoxTree, begin: I64) -> I64:
-    """Return the index in `buffers` at which the face list of the chunk from row `begin` on starts."""
+    """Return the index in `buffers` at which the face list of a chunk starts. `begin`: the first row of the chunk."""
     return compute_buffer_index(begin, buffers.rows_per_chunk, buffers.buffer_count) * box_tree.triangle_order.size
 
 
@@ -91,8 +91,8 @@ def _get_face_list(buffers: FaceBuffers, box_tree: FaceBoxTree, begin: I64) -> I
 def _list_crossing_faces(
     search: FaceSearch, face: I64, weights: TriangleWeights, position: Vec3, reach: F64, faces: FaceList
 ) -> I64:
-    """Write the faces that a path of length `reach` (mm) from `position` on face `face` may meet to `faces`. Return their
-    number. Faces of the agent's own piece are included only if the piece cuts itself."""
+    """Write the faces that a path may meet to `faces`, and return their number. The path starts at `position` on `face` and
+    has the length `reach` (mm). Faces of the agent's own mesh piece are included only if the piece cuts itself."""
     if not search.has_several_pieces or get_face_part_clearance(search.clearances, face, weights) > reach * (
         1 + _PROBE_HEIGHT_BODY_LENGTHS
     ):
@@ -110,7 +110,7 @@ def _compute_angle(a: Vec3, b: Vec3) -> F64:
 
 @kernel_helper
 def _rotate_towards_normal(up: Vec3, normal: Vec3, max_angle: F64, ahead: Vec3) -> Vec3:
-    """Return `up`, rotated towards `normal` so far that the angle between both is at most `max_angle` (radians)."""
+    """Return `up`, rotated towards `normal` as far as necessary for an angle of at most `max_angle` (radians) between them."""
     angle, result = _compute_angle(up, normal), up
     if angle > max_angle:
         axis, _, _ = find_rotation_axis(up, normal, ahead)
@@ -121,10 +121,10 @@ def _rotate_towards_normal(up: Vec3, normal: Vec3, max_angle: F64, ahead: Vec3) 
 
 @inlined
 def _find_largest_lean(ground_turn: F64, max_angle: F64) -> F64:
-    """Return how far (radians) a body leans before an edge at which the ground turns by `ground_turn`, if it tilts by
-    `max_angle` in a step.
+    """Return how far (radians) a body should lean before an edge.
 
-    It leans only as far as necessary, so that it stays close to the ground on both sides."""
+    `ground_turn`: the turn of the ground at the edge. `max_angle`: how far the body can tilt in a step. It leans only as far
+    as necessary, so that it stays close to the ground on both sides."""
     return max(_MAX_LEAN, 0.5 * ground_turn - max_angle - _SHARP_EDGE_SLACK)
 
 
@@ -134,10 +134,9 @@ def limit_steps(
     normals: Array2[F32], step: VectorColumns, velocity: VectorColumns, limits: BodyLimits, registers: BodyRegisters,
     begin: I64, end: I64
 ) -> None:  # fmt: skip
-    """Shorten the steps (mm) of the listed agents from `begin` to before `end` so that their bodies can follow.
-
-    A step leads away from the surface that the body touched in the last step. It ends before an edge if the body cannot stand
-    beyond it. It also ends before a valley that is too narrow for the body."""
+    """Shorten the steps (mm) of agents so that their bodies can follow. Entries `begin` to before `end` of `body_rows` are
+    processed. A step may only lead away from a surface that the body touched in the last step. It ends before an edge if the
+    body cannot stand beyond it. It also ends before a valley that is too narrow for the body."""
     table, first, rows, levels = surface.face_table, surface.first_faces, body_rows.rows, body_rows.bend_levels
     points, faces = (
         allocate_scratch(FLOATS_PER_PATH, F64),
@@ -202,9 +201,8 @@ def limit_steps(
 
 @inlined
 def _retreat_from_wall(step: Vec3, length: F64, wall: Vec3, distance: F64) -> Vec3:
-    """Return a step of the given length without its component into a wall, moved `distance` away from the wall.
-
-    `wall`: the direction away from the wall, along the ground. A step that leads along the wall is reversed."""
+    """Return a step without its component into a wall, but with a component of `distance` away from the wall. A step along the
+    wall is reversed instead. `length`: the length of `step`. `wall`: the direction away from the wall, along the ground."""
     size = np.sqrt(dot(wall, wall))
     into = dot(step, wall)
     out, inside = times(step, -1 / length), -length
@@ -216,11 +214,10 @@ def _retreat_from_wall(step: Vec3, length: F64, wall: Vec3, distance: F64) -> Ve
 
 @inlined
 def _retreat_on_same_side(step: Vec3, retreat: Vec3, wall: Vec3, left: Vec3) -> Vec3:
-    """Return a retreat on the side of the heading on which the step was, and a little to that side, unless that leads into the
-    wall.
+    """Return a retreat that leads to the same side of the heading as the step did, and a little sideways.
 
-    Otherwise a body that turns towards its step would turn the other way, or from side to side. `left`: the direction to the left
-    of the heading."""
+    Returns `retreat` if this would lead into the wall. Without this, a body that turns towards its step could turn the wrong
+    way, or from side to side. `left`: the direction to the left of the heading."""
     size, aside = np.sqrt(dot(retreat, retreat)), dot(retreat, left)
     side = max(abs(aside), _RETREAT_SIDE_SHARE * size) * (1.0 if dot(step, left) >= 0 else -1.0)
     turned = plus(retreat, times(left, side - aside))
@@ -241,9 +238,9 @@ def aim_bodies(
     begin: I64,
     end: I64,
 ) -> None:
-    """Turn the listed bodies from `begin` to before `end` towards their feet, and lift them off the path below them.
-
-    `previous_poses`: poses before the step. `current_poses`: poses of the feet; they are replaced by the poses of the bodies."""
+    """Turn bodies towards their feet, and lift them off the path below them. Entries `begin` to before `end` of `body_rows`
+    are processed. `previous_poses`: poses before the step. `current_poses`: poses of the feet; they are replaced by the poses
+    of the bodies."""
     table, first, rows, levels = surface.face_table, surface.first_faces, body_rows.rows, body_rows.bend_levels
     faces = FaceList(search.buffers.face_numbers, _get_face_list(search.buffers, search.box_tree, begin))
     ahead_points, behind_points = allocate_scratch(FLOATS_PER_PATH, F64), allocate_scratch(FLOATS_PER_PATH, F64)
@@ -334,9 +331,9 @@ def _shift_outside_all(
     max_angle: F64,
     max_rounds: I64,
 ) -> BodyShift:
-    """Return the shift that brings a body outside the ground and obstacles, and the greatest remaining depth.
+    """Return the shift that moves a body out of the ground and of obstacles, and the greatest remaining depth.
 
-    If the body touches an obstacle, it is afterwards moved out of the ground again."""
+    After a shift out of an obstacle, the body is moved out of the ground again."""
     table, pieces, boxes, buffers = ground
     faces = FaceList(buffers.face_numbers, _get_face_list(buffers, boxes, begin))
     result = shift_body_outside_faces(table, pieces, boxes, faces, shape, stance, shift, max_angle, max_rounds)
@@ -369,12 +366,11 @@ def shift_bodies(
     lift: VectorColumns, previous_lift: VectorColumns, depths: Array1[F32], outward_directions: Array2[F32], max_rounds: I64,
     begin: I64, end: I64
 ) -> None:  # fmt: skip
-    """Shift the bodies of `rows` from `begin` to before `end` out of the faces around them, starting from their `lift` (mm).
+    """Shift the bodies at `rows` out of the faces around them, starting from their `lift` (mm).
 
-    `ground`: the faces of the ground. `obstacles`: the faces of obstacles.
-
-    `previous_lift`: the shift of each of `rows` before the step, less the step of its feet. A body that would have to move too
-    far is treated as deep inside. `max_rounds`: as in `shift_body_outside_faces`. `depths`, `outward_directions` (3, k):
+    Entries `begin` to before `end` are processed. `ground`, `obstacles`: the faces of the ground and of obstacles.
+    `previous_lift`: for each of `rows`, the shift before the step minus the step of the feet. A body that would have to move
+    too far is treated as deep inside. `max_rounds`: as in `shift_body_outside_faces`. `depths`, `outward_directions` (3, k):
     receive the remaining depth of each of `rows` (body lengths), and the direction out."""
     place, normals, pose = stances
     for j in range(begin, end):

@@ -17,7 +17,8 @@ _ROUNDING_SLACK = np.float32(ROUNDING_BOUND)
 
 
 def get_obstacle_clearance(world: World, population: Population, obstacle: str) -> NDArray[np.float32]:
-    """Return a distance (mm, float32[n]) within which no face of the obstacle lies; 0 for agents near it. Cached for the step."""
+    """Return a lower bound of each agent's distance from an obstacle at the start of the step (mm, float32[n]); 0 for agents
+    near it. The result is cached for the step."""
     key = (population.name, obstacle, population.version)
     distances = world.clearances.get(key)
     if distances is None:
@@ -28,14 +29,14 @@ def get_obstacle_clearance(world: World, population: Population, obstacle: str) 
 
 
 def is_contact_possible(clearance: NDArray[np.float32], reach: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which agents may have a face within `reach` (mm). `clearance`: the result of `get_face_part_clearance`."""
+    """Return which agents may have a face within `reach` (mm). `clearance`: a lower bound (mm) of the distance from faces."""
     return clearance <= reach * (1 + _ROUNDING_SLACK) + _ROUNDING_SLACK
 
 
 def mark_near_obstacles(
     world: World, population: Population, reach: NDArray[np.float64], levels: NDArray[np.uint8], level: int
 ) -> None:
-    """Set the `levels` of agents that may have a face of an obstacle within `reach` (mm)."""
+    """Set `levels` to `level` for agents that may have a face of an obstacle within `reach` (mm)."""
     names = _list_obstacles(world)
     if names:
         now, start = (vec.get_vector_registers(registers, "position") for registers in (population.now, population.start))
@@ -45,7 +46,7 @@ def mark_near_obstacles(
 
 
 def find_obstacle_faces(world: World) -> tuple[NDArray[np.float64], NDArray[np.int32], FaceBoxTree]:
-    """Return the faces of all obstacles in the form that kernels read. They are updated after an obstacle has moved."""
+    """Return the faces of all obstacles, packed for kernels. They are packed again after an obstacle has moved."""
     scenes = tuple(world.obstacles[name] for name in _list_obstacles(world))
     if world.obstacle_faces is None or world.obstacle_faces[0] != scenes:
         corners = np.concatenate([np.empty((0, 3, 3)), *(each.corners for each in scenes if isinstance(each, RayScene))])

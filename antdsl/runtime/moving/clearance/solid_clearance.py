@@ -1,7 +1,6 @@
-"""Shifts of bodies that would be inside a solid: in narrow tunnels, at rims, and where the ground was just dug.
-
-Bodies on a solid follow the smooth normal of its surface, so heads and abdomens enter walls where it curves. Here, each
-capsule leaves the solid along the gradient of the distance to it. The result for an agent does not depend on other agents."""
+"""Shifts bodies out of solids. Bodies would be inside in narrow tunnels, at rims, and where the ground was just dug. Bodies on
+a solid follow the smooth normal of its surface, so heads and abdomens enter the walls where the surface curves. Here, each
+capsule moves out of the solid along the gradient of the distance. The result for an agent does not depend on other agents."""
 
 from __future__ import annotations
 
@@ -39,9 +38,8 @@ def has_solid_clearance(world: World, population: Population) -> bool:
 
 
 def shift_bodies_outside_solids(world: World, population: Population, start: Floats, dt: float) -> None:
-    """Shift bodies out of solids: change their shifts in place. `start` (n, 3): the positions before the walk (mm).
-
-    Step and shift together are hardly longer than the longest step of the agent."""
+    """Change the shifts of bodies in place so that they leave solids. `start` (n, 3): the positions before the walk (mm). The
+    shift is limited: together with the step, it is hardly longer than the longest step that the agent could make."""
     now = population.now
     size = np.where(now["size"] > 0, now["size"], 0).astype(np.float64)
     previous = population.read_vector("~lift")
@@ -58,7 +56,7 @@ def shift_bodies_outside_solids(world: World, population: Population, start: Flo
 
 
 def _find_shifts(world: World, population: Population, size: Floats) -> Floats:
-    """Return the shifts (n, 3) mm that bring capsules outside of all solids. `size` (n): sizes of the bodies (mm)."""
+    """Return the shifts (n, 3) mm that move capsules out of all solids. `size` (n): sizes of the bodies (mm)."""
     shifts = np.zeros((len(population), 3))
     shapes, body = compute_unit_shapes(world, population, 0.0)
     up, heading = population.read_vector("up"), population.read_vector("heading")
@@ -89,9 +87,9 @@ def _find_shifts(world: World, population: Population, size: Floats) -> Floats:
 
 
 def _find_free_shares(walked: Floats, change: Floats, longest: Floats) -> Floats:
-    """Return the fraction (n) of `change` by which each body may shift, from 0 to 1.
+    """Return the fraction (n), 0 to 1, of `change` by which each body may shift.
 
-    With `walked` (n, 3) mm, they then move by at most `longest` mm, or no farther than they have walked."""
+    Together with the step `walked` (n, 3) mm, the body then moves by at most `longest` mm, or not farther than the step alone."""
     a, b, c = dot(change, change), dot(walked, change), dot(walked, walked) - longest * longest
     root = np.sqrt(np.maximum(b * b - a * np.minimum(c, 0.0), 0.0))
     share: Floats = np.where(a > 0, (root - b) / np.maximum(a, 1e-300), 0.0)

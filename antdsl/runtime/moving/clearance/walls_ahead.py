@@ -1,7 +1,6 @@
-"""Finds walls ahead of agents, which are parts of the ground in reach of the next steps, and how far a body tilts before them.
-
-A body of length L tilts linearly over a distance of L before a wall. Its head is L/2 ahead of its feet, so it stays out of a
-wall of up to a right angle. For an overhanging wall, the distance is longer by the factor angle / sine."""
+"""Finds walls ahead of agents, and how far bodies tilt before them. Walls are parts of the ground that the next steps may
+reach. A body of length L tilts linearly over a distance of L before a wall. Its head is L/2 ahead of its feet, so it does not
+enter a wall at an angle of up to 90 degrees. For an overhanging wall, the distance is multiplied by angle / sine."""
 
 from __future__ import annotations
 
@@ -32,13 +31,11 @@ MAX_TILT_DISTANCE_HALF_LENGTHS = 3.0  # half bodies; a body tilts within this di
 
 
 class WallsAhead(NamedTuple):
-    """Walls ahead of some agents, lengths in mm.
+    """Walls ahead of some agents; lengths are in mm.
 
-    `normals` (3, k): normals on the agents' side. `directions` (3, k): directions towards the walls.
-    `angles` (radians): between ground and wall.
-    `distances`: distance of the feet from the wall. `tilt_distances`: the distance over which the body tilts. `half_lengths`:
-    half of the body's
-        length."""
+    `normals` (3, k): the wall's normals on the side of the agents. `directions` (3, k): directions towards the walls.
+    `angles`: the angles between ground and wall (radians). `distances`: the distances of the feet from the wall.
+    `tilt_distances`: the distance over which the body tilts. `half_lengths`: half of the body's length."""
 
     normals: Floats
     directions: Floats
@@ -59,13 +56,13 @@ def find_walls(
     reach: Floats,
     body_states: NDArray[np.int32],
 ) -> WallsAhead:
-    """Return the walls within `reach` (mm) of agents, along their heading over the ground and along their step (mm).
+    """Return the walls within `reach` (mm) of agents, in the direction of their heading along the ground or of their `step`
+    (mm).
 
-    Of two walls, the one that tilts the body further is used. If an agent walks backward while it faces another direction, its
-    step is not searched, because its head is on the other side.
-    `body_states`: set to the number of the wall of each agent with a wall.
-    `level_headings`: initially contains the headings along the ground of leaning agents; set for all agents that search for
-    walls."""
+    Of two walls, the one that tilts the body further is used. The direction of the step is not searched if an agent faces
+    another direction and walks backward, because its head is on the other side. `body_states`: for each agent with a wall,
+    receives the number of the wall. `level_headings`: on entry, the headings of leaning agents along the ground; on return,
+    those of all agents that search for walls."""
     meshes = world.ground.meshes
     if meshes is None:
         return NO_WALLS
@@ -96,23 +93,23 @@ def find_walls(
 
 @inlined
 def compute_half_length(size: F32) -> F64:
-    """Return half of a body's size (mm), 0 for a size that is not a valid number."""
+    """Return half of a body's size (mm); 0 if the size is not a valid number."""
     long = np.float64(_F(0) if size <= 0 else size)
     return long / 2 if np.isfinite(long) else 0.0
 
 
 @kernel
 def write_wall_reach(size: Array1[F32], reach: Array1[F64]) -> None:
-    """Write how far ahead (mm) bodies of the given sizes (mm) search for walls."""
+    """Write how far ahead bodies search for walls (mm) to `reach`. `size`: the sizes of the bodies (mm)."""
     for i in simd_range(0, size.size):
         reach[i] = MAX_TILT_DISTANCE_HALF_LENGTHS * compute_half_length(size[i])
 
 
 class BodyDirections(NamedTuple):
-    """Directions of agents.
+    """The headings and steps of agents.
 
-    `heading`: headings. `level_heading`: headings along the ground, for agents that lean according to `state`.
-    `step`: steps (mm). `has_facing`: whether `facing` contains directions to face."""
+    `level_heading`: the headings along the ground of agents that lean according to `state`. `step`: in mm. `has_facing`:
+    whether `facing` contains directions that agents face instead of their path."""
 
     heading: VectorColumns
     level_heading: VectorColumns
@@ -133,11 +130,10 @@ def write_wall_rays(
     origin: Array2[F64],
     displacement: Array2[F64],
 ) -> I64:
-    """Write the rays (3, ..) with which agents search for walls, and their data `wall_rays`; return their number.
-
-    The first rays are along the heading over the ground, one for each of `rows`. Then come rays along the step, for agents
-    that step sideways and do not walk backward. The buffers have space for two rays per row. `looking` contains the heading
-    along the ground for leaning agents, and for all rows afterwards."""
+    """Write the rays with which agents search for walls to `origin` and `displacement` (3, ..), with further data in
+    `wall_rays`. Return their number. The first rays are along the heading over the ground, one for each of `rows`. Then come
+    rays along the step, for agents that step sideways and do not walk backward. The buffers have space for two rays per row.
+    On entry, `directions.level_heading` is set for leaning agents; on return, for all `rows`."""
     which, halves, sizes, aheads, normals = wall_rays
     heading, looking, state, step, faces, face = directions
     count = rows.size
@@ -191,10 +187,10 @@ def write_walls(
     half_lengths: Array1[F64],
     state: Array1[I32],
 ) -> I64:
-    """Write the `WallsAhead` of agents with a wall ahead, and return their number.
+    """Write the fields of `WallsAhead` for agents with a wall ahead, and return the number of walls.
 
-    `hit_rays`: ascending indices of the rays that hit something; the `heading_ray_count` rays are along the heading.
-    Of two walls, the one that needs more tilt is used. Its number is written to `state`."""
+    `hit_rays`: ascending indices of the rays that hit something. The first `heading_ray_count` rays are along the heading. Of
+    two walls, the one that needs more tilt is used. The number of the agent's wall is written to `state`."""
     which, halves, sizes, aheads, normals = wall_rays
     middle = 0
     while middle < hit_rays.size and hit_rays[middle] < heading_ray_count:

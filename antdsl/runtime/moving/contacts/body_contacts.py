@@ -1,4 +1,4 @@
-"""Contacts of bodies with triangles around them. Computes the shift that moves a body outside, and the remaining depth."""
+"""Contacts of bodies with the triangles around them. Computes the shift that moves a body outside, and the depth that remains."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ class BodyStance(NamedTuple):
 
 
 class BodyShift(NamedTuple):
-    """The shift of a body from its stance (mm), its remaining depth inside a surface (mm), and the direction out."""
+    """The shift of a body from its stance (mm), its remaining depth inside a surface (mm), and the direction out of the
+    surface."""
 
     shift: Vec3
     remaining_depth: F64
@@ -39,7 +40,7 @@ class BodyShift(NamedTuple):
 
 @inlined
 def _get_axis_point(middle: Vec3, heading: Vec3, half_length: F64, index: I64) -> Vec3:
-    """Return the `index`-th of the points at which a capsule's axis is sampled."""
+    """Return one of the points at which the axis of a capsule is sampled. `index`: the number of the point."""
     return plus(middle, times(heading, half_length * (2.0 * np.float64(index) / (_AXIS_POINT_COUNT - 1) - 1.0)))
 
 
@@ -99,10 +100,9 @@ def shift_body_outside_faces(
     max_shift: F64,
     max_rounds: I64,
 ) -> BodyShift:
-    """Return the shift that brings a capsule outside all faces around it, starting from `shift`, and its remaining depth.
-
-    `max_rounds`: the number of iterations. Each first moves the body off the faces that its axis crosses, then off the faces
-    nearer than its radius. With 0 iterations, only the depth is measured. The shift is at most `max_shift` mm."""
+    """Return the shift that moves a capsule out of all faces around it, and its remaining depth. The search starts from
+    `shift`. `max_rounds`: the number of iterations. Each iteration first moves the body off the faces that its axis crosses,
+    then off faces nearer than its radius. With 0 iterations, only the depth is measured. The shift is at most `max_shift` mm."""
     place, normal, up, heading, size = stance
     rest = plus(place, plus(times(up, shape.middle_height), times(heading, shape.middle_forward_offset)))
     tip = times(heading, shape.axis_half_length + shape.radius)

@@ -33,10 +33,10 @@ NO_PERIOD = np.zeros(6)
 
 
 class CapsuleArrays(NamedTuple):
-    """Capsules of some rows. `middle`, `axis_direction`, `up` (3, k): middle of the axis (mm), and unit vectors.
-    `half_length`, `radius` (k): half length and radius (mm). `period` (6): widths (mm) of a periodic world, and their
-    inverses; 0 along axes that do not wrap. `tilted_cosine`: if the cosine between the up directions of a pair is below this,
-    the nearest points are searched in space instead of in a plane."""
+    """The capsules of some rows. `middle` (3, k): the middles of their axes (mm). `axis_direction`, `up` (3, k): unit vectors.
+    `half_length`, `radius` (k): half the length of the axis, and the radius (mm). `period` (6): widths (mm) of a periodic
+    world, and their inverses; 0 along axes that do not wrap. `tilted_cosine`: if the up directions of a pair have a cosine
+    below this, nearest points are computed in space instead of in a plane."""
 
     middle: Strided2[F64]
     axis_direction: Strided2[F64]
@@ -48,7 +48,7 @@ class CapsuleArrays(NamedTuple):
 
 
 class CrowdCapsules(NamedTuple):
-    """Capsules of all agents, as in `CapsuleArrays`. Vectors have the layout of registers."""
+    """The capsules of all agents, with the fields of `CapsuleArrays`. Vectors are stored as three columns, like registers."""
 
     middle: Array2[F64]
     axis_direction: VectorColumns
@@ -62,9 +62,8 @@ class CrowdCapsules(NamedTuple):
 class CapsuleShape(NamedTuple):
     """The capsule of a species, in body lengths.
 
-    `length`, `width`: size of the capsule. `height`: height of its axis above the feet. `forward_offset`: distance of its
-    middle ahead
-        of the feet."""
+    `length`, `width`: the size of the capsule. `height`: how far its axis is above the feet. `forward_offset`: how far its
+    middle is ahead of the feet."""
 
     length: F64
     width: F64
@@ -73,8 +72,8 @@ class CapsuleShape(NamedTuple):
 
 
 class TrunkCapsules(NamedTuple):
-    """Capsules of all agents, as in `capsules.CapsuleCrowd`. `forward_offset`: the distance (mm) of each middle ahead of the
-    feet."""
+    """The capsules of all agents, with the fields of `capsules.CapsuleCrowd`. `forward_offset`: the distance (mm) of each
+    middle ahead of the feet."""
 
     half_length: Array1[F64]
     radius: Array1[F64]
@@ -104,13 +103,13 @@ class TouchingPairCounts(NamedTuple):
 
 @inlined
 def _read_vector(vectors: VectorColumns, i: I64) -> Vec3:
-    """Return element i of vectors stored as three float32 arrays."""
+    """Return element `i` of vectors that are stored as three float32 arrays."""
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
 
 
 def make_empty_partial_bounds() -> NDArray[np.float64]:
-    """Return initial bounds for `place_trunks`: +inf for minima, -inf for maxima, and 0 for the count of values that are not
-    finite."""
+    """Return the initial partial bounds for `place_trunks`: +inf for minima, -inf for maxima, and 0 for the number of values
+    that are not finite."""
     return _EMPTY_PARTIAL_BOUNDS.copy()
 
 
@@ -121,8 +120,8 @@ def place_trunks(
 ) -> CrowdBounds:  # fmt: skip
     """Compute the capsules of a species at positions (3, n) mm, and store them from index `first_index` on.
 
-    Returns the bounds of this species and all earlier ones.
-    `partial_bounds` (9, 64): partial bounds, one column for every 64th agent; initially from `make_empty_partial_bounds`."""
+    Returns the bounds of this species and of all species before it. `partial_bounds` (9, 64): updated; column k collects the
+    bounds of every 64th agent. `make_empty_partial_bounds` returns the initial values."""
     length, width, height, ahead = shape
     half, radius, shift, reach, middle = trunks
     for begin in range(0, size.size, _AGENTS_PER_BATCH):
@@ -168,7 +167,7 @@ def place_trunks(
 
 @inlined
 def compute_mean_up(first_up: Vec3, second_up: Vec3) -> Vec3:
-    """Return the unit vector between two up directions; zero if the agents are on opposite sides of something."""
+    """Return the unit vector halfway between two up directions; zero if these are opposite."""
     between = plus(first_up, second_up)
     factor = 0.0 if dot(first_up, second_up) < _OPPOSITE_SIDES_COSINE else 1 / np.sqrt(max(dot(between, between), 1e-12))
     return times(between, factor)
@@ -178,12 +177,12 @@ def compute_mean_up(first_up: Vec3, second_up: Vec3) -> Vec3:
 def find_separation_axis(
     offset: Vec3, first_axis: Vec3, second_axis: Vec3, normal: Vec3, reach: F64, length: F64
 ) -> tuple[Vec3, F64, Vec3]:
-    """Return the separation of two capsule axes: the vector between their nearest points, perpendicular to `normal`.
+    """Return the separation of two capsule axes: the vector between their nearest points, projected perpendicular to `normal`.
 
-    Also returns the height difference of these points along `normal`, and the vector between both middles, perpendicular to
-    `normal`. The nearest points of two segments are computed as in C. Ericson, Real-Time Collision Detection, 2005, 5.1.9.
-    `offset`: from the second middle to the first. `first_axis`, `second_axis`: unit vectors along the axes. `reach`, `length`:
-    their half lengths."""
+    Also return the height difference of these points along `normal`, and the projected vector between both middles. The
+    nearest points of two segments are computed as in C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. `offset`: from
+    the second middle to the first. `first_axis`, `second_axis`: unit vectors along the axes. `reach`, `length`: their half
+    lengths."""
     flat = minus(offset, times(normal, dot(offset, normal)))
     one, other = (
         minus(first_axis, times(normal, dot(first_axis, normal))),
@@ -206,7 +205,7 @@ def _measure_capsule_gap(
     offset: Vec3, first_axis: Vec3, second_axis: Vec3, first_up: Vec3, second_up: Vec3, reach: F64, length: F64, radius_sum: F64,
     tilted_cosine: F64,
 ) -> tuple[F64, Vec3, BOOL]:  # fmt: skip
-    """Return the gap (mm) and separation axis of a pair, and whether the axis is missing because both positions are equal.
+    """Return the gap (mm) and the separation axis of a pair, and whether there is no axis because both positions are equal.
 
     If the capsule axes cross, the separation axis is the direction between the middles. `tilted_cosine`: as in
     `CapsuleArrays`."""
@@ -230,7 +229,7 @@ def _measure_capsule_gap(
 
 @inlined
 def wrap_offset(offset: Vec3, period: Array1[F64]) -> Vec3:
-    """Return the nearest image of an offset. Without a period, it is unchanged."""
+    """Return the shortest periodic image of an offset between positions. Along axes without a period, it is unchanged."""
     return (
         offset[0] - period[0] * np.floor(offset[0] * period[3] + 0.5),
         offset[1] - period[1] * np.floor(offset[1] * period[4] + 0.5),
@@ -240,7 +239,8 @@ def wrap_offset(offset: Vec3, period: Array1[F64]) -> Vec3:
 
 @inlined
 def _measure_row_gap(bodies: CapsuleArrays, offset: Vec3, p: I64, q: I64) -> tuple[F64, Vec3, BOOL]:
-    """Measure the gap of rows p and q, with an `offset` of their middles, and return the result of `_measure_capsule_gap`."""
+    """Measure the gap between the rows `p` and `q`, and return the result of `_measure_capsule_gap`. `offset`: from the middle
+    of `q` to that of `p`."""
     _, ahead, up, half, radius, period, tilted = bodies
     a, b, u, v = get_column(ahead, p), get_column(ahead, q), get_column(up, p), get_column(up, q)
     return _measure_capsule_gap(wrap_offset(offset, period), a, b, u, v, half[p], half[q], radius[p] + radius[q], tilted)
@@ -251,7 +251,7 @@ def measure_listed_pairs(
     bodies: CapsuleArrays, displacement: Any, i: Array1[I64], j: Array1[I64], gap: Array1[F64], direction: Array2[F64],
     pair_numbers: Array1[I64], count: I64, lost_pairs: Array1[I64]
 ) -> I64:  # fmt: skip
-    """Measure the first `count` pairs in `pair_numbers`, as `measure_pairs_of_changed_rows` does."""
+    """Measure only the first `count` pairs of `pair_numbers`. Otherwise the same as `measure_pairs_of_changed_rows`."""
     middle = bodies.middle
     for n in simd_range(0, count):
         pair = pair_numbers[n]
@@ -272,10 +272,9 @@ def measure_pairs_of_changed_rows(
     bodies: CapsuleArrays, displacement: Strided2[F64], i: Array1[I64], j: Array1[I64], changed: Array1[BOOL],
     gap: Array1[F64], direction: Array2[F64], pair_numbers: Array1[I64], lost_pairs: Array1[I64]
 ) -> I64:  # fmt: skip
-    """Write `gap` and `direction` of the pairs with a `changed` row, as described for `capsules.NearbyCapsulePairs.measure`.
-
-    Returns the number of pairs without a separation axis; these are listed at the start of `lost_pairs`. `pair_numbers`: a work
-    buffer."""
+    """Measure the pairs with a `changed` row, and write their `gap` and `direction` (see
+    `capsules.NearbyCapsulePairs.measure_gaps`). Returns the number of pairs without a separation axis; they are listed at the
+    start of `lost_pairs`. `pair_numbers`: a work buffer."""
     for pair in simd_range(0, i.size):
         pair_numbers[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
     return measure_listed_pairs(
@@ -288,9 +287,9 @@ def measure_pairs_before_step(
     bodies: CapsuleArrays, travel: Strided2[F64], i: Array1[I64], j: Array1[I64],
     gap: Array1[F64], direction: Array2[F64], depth: Array1[F64], lost_pairs: Array1[I64],
 ) -> I64:  # fmt: skip
-    """Write `gap`, `direction` and `depth` before the step, as described for `capsules.NearbyCapsulePairs.measure_before_step`.
-
-    Returns the number of pairs without a separation axis; these are listed at the start of `lost_pairs`."""
+    """Measure all pairs before the step, and write `gap`, `direction` and `depth` (see
+    `capsules.NearbyCapsulePairs.measure_before_step`). Returns the number of pairs without a separation axis; they are listed
+    at the start of `lost_pairs`."""
     middle, ahead, up, half, radius, _, _ = bodies
     for start in range(0, i.size, _PREFETCH_GROUP_SIZE):
         for pair in range(min(start + _PREFETCH_GROUP_SIZE, i.size), min(start + 2 * _PREFETCH_GROUP_SIZE, i.size)):
@@ -321,11 +320,10 @@ def select_touching_pairs(
     crowd: CrowdCapsules, pair_keys: Array1[I64], i: Array1[I64], j: Array1[I64], gap: Array1[F64], direction: Array2[F64],
     flags: Array1[I64], rows: Array1[I64], row_indices: Array1[I64], all_pairs: BOOL, dead_zone_share: F64
 ) -> TouchingPairCounts:  # fmt: skip
-    """Select the pairs (`i`, `j`) that may touch, for `capsules.find_near_pairs`. Move them to the front of all pair arrays.
-
-    `flags`: receives the indices of pairs without a separation axis. `row_indices`: a work buffer.
-    `all_pairs`: if False, select only pairs with a row that overlaps another row. The overlap must exceed `dead_zone_share` times
-    the sum of both radii."""
+    """Select the pairs (`i`, `j`) that may touch, and move them to the front of all pair arrays. Used by
+    `capsules.find_near_pairs`. `flags`: receives the indices of pairs without a separation axis. `row_indices`: a work buffer.
+    `all_pairs`: if False, select only pairs with a row that overlaps another row. The overlap must exceed `dead_zone_share`
+    times the sum of both radii."""
     middle, ahead, up, half, radius, period, tilted = crowd
     for start in range(0, i.size, _PREFETCH_GROUP_SIZE):
         for pair in range(min(start + _PREFETCH_GROUP_SIZE, i.size), min(start + 2 * _PREFETCH_GROUP_SIZE, i.size)):
@@ -388,7 +386,7 @@ def select_touching_pairs(
 
 @kernel
 def gather_capsules(rows: Array1[I64], crowd: CrowdCapsules, target: CapsuleArrays) -> None:
-    """Write the capsules of the given rows to `target`."""
+    """Copy the capsules of `rows` from `crowd` to `target`."""
     middle, ahead, up, half, radius, _, _ = crowd
     for k in simd_range(0, rows.size):
         row = rows[k]

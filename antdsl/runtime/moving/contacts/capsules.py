@@ -1,8 +1,8 @@
-"""Bodies as capsules: the trunks of all agents, and the distance between any two.
+"""Bodies as capsules: the trunks of all agents, and the distances between them.
 
-A capsule is a segment along the heading with a radius, at the height of the trunk above the feet. The distance of two capsules
-is measured in the plane between their up directions, and separately across it. So neither slopes nor bodies above each other
-produce an overlap."""
+A capsule is a segment along the heading, with a radius, at the height of the trunk above the feet. The distance of two
+capsules is measured in the plane perpendicular to their mean up direction, and separately along this direction. So neither
+slopes nor bodies above each other produce an overlap."""
 
 from __future__ import annotations
 
@@ -57,10 +57,9 @@ _GROUND_GAP = 0.05  # body lengths; least distance of a whole body from level gr
 
 
 def find_capsule(world: World, key: str) -> TrunkCapsule:
-    """Return the capsule of a body.
-
-    The shape comes from the body's own file. Without one, it comes from the body that the first crowd line names, then from the
-    body with the species' name. The capsule of a flat whole body is raised above its feet."""
+    """Return the capsule of a body. The shape comes from the body's own file, if there is one. Otherwise it is that of a
+    library body: the one that the species' first crowd line names, or else the one for the species' name. The capsule of a
+    flat complete body is raised above its feet."""
     own, species = world.setting.body_capsules.get(key), find_species_of_key(key)
     is_whole = world.plan.species[species].has_whole_body
     if own is not None:
@@ -71,13 +70,13 @@ def find_capsule(world: World, key: str) -> TrunkCapsule:
 
 
 def _find_library_body(world: World, species: str) -> str:
-    """Return the name of the library body of a species."""
+    """Return the name of the library body that a species uses."""
     bodies = (crowd.body for crowd in world.setting.crowds if crowd.species == species and crowd.body)
     return next(bodies, None) or find_body_for_species(species)
 
 
 def _find_load_front(world: World, species: str) -> float | None:
-    """Return how far (body lengths) the front of a load is ahead of the feet. Return None if agents of the species hold no loads
+    """Return how far (body lengths) a carried load extends ahead of the feet; None if agents of the species carry no loads
     with a size."""
     if world.setting.body_capsules.get(species) is not None or not world.plan.species[species].has_whole_body:
         return None
@@ -85,9 +84,8 @@ def _find_load_front(world: World, species: str) -> float | None:
 
 
 class CapsuleCrowd:
-    """The capsules of all agents of a world, species by species.
-
-    Each property is read on access, as one array: from current values, or from values at the `start` of the step."""
+    """The capsules of all agents of a world, species by species. Each property is read when it is accessed, as one array for
+    the crowd. Values are the current ones, or those at the `start` of the step."""
 
     def __init__(self, world: World, start: bool = False) -> None:
         self.world, self._start = world, start
@@ -103,7 +101,7 @@ class CapsuleCrowd:
         self.bounds = self._place_capsules()  # bounds of x, y and z of the middles, and of the reach
 
     def _place_capsules(self) -> Bounds | None:
-        """Compute the capsules of each species. Return the bounds of all capsules, or None if they are unknown."""
+        """Compute the capsules of each species. Return the bounds of all capsules; None if a value is not finite."""
         self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
         has_loads = False
@@ -139,8 +137,8 @@ class CapsuleCrowd:
         return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=row_axis)
 
     def split_rows(self, rows: Rows) -> Iterator[tuple[Population, Rows]]:
-        """Yield each species with its part of the given ascending rows. The parts are counted from the first agent of the
-        species."""
+        """Yield each species with those of the given rows that belong to it. `rows`: ascending rows of the crowd. The yielded
+        rows are relative to the first agent of the species."""
         if len(self.species) == 1:
             yield self.species[0], rows
             return
@@ -150,12 +148,12 @@ class CapsuleCrowd:
 
     @property
     def capsules(self) -> CrowdCapsules:
-        """Return the capsules as kernels read them, with the current axes."""
+        """Return the capsules for kernels, with the current directions of their axes."""
         axes = self.read_vector("heading"), self.read_vector("up")
         return CrowdCapsules(self.middle, *axes, self.half, self.radius, self.period, self.tilted_cosine)
 
     def read_vector(self, name: str) -> vec.VectorArrays:
-        """Return the three registers of a vector, concatenated over all species."""
+        """Return the three components of the vector register `name`, each concatenated over all species."""
         x, y, z = (self.concatenate_species(lambda p, axis=axis: self._select_registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
         return x, y, z
 
@@ -164,10 +162,9 @@ class CapsuleCrowd:
 
 
 def _lower_trunks(population: Population, place: Floats, registers: Mapping[str, NDArray[Any]], capsule: TrunkCapsule) -> Floats:
-    """Return positions (3, n) mm from which trunks of bodies that crouch are placed.
+    """Return the positions (3, n) mm, lowered for crouching bodies, at which trunks are placed.
 
-    A trunk stays above the ground. It is lower by at most its radius, so that legs of bodies that stand next to it do not enter
-    it."""
+    A trunk stays above the ground. It is lowered by at most its radius, so that the legs of bodies next to it do not enter it."""
     most = np.float32(min(capsule.width / 2, max(capsule.height - capsule.width / 2, 0.0)))
     lowering = np.minimum(compute_lowering(population), np.maximum(registers["size"], np.float32(0)) * most)
     lowered: Floats = place - np.stack(vec.get_vector_registers(registers, "up")) * lowering
@@ -182,9 +179,9 @@ def _place_trunks_of_rows(
     capsules: TrunkCapsules,
     partial_bounds: Floats,
 ) -> Any:
-    """Compute the capsules of some rows of a species, as `place_trunks` does for all, and store them from index `first_index` on.
+    """Compute the capsules of some rows of a species, and store them from index `first_index` on.
 
-    Returns the bounds, as `place_trunks` does."""
+    The result is that of `place_trunks`."""
     place, heading, up, size = stances
     half, radius, ahead, reach = np.empty((4, len(rows)))
     subset = TrunkCapsules(half, radius, ahead, reach, np.empty((3, len(rows))))
@@ -200,11 +197,11 @@ class NearbyCapsulePairs:
     """Pairs of capsules that are near each other. Lengths are in mm.
 
     - `rows`: ascending rows of the crowd that occur in a pair.
-    - `first_indices`, `second_indices`: indices of both agents in `rows`. The first agent comes first by species and id.
-    - `middle`, `axis_directions`, `up` (3, k); `half_lengths`, `radius` (k): the capsule of each row when the pairs were
-    listed. `max_radius`: the
-      largest radius.
-    - `gap` (m): last measured distance to contact of each pair, negative for overlaps.
+    - `first_indices`, `second_indices`: the indices in `rows` of the two agents of each pair. The first agent comes before the
+      second by species and id.
+    - `middle`, `axis_directions`, `up` (3, k); `half_lengths`, `radius` (k): the capsule of each row at the time when the
+      pairs were listed. `max_radius`: the largest radius.
+    - `gap` (m): the last measured distance between the surfaces of each pair; negative if they overlap.
     - `direction` (3, m): last measured separation axis, a unit vector from the second agent to the first.
     - `tilted_cosine`: as in `CapsuleArrays`."""
 
@@ -225,7 +222,7 @@ class NearbyCapsulePairs:
 
     @property
     def capsules(self) -> CapsuleArrays:
-        """Return the capsules of the rows as kernels read them."""
+        """Return the capsules of the rows for kernels."""
         return CapsuleArrays(
             self.middle, self.axis_directions, self.up, self.half_lengths, self.radius, self.period, self.tilted_cosine
         )
@@ -243,7 +240,7 @@ class NearbyCapsulePairs:
         return gap, direction, depth
 
     def measure_gaps(self, displacement: Floats, changed_rows: Flags) -> None:
-        """Measure all pairs that have a row in `changed_rows` (k), after the rows are displaced by (3, k) mm."""
+        """Measure all pairs with a row in `changed_rows` (k), for rows displaced by `displacement` (3, k) mm."""
         pair_numbers, lost = np.empty((2, len(self.first_indices)), np.intp)
         count = measure_pairs_of_changed_rows(
             self.capsules,
@@ -259,8 +256,8 @@ class NearbyCapsulePairs:
         self.draw_missing_axes(self.direction, lost[:count])
 
     def draw_missing_axes(self, direction: Floats, pair_indices: Rows) -> None:
-        """Draw separation axes (3, m) for pairs with equal positions. Each lies along the ground of the first agent and
-        depends on the seed and both ids."""
+        """Draw random separation axes (3, m) for pairs with equal positions. An axis is parallel to the ground of the first
+        agent, and depends only on the seed and both ids."""
         if not len(pair_indices):
             return
         crowd, i, j = self.crowd, self.first_indices.take(pair_indices), self.second_indices.take(pair_indices)
@@ -281,9 +278,8 @@ class NearbyCapsulePairs:
 
 
 def find_near_pairs(crowd: CapsuleCrowd, dead_zone_share: float | None = None) -> NearbyCapsulePairs:
-    """Return the pairs of a crowd that may touch.
-
-    With `dead_zone_share`, return only pairs with a row that overlaps another row by more than this share of both radii."""
+    """Return the pairs of a crowd that may touch. With `dead_zone_share`, return only pairs with a row that overlaps another
+    row by more than this fraction of the sum of both radii."""
     x, y, z = crowd.middle
     if crowd.world.periodic is None:
         pairs = find_touching_pairs((x, y, z), crowd.reach, crowd.agent_keys, crowd.bounds)
@@ -308,7 +304,7 @@ def find_near_pairs(crowd: CapsuleCrowd, dead_zone_share: float | None = None) -
 
 
 def _find_pairs_of_images(crowd: CapsuleCrowd, box: PeriodicBox) -> tuple[Rows, Rows]:
-    """Return the rows of the pairs in reach of each other in a periodic world; each pair once."""
+    """Return the rows of all pairs of agents in reach of each other in a periodic world. Each pair occurs once."""
     x, y, z = crowd.middle
     widest = float(np.max(crowd.reach, initial=0.0, where=np.isfinite(crowd.reach)))
     sources, position = box.find_image_rows((x, y, z), 2 * widest)
@@ -323,8 +319,8 @@ def _find_pairs_of_images(crowd: CapsuleCrowd, box: PeriodicBox) -> tuple[Rows, 
 
 
 def measure_overlap_depths(world: World) -> Floats:
-    """Return each agent's greatest penetration depth in widths of its trunk, 0 without overlap. The result is float64[n],
-    species by species."""
+    """Return each agent's greatest penetration depth, in widths of its trunk; 0 without overlap. The result is float64[n], one
+    species after another."""
     crowd = CapsuleCrowd(world)
     near = find_near_pairs(crowd)
     depth = np.zeros(len(crowd))

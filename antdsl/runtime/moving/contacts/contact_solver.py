@@ -1,14 +1,12 @@
-"""The solver of contacts: bodies that overlap after all agents have walked are separated along the surface.
-
-Position-based contacts (M. Müller et al., Position Based Dynamics, VRIPHYS 2006, 3.3) in Jacobi sweeps. Each agent takes the mean
-of its contacts (M. Macklin et al., Unified Particle Physics for Real-Time Applications, SIGGRAPH 2014, 4.2). A sweep adds over
-pairs exactly, so the result does not depend on their order. Two bodies separate in shares by their masses.
-
-No agent moves farther from its position at the start of the step than it can walk in the step's duration. A step into another
-agent is shortened and slides along that agent. Agents that overlapped before the step separate at their walking speed.
-`motion_measures` measures the remaining overlap. Surface and obstacles take precedence over contacts. An agent loses the part of
-its velocity that leads into another agent. A push by others adds no velocity; otherwise resting agents would never stop
-moving."""
+"""The solver of contacts: bodies that overlap after all agents have walked are separated along the surface. Contacts are
+position-based (M. Müller et al., Position Based Dynamics, VRIPHYS 2006, 3.3) and solved in Jacobi sweeps. Each agent moves by
+the mean correction of its contacts (M. Macklin et al., Unified Particle Physics for Real-Time Applications, SIGGRAPH 2014,
+4.2). A sweep adds the corrections of all pairs exactly, so the result does not depend on the order of pairs. The masses of two
+bodies decide how far each of them moves. No agent moves farther from its position at the start of the step than it can walk in
+the step's duration. A step into another agent is shortened and slides along that agent. Agents that overlapped before the step
+separate at their walking speed. `motion_measures` measures the remaining overlap. Surface and obstacles take precedence over
+contacts. An agent loses the component of its velocity that leads into another agent. Being pushed by others adds no velocity;
+otherwise resting agents would never stop moving."""
 
 from __future__ import annotations
 
@@ -44,8 +42,8 @@ _SOFT_CONTACT_SECONDS = 0.1  # time constant of soft contacts
 class SolverIterations:
     """The number of iterations against overlaps in a substep.
 
-    `outer_iterations`: how often pairs are measured again. `sweeps`: the number of sweeps after each measurement. `passes`: the
-    number of passes. Passes after the first are for agents that the ground deflected or that could not move."""
+    `outer_iterations`: how often pairs are measured again. `sweeps`: the number of sweeps after each measurement. `passes`:
+    the number of passes; passes after the first are for agents that the ground deflected or that could not move."""
 
     outer_iterations: int
     sweeps: int
@@ -53,8 +51,8 @@ class SolverIterations:
 
     @property
     def has_one_iteration(self) -> bool:
-        """Return whether there is one outer iteration, one sweep and one pass. Then only agents that overlap at the first
-        measurement move."""
+        """Return whether there is only one outer iteration, one sweep and one pass. In this case, only agents that overlap at
+        the first measurement move."""
         return self.outer_iterations == self.sweeps == self.passes == 1
 
 
@@ -66,9 +64,9 @@ SOLVER_ITERATIONS_BY_EFFORT: Mapping[str, SolverIterations] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartStances(StartPositions):
-    """Positions and ground normals of agents at the start of a substep, by species; with hard contacts also their headings.
+    """Positions and ground normals of agents at the start of a substep, by species; for hard contacts also their headings.
 
-    `stances`: complete stances, if steps can be undone. This needs a species with complete bodies that follow the ground."""
+    `stances`: complete stances, if steps can be undone. They can for species with complete bodies that follow the ground."""
 
     heading_by_species: Mapping[str, VectorArrays]
     stances: Mapping[str, Stances] | None
@@ -89,9 +87,9 @@ def record_stances(world: World) -> StartStances | None:
 
 
 def resolve_contacts(world: World, step_start: StartStances, dt: float) -> NearbyCapsulePairs | None:
-    """Separate overlapping agents after a substep of `dt` s. `step_start`: the stances at its start.
+    """Separate overlapping agents after a substep of `dt` s.
 
-    Returns the pairs that may touch; None without such pairs."""
+    `step_start`: the stances at the start of the substep. Returns the pairs that may touch; None if there are none."""
     if len(world) < 2:
         return None
     effort, crowd = SOLVER_ITERATIONS_BY_EFFORT[world.setting.contacts], CapsuleCrowd(world)
@@ -160,9 +158,9 @@ def _record_pushes(
 ) -> None:
     """Add the distance that each row was pushed in this step, for species with a program that reads it.
 
-    Only displacements by other agents are added, not the correction `own_corrections` (3, k) of the row's own step. `rows`:
-    ascending rows of the crowd. `moved_rows`: indices of moved rows among these. `requested_moves` (3, k) mm: the requested
-    displacements. `reached_moves`: the actual displacements; only these count."""
+    Only displacements by other agents are added, not `own_corrections` (3, k), the corrections of the agents' own steps.
+    `rows`: ascending rows of the crowd. `moved_rows`: indices into `rows` of the agents that moved. `requested_moves` (3, k)
+    mm: the requested displacements. `reached_moves`: the actual displacements, from which the distances are computed."""
     if not any(PUSHED_REGISTER in population.now for population in crowd.species):
         return
     pushed = requested_moves - own_corrections.take(moved_rows, axis=1)
@@ -177,11 +175,11 @@ def _record_pushes(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ContactAgents:
-    """Values of the rows in pairs for one substep.
+    """The data of agents that occur in pairs, for one substep.
 
-    `start_position` (3, k) mm: positions at the start. `max_travel` (k) mm: the distance that each row may walk.
-    `mass`: masses. `push_share`: limits the distance that neighbours can push a row; at most 1.
-    `normal` (3, k): normals of the ground below the feet. `is_frozen`: stopped by a fault."""
+    `start_position` (3, k) mm: positions at the start. `max_travel` (k) mm: the distance that each agent may walk.
+    `push_share`: limits how far neighbours can push an agent; at most 1. `normal` (3, k): normals of the ground below the
+    feet. `is_frozen`: whether a fault has stopped the agent."""
 
     start_position: Floats
     max_travel: Floats
@@ -230,10 +228,10 @@ def _solve_separation(
     own_corrections: Floats,
     work_buffers: tuple[Any, ...],
 ) -> Floats:
-    """Return the displacements (3, k) mm of rows that separate the pairs flagged in `is_selected` (m).
+    """Return the displacements (3, k) mm that separate the pairs flagged in `is_selected` (m).
 
-    Pairs are measured after steps were changed by `own_corrections` (3, k) mm. `is_held`: rows that must not move farther.
-    `travel` (3, k) mm: the displacement of each row. `depth` (k) mm: the overlap of each row before the step.
+    Pairs are measured after the steps were changed by `own_corrections` (3, k) mm. `is_held`: flags of rows that must not move
+    farther. `travel` (3, k) mm: the displacement of each row. `depth` (k) mm: the overlap of each row before the step.
     `work_buffers`: buffers for kernels."""
     magic = np.ldexp(1.5, int(np.frexp(nearby_pairs.max_radius)[1]) + 1 - SUM_BITS + 52)
     is_selected, displacement = is_selected.copy(), own_corrections.copy()
@@ -252,8 +250,7 @@ def _solve_separation(
 def _restore_headings(
     crowd: CapsuleCrowd, nearby_pairs: NearbyCapsulePairs, stopped_rows: Rows, previous_headings: Mapping[str, VectorArrays]
 ) -> None:
-    """Reset the headings of the `stopped_rows` rows of `nearby_pairs` to those before the substep.
-
+    """Reset the headings of agents to those before the substep. `stopped_rows`: their indices in the rows of `nearby_pairs`.
     An agent that cannot walk because others surround it cannot turn either."""
     rows, last = nearby_pairs.rows.take(stopped_rows), 0
     for population, own in crowd.split_rows(rows):

@@ -1,4 +1,4 @@
-"""Kernels for bodies that move far in a substep. They find which pairs meet on straight paths, and when.
+"""Kernels for bodies that move far in a substep. They find which pairs collide on straight paths, and when.
 
 The clearance of two capsules with constant orientation is a convex function of time on straight paths. So Newton's method from
 the left never passes the first impact (conservative advancement, C. Ericson, Real-Time Collision Detection, 2005, 5.5.3)."""
@@ -28,12 +28,11 @@ _APPROACH_TOLERANCE = 1e-6  # share of the path; a slower approach does not coun
 
 
 class CapsulePaths(NamedTuple):
-    """Capsules and straight paths of all agents in a substep.
+    """The capsules and straight paths of all agents in a substep.
 
-    `middle`, `displacement` (3, n) mm: middles at the start, and displacements. `axis_direction`, `up` (3, n): unit vectors.
-    `half_length`, `radius` (n) mm: size of the capsules. `path_sag` (n) mm: how far the path on curved ground
-    leaves the straight line.
-    `mass` (n)."""
+    `middle` (3, n) mm: their middles at the start. `displacement` (3, n) mm: their displacements. `axis_direction`, `up` (3,
+    n): unit vectors. `half_length`, `radius` (n) mm: size of the capsules. `path_sag` (n) mm: how far the path over curved
+    ground deviates from the straight line. `mass` (n)."""
 
     middle: Array2[F64]
     displacement: Array2[F64]
@@ -46,7 +45,7 @@ class CapsulePaths(NamedTuple):
 
 
 class PathPairSearch(NamedTuple):
-    """A search for pairs, with the fields of `touching.PairSearch` in the same order."""
+    """A search for pairs of paths. It has the fields of `touching.PairSearch` in the same order."""
 
     searching_agents: Agents
     agents: Agents
@@ -57,10 +56,10 @@ class PathPairSearch(NamedTuple):
 
 
 class PathEncounters(NamedTuple):
-    """Pairs of agents with near paths. `first_rows`, `second_rows` (m): their rows. `meeting_time` (m): when they meet, as a
-    share of the substep.
+    """Pairs of agents with paths that come near each other. `first_rows`, `second_rows` (m): their rows. `meeting_time` (m):
+    when they collide, as a fraction of the substep.
 
-    `separation_axis` (3, m): the unit vector from the second agent to the first when they meet."""
+    `separation_axis` (3, m): the unit vector from the second agent to the first when they collide."""
 
     first_rows: Array1[I64]
     second_rows: Array1[I64]
@@ -77,10 +76,10 @@ def flag_long_steps(
     first_index: I64,
     flags: Array1[I64],
 ) -> I64:
-    """Flag the agents of a species with steps so long that a contact along the path may be missed. Return their number.
+    """Flag the agents of a species with steps so long that a contact along the path could be missed.
 
-    `position`, `start_positions` (n, 3) mm: end and start. `half_length`, `radius`, `flags`: arrays of the crowd, in which the
-    species starts at index `first_index`."""
+    Return their number. `position`, `start_positions` (n, 3) mm: positions at the end and at the start of the step.
+    `half_length`, `radius`, `flags`: arrays of the crowd, in which the species starts at index `first_index`."""
     total = 0
     for k in simd_range(0, position.shape[0]):
         x, y, z = (
@@ -107,10 +106,10 @@ def fill_paths(
     first_index: I64,
     paths: CapsulePaths,
 ) -> None:
-    """Write the paths of the agents of a species, from index `first_index` on. On entry, `paths.middle` has the middles at the
-    end.
+    """Write the paths of the agents of a species, from index `first_index` on.
 
-    `position`, `start_positions` (n, 3) mm: end and start. `normal` (n, 3): normals of the ground at the start."""
+    On entry, `paths.middle` contains the middles at the end. `position`, `start_positions` (n, 3) mm: positions at the end and
+    at the start. `normal` (n, 3): normals of the ground at the start."""
     for k in simd_range(0, position.shape[0]):
         row = first_index + k
         x, y, z = (
@@ -140,7 +139,7 @@ def fill_paths(
 
 @inlined
 def _scale_along_normal(v: Vec3, normal: Vec3, factor: F64) -> Vec3:
-    """Return a vector with its component along `normal` reduced by the share `factor`."""
+    """Return the vector `v` with its component along `normal` multiplied by 1 - `factor`."""
     return minus(v, times(normal, dot(v, normal) * factor))
 
 
@@ -148,11 +147,10 @@ def _scale_along_normal(v: Vec3, normal: Vec3, factor: F64) -> Vec3:
 def find_impact(
     paths: CapsulePaths, first_row: I64, second_row: I64, relative_displacement: Vec3, share: F64
 ) -> tuple[F64, Vec3]:
-    """Return the time at which two bodies meet (a share of the substep), and the direction from the second to the first.
-
-    The time is `NEVER` if they do not meet. The direction is along the ground. `relative_displacement` (mm): the relative
-    displacement. `share`: the share of both radii that counts as contact. On curved ground, heights are given less weight. So
-    two paths over a hill meet even if their chords do not."""
+    """Return the time at which two bodies collide, as a fraction of the substep, and the direction from the second to the
+    first. The time is `NO_IMPACT_TIME` if they do not collide. The direction is along the ground. `relative_displacement`: the
+    first displacement minus the second (mm). `share`: bodies collide if their distance is less than this fraction of the sum
+    of their radii. On curved ground, heights have less weight, so that paths over a hill collide even if their chords do not."""
     wide = (paths.radius[first_row] + paths.radius[second_row]) * share
     sag = paths.path_sag[first_row] + paths.path_sag[second_row]
     between, part = (
@@ -198,7 +196,7 @@ def find_impact(
 
 @inlined
 def _are_paths_near(paths: CapsulePaths, first_row: I64, second_row: I64) -> BOOL:
-    """Return whether the paths of two bodies come close enough, at any times, that the bodies may touch."""
+    """Return whether the paths of two bodies come so close, even at different times, that the bodies may touch."""
     one, other = get_column(paths.displacement, first_row), get_column(paths.displacement, second_row)
     long, size = np.sqrt(dot(one, one)), np.sqrt(dot(other, other))
     away = minus(
@@ -227,11 +225,11 @@ def list_path_pairs(
     used_count: I64,
     pairs: PathEncounters,
 ) -> I64:
-    """Append the pairs with an `active_rows` row and near paths to the first `used_count` pairs of `pairs`. Return the new
-    number of pairs, or -1 if the arrays are too short.
+    """Append pairs of agents with near paths to the first `used_count` pairs of `pairs`.
 
-    `rank_by_row` (n): defines which row of a pair is the first. `only_impacts`: append only pairs that pass through each other.
-    Bodies that touch at the start count only if they can pass to the other side."""
+    Return the new number of pairs, or -1 if the arrays are too short. At least one agent of a pair is flagged in
+    `active_rows`. `rank_by_row` (n): the row of a pair with the lower rank is the first. `only_impacts`: append only pairs
+    that would pass through each other. For bodies that touch at the start, this is so only if they can pass to the other side."""
     (asks, asking_rows, asking_keys), (ordered, rows, _) = search.searching_agents, search.agents
     for at in range(asking_rows.size):
         (x, y, z, extent), a = load_consecutive(asks, 4 * at, 4), asking_rows[at]

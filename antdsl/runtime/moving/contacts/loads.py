@@ -1,4 +1,4 @@
-"""The capsules of bodies that carry a load."""
+"""Extends the capsules of bodies that carry a load."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ LOAD_REGISTER = "wear#load"  # whether the body of an agent shows its load
 def extend_trunks_over_loads(
     is_carrying: Array1[BOOL], heading: VectorColumns, size: Array1[F32], load_front: F64, first_index: I64, trunks: TrunkCapsules
 ) -> BOOL:
-    """Extend the capsules of agents that carry a load to `load_front` body lengths ahead of the feet.
-
-    Return whether any agent carries a load. The capsules are those from index `first_index` on, as `place_trunks` stored them."""
+    """Extend the capsules of agents that carry a load to `load_front` body lengths ahead of the feet. Return whether any agent
+    carries a load. `first_index`: the first capsule of the species in `trunks`, as `place_trunks` stored it."""
     half, radius, shift, reach, middle = trunks
     has_loads = False
     for i in simd_range(0, size.size):

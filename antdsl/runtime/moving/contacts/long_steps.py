@@ -1,8 +1,8 @@
-"""Long steps: agents with steps longer than a body do not pass through each other (continuous contacts).
+"""Prevents agents with steps longer than a body from passing through each other (continuous collision detection).
 
 After all agents have walked, pairs are listed by their distance at the end. That list does not contain bodies that met during
-the step and separated again. This module finds such bodies along the straight lines between start and end. Each such body
-continues from the impact along the other one. Then changed paths are shortened until no two bodies meet on these lines. Agents
+the step and separated again. This module finds such bodies on the straight lines between start and end. From the impact on,
+such a body continues along the other body. Then changed paths are shortened until no two bodies collide on these lines. Agents
 with short steps cannot pass each other, so a step without long ones costs one loop over all agents."""
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class StartPositions:
 
 
 def find_long_steps(crowd: CapsuleCrowd, start_positions: StartPositions) -> NDArray[np.int64] | None:
-    """Return flags (n) of the agents of a crowd with long steps; None if no agent has one."""
+    """Return which agents of a crowd have long steps, as flags (n); None if no agent has one."""
     flags, total = np.empty(len(crowd), np.int64), 0
     for population, first in zip(crowd.species, crowd.first.tolist(), strict=False):
         start = start_positions.positions[population.name]
@@ -64,10 +64,10 @@ def stop_long_steps_at_impacts(
     own_corrections: Floats,
     dt: float,
 ) -> bool:
-    """Stop agents that would pass through others in a substep of `dt` s. Return whether there was such an agent.
-
-    `long_flags` (n): flags of long steps. `nearby_pairs`: pairs that are near each other at the end. `own_corrections` (3, k)
-    mm: the corrections of their steps by contacts. If any agent is stopped, this function also applies these corrections."""
+    """Stop agents that would pass through others in a substep of `dt` s. Return whether there was such an agent. `long_flags`
+    (n): whether each agent's step is long. `nearby_pairs`: pairs that are near each other at the end. `own_corrections` (3, k)
+    mm: the corrections that contacts have made to the steps of agents in these pairs. If any agent is stopped, this function
+    also applies these corrections."""
     crowd = CapsuleCrowd(world)
     paths, rank = _fill_paths(crowd, start_positions), invert_order(sort_stably(crowd.agent_keys)).astype(np.int64)
     walked = paths.displacement.copy()
@@ -118,7 +118,8 @@ def _fill_paths(crowd: CapsuleCrowd, start_positions: StartPositions) -> Capsule
 def _list_path_encounters(
     paths: CapsulePaths, rank_by_row: NDArray[np.int64], active_rows: NDArray[np.int64], only_impacts: bool
 ) -> PathEncounters:
-    """Return the pairs with an active row and near paths, as `impacts.list_path_pairs` does."""
+    """Return pairs of agents with near paths, at least one of which is active. The arguments are those of
+    `impacts.list_path_pairs`."""
     middle = paths.middle + paths.displacement / 2
     reach = np.sqrt(vec.dot(paths.displacement, paths.displacement)) / 2 + paths.half_length + paths.radius + paths.path_sag
     searches = [PathPairSearch(*search) for search in iterate_neighbour_searches((middle[0], middle[1], middle[2]), reach)]
@@ -139,7 +140,7 @@ def _list_path_encounters(
 
 
 def _deflect_paths(crowd: CapsuleCrowd, paths: CapsulePaths, encounters: PathEncounters, dt: float) -> Flags:
-    """Deflect paths along the bodies that they meet. Return flags (n) of the rows that meet another one."""
+    """Deflect paths along the bodies that they hit. Return which rows (n) hit another body."""
     n, m, approach = len(crowd), len(encounters.first_rows), np.empty((3, len(crowd)))
     for population, first in zip(crowd.species, crowd.first.tolist(), strict=False):
         write_approach(np.arange(len(population)), first, vec.get_vector_registers(population.start, "velocity"), dt, approach)
@@ -155,7 +156,8 @@ def _deflect_paths(crowd: CapsuleCrowd, paths: CapsulePaths, encounters: PathEnc
 
 
 def _shorten_paths(paths: CapsulePaths, pairs: PathEncounters, touched_flags: Flags) -> None:
-    """Shorten paths until no pair with a `touched_flags` row (n) meets. Each shortened row becomes touched, too."""
+    """Shorten paths until no agent flagged in `touched_flags` (n) collides with another. Agents with shortened paths are
+    flagged, too."""
     latest, first, factor = touched_flags.copy(), *np.empty((2, len(touched_flags)))
     for turn in count():
         if not find_next_impacts(pairs, paths, touched_flags, latest, first):

@@ -69,7 +69,7 @@ _CHOSEN_PAIR_ROW, _FIRST_AGENT_ROW, _SECOND_AGENT_ROW, _TOUCHING_PAIR_ROW = rang
 
 
 def make_buffers(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
-    """Return the buffers that `separate_pairs` needs for a crowd with this number of rows and pairs."""
+    """Return the buffers that `separate_pairs` needs. `rows`, `pairs`: the numbers of rows and of pairs."""
     return (
         np.empty((3, rows)), np.empty((3, rows)), np.empty((7, rows)), np.empty((3, rows), np.int64), np.empty(rows, np.bool_),
         np.empty((6, pairs)), np.empty((2, pairs, 3)), np.empty((4, pairs), np.int64), np.full(rows + 1, -1, np.int64),
@@ -87,9 +87,9 @@ def restore_headings(
     rows: Array1[I64], stopped_rows: Array1[I64], crowd_rows: Array1[I64], previous_heading: VectorColumns, up: VectorColumns,
     heading: VectorColumns, shift: Array1[F64], ahead: Array2[F64], middle: Array2[F64],
 ) -> None:  # fmt: skip
-    """Reset headings and trunks of the given rows of a species to those before the substep.
+    """Reset the headings and trunks of `rows`, which belong to one species, to those before the substep.
 
-    `stopped_rows`: indices of the rows among all rows in pairs. `crowd_rows`: their indices in the crowd."""
+    `stopped_rows`: the indices of these agents among all rows in pairs. `crowd_rows`: their rows in the crowd."""
     for n in simd_range(0, rows.size):
         row, k = rows[n], stopped_rows[n]
         above = (up[0][row], up[1][row], up[2][row])
@@ -118,14 +118,12 @@ def _find_maximum(numbers: Array1[F64], count: I64) -> F64:
 def _distribute_overlap(
     pair_count: I64, count: I64, buffers: SolverBuffers, mobility: Array1[F64], cluster_share: Array1[F64]
 ) -> None:
-    """Write to `buffers` the shares of the overlap by which the first and the second agent of each pair move. Their sum is 1.
+    """Write the fractions of the overlap by which the first and the second agent of each pair move to `buffers`.
 
-    A lighter agent and a less locked agent move more. Only the first `pair_count` pairs of `buffers`, among the first `count`
-    rows, are used.
-
-    An agent is locked if it deeply overlaps agents that also deeply overlap others. The measure is the first eigenvector of
-    the contact graph, computed by power iteration: overlaps are repeatedly added up along contacts. It decreases from the
-    middle of a dense cluster to its rim."""
+    Their sum is 1. Lighter agents and less locked agents move more. Only the first `pair_count` pairs of `buffers` and the
+    first `count` rows are used. An agent is locked if it deeply overlaps agents that also deeply overlap others. How locked it
+    is decreases from the middle of a dense cluster to its rim. The measure is the first eigenvector of the contact graph,
+    computed by power iteration: overlaps are repeatedly added up along contacts."""
     locked, spread = buffers[2][_DENSITY_BUFFER_ROW], buffers[2][_SPREAD_BUFFER_ROW]
     numbers, first, second = buffers[5], buffers[7][_FIRST_AGENT_ROW], buffers[7][_SECOND_AGENT_ROW]
     depth = numbers[_DEPTH_ROW]
@@ -162,7 +160,7 @@ def _distribute_overlap(
 
 @inlined
 def _limit_correction(correction: Vec3, middle: Vec3, limit: F64) -> Vec3:
-    """Return `correction`, changed so that the sum of `middle` and the result is at most `limit` (mm) long."""
+    """Return `correction`, reduced if necessary so that the vector `middle` plus the result is at most `limit` (mm) long."""
     displacement = plus(middle, correction)
     size = np.sqrt(dot(displacement, displacement))
     if size > limit:
@@ -176,11 +174,10 @@ def separate_pairs(
     rounding_constant: F64,
     outer_iterations: I64, sweeps: I64, relaxation: F64, lost_pairs: Array1[I64], buffers: SolverBuffers,
 ) -> tuple[I64, I64]:  # fmt: skip
-    """Separate pairs in `outer_iterations` measurements with `sweeps` sweeps each, by a share `relaxation` of their overlap.
-
-    Changes the gaps, directions and selection of the pairs, and `displacement` (mm). Stops if a pair has no separation axis.
-    Returns the number of remaining outer iterations, and the number of pairs without an axis, which are written to
-    `lost_pairs`."""
+    """Separate overlapping pairs. Pairs are measured `outer_iterations` times; each time, there are `sweeps` sweeps.
+    `relaxation`: the fraction of an overlap that a sweep removes. Changes the gaps, directions and selection of `pairs`, and
+    `displacement` (mm). Stops if a pair has no separation axis. Returns the number of remaining outer iterations, and the
+    number of pairs without an axis, which are written to `lost_pairs`."""
     radius = bodies.radius
     i, j, gap, direction, which = pairs
     number, row_list, changed = buffers[3][_INDEX_BUFFER_ROW], buffers[3][_ROW_LIST_BUFFER_ROW], buffers[4]
@@ -227,7 +224,7 @@ def separate_pairs(
 
 @inlined
 def _compute_dead_zone_gap(radius: Array1[F64], first_indices: Array1[I64], second_indices: Array1[I64], pair: I64) -> F64:
-    """Return the gap (mm) below which the pair `pair` is separated. It allows a small overlap."""
+    """Return the gap (mm) below which the pair number `pair` is separated. It is negative, because a small overlap is allowed."""
     return -((radius[first_indices[pair]] + radius[second_indices[pair]]) * DEAD_ZONE_SHARE)
 
 
@@ -254,8 +251,8 @@ def _group_pairs_by_row(
 def _compute_row_limits(
     radius: Array1[F64], agents: ContactAgentArrays, row_list: Array1[I64], count: I64, row_limits: Array2[F64]
 ) -> None:
-    """Write four values of the first `count` rows in `row_list` to `row_limits`: mobility, membership in a dense cluster (0 to
-    1), largest distance from the start (mm), and how far others may push it (mm)."""
+    """Write four limits for each of the first `count` rows of `row_list` to `row_limits`. They are mobility, membership in a
+    dense cluster (0 to 1), largest distance from the start, and largest push by others (mm)."""
     mass, yields, reach, depth, held, _, walked, _ = agents
     light, heap_share, most, push_limit = (
         row_limits[_INVERSE_MASS_ROW], row_limits[_CLUSTER_SHARE_ROW], row_limits[_MAX_CORRECTION_ROW],
@@ -281,11 +278,10 @@ def _run_outer_iteration(
     displacement: Array2[F64], rounding_constant: F64, sweeps: I64, relaxation: F64, only_touching: BOOL,
     buffers: SolverBuffers
 ) -> tuple[BOOL, I64]:  # fmt: skip
-    """Make the sweeps of one outer iteration, for `touching_pair_count` touching pairs. With `only_touching`, use only these
-    pairs, else all pairs of their rows.
+    """Run the sweeps of one outer iteration, for `touching_pair_count` touching pairs.
 
-    Returns whether any row changed, and how many rows were visited. These are at the start of `row_list` in `buffers`, which also
-    has a flag for each row that changed."""
+    With `only_touching`, only these pairs are used, else all pairs of their rows. Returns whether any row changed, and how
+    many rows were visited. The visited rows are at the start of the row list in `buffers`, with a flag for each that changed."""
     i, j, gap, direction, which = pairs
     normal, walked, cut = agents[5], agents[6], agents[7]
     new_displacement, sums, of_rows, wholes, changed, numbers, side_directions, indices, starts, row_pairs = buffers

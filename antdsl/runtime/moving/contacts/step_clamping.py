@@ -1,5 +1,5 @@
-"""Limits steps into other agents. Such steps are first deflected along the other agent, then shortened. No agent walks farther
-than half of the free gap."""
+"""Limits steps that lead into other agents. Such a step is first deflected along the other agent, then shortened. Each agent
+walks at most half of the free gap."""
 
 from __future__ import annotations
 
@@ -25,16 +25,15 @@ _MAX_DEFLECTIONS = 3  # deflections of a step along agents ahead, before it is s
 def clamp_approaching_steps(
     nearby_pairs: NearbyCapsulePairs, approach: Floats, mass: Floats, displacement: Floats, gap: Floats, direction: Floats
 ) -> tuple[Floats, Rows, Flags]:
-    """Cut and deflect the steps `displacement` (3, k) mm of rows, so that no agent enters another.
+    """Deflect and shorten the steps `displacement` (3, k) mm so that no agent enters another.
 
-    Returns the corrections (3, k) mm, the stopped rows, and flags (k) of rows that are cut or stopped. An agent is stopped if
-    less than half of its step remains. `approach` (3, k) mm: displacements in the previous period of equal length. `gap` (m),
-    `direction` (3, m): gaps and separation axes of pairs before the steps.
-
-    As in J. van den Berg et al., Reciprocal n-Body Collision Avoidance, 2011, each agent observes half-planes independently.
-    Towards a neighbour it walks at most half of the gap, plus the neighbour's withdrawal if that continues its previous
-    displacement. Since limits are shared in this way, agents need no iteration, and a pressing crowd comes to rest. Of two
-    masses, the heavier is cut less."""
+    Returns the corrections (3, k) mm, the stopped rows, and flags (k) of rows with shortened or stopped steps. An agent is
+    stopped if less than half of its step remains. `approach` (3, k) mm: the displacements in the substep before. `gap` (m),
+    `direction` (3, m): gaps and separation axes of pairs before the steps. As in J. van den Berg et al., Reciprocal n-Body
+    Collision Avoidance, 2011, each agent independently stays within half-planes. It walks towards a neighbour by at most half
+    of the gap. If the neighbour continues its previous displacement away from the agent, this distance is added. Since each
+    agent observes its half, no iteration is needed, and a pressing crowd comes to rest. The step of a heavier agent is
+    shortened less."""
     magic = compute_rounding_constant(displacement)
     rows, pairs = len(nearby_pairs.rows), len(gap)
     (short, sums), part, changed = np.empty((2, 3, rows)), np.empty(rows), np.empty(rows, np.bool_)
@@ -58,14 +57,15 @@ def clamp_approaching_steps(
 
 
 def compute_rounding_constant(terms: Floats) -> float:
-    """Return the number `magic` for `add_rounded_vector`: it defines the quantum of the terms in sums of `terms` (3, k)."""
+    """Return the constant for `add_rounded_vector`: it defines to which quantum `terms` (3, k) are rounded before they are
+    added."""
     most = max(terms.max(), -terms.min(), 1e-30)
     return float(np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _SUM_BITS + 52))
 
 
 @inlined
 def add_rounded_vector(sums: Array2[F64], column: I64, v: Vec3, rounding_constant: F64) -> None:
-    """Add a vector to column `column` of `sums`, after rounding it to the quantum that `rounding_constant` defines."""
+    """Round a vector to the quantum that `rounding_constant` defines, and add it to column `column` of `sums`."""
     for axis in range(3):
         sums[axis, column] += (v[axis] + rounding_constant) - rounding_constant
 
@@ -77,8 +77,7 @@ def negate_vector(v: Vec3) -> Vec3:
 
 @inlined
 def compute_second_mass_share(mass: Array1[F64], first: I64, second: I64) -> F64:
-    """Return by how much the first of two rows is heavier: 0 for equal masses or a lighter row, almost 1 for a much heavier
-    row."""
+    """Return by how much the first of two rows is heavier: 0 if it is not heavier, almost 1 if it is much heavier."""
     return 1 - min(2 * mass[second] / (mass[first] + mass[second]), 1.0)
 
 
@@ -106,12 +105,12 @@ def deflect_along_limits(
     stopped_rows: Array1[I64],
     is_changed: Array1[BOOL],
 ) -> I64:
-    """Deflect and cut steps along the limits in `buffers.free_gaps`. Return the number of stopped rows.
+    """Deflect and shorten steps at the limits in `buffers.free_gaps`.
 
-    `buffers.pairs` flags the pairs with a step beyond a limit.
-    `corrections` (3, k): receives the corrections (mm). `is_changed`: receives flags of changed rows.
-    `stopped_rows`: receives the stopped rows at its start.
-    After a pass over all pairs, only pairs with a deflected row are visited again, because no other step has changed."""
+    Return the number of stopped rows. On entry, `buffers.pairs` flags the pairs with a step beyond a limit. `corrections` (3,
+    k): receives the corrections (mm). `is_changed`: receives flags of changed rows. `stopped_rows`: receives the stopped rows
+    at its start. After a pass over all pairs, only pairs with a deflected row are visited again, because no other step has
+    changed."""
     free, sums, part, meeting_counts, bent_rows, pairs = buffers
     count, rows = compact_indices(pairs, first_indices.size), 0
     meeting_counts[:] = 0
@@ -184,8 +183,8 @@ def _deflect_steps(
     stopped_rows: Array1[I64],
     is_changed: Array1[BOOL],
 ) -> I64:
-    """Deflect and cut steps as `clamp_approaching_steps` describes. Return the number of stopped rows. The results are as in
-    `deflect_along_limits`."""
+    """Deflect and shorten steps, as described for `clamp_approaching_steps`. Return the number of stopped rows. The other
+    results are those of `deflect_along_limits`."""
     free, pairs = buffers.free_gaps, buffers.pairs
     for pair in simd_range(0, first_indices.size):
         pair_direction, over = get_column(direction, pair), 0

@@ -1,9 +1,9 @@
-"""Undoes steps after which bodies still overlap: agents of such a pair return to where they were when the substep began.
-
-Contacts bring most bodies apart. Some cannot move far enough: in corners, on ground that was dug, or when clearance shifts
-their bodies after contacts. If both agents of a pair overlapped no other at the start of the substep, one of them returns to
-its stance there. If they still overlap, the other one returns too. They stand still for one substep, so they neither jump nor
-turn. Others that have moved into their places return too. Both take turns from frame to frame, so that none waits for ever."""
+"""Undoes steps after which bodies still overlap: agents of such a pair return to their stances at the start of the substep.
+Contacts separate most bodies. Some cannot move far enough, for example in corners, on ground that was dug, or when clearance
+shifts their bodies after contacts. If both agents of a pair overlapped no other at the start of the substep, one of them
+returns to its stance there. If they still overlap, the other one returns too. Agents that return stand still for one substep,
+so they neither jump nor turn. Other agents that have moved to their positions return too. The two agents of a pair take turns
+from frame to frame, so that neither waits forever."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _POSE_REGISTERS = (*(f"{name}.{axis}" for name in ("heading", "up") for axis in 
 
 
 class Stances:
-    """Copies of the stances of all agents of a species: footings, positions, normals and poses."""
+    """Copies of the stances of agents of one species: footings, positions, normals and poses."""
 
     def __init__(self, population: Population, rows: Rows | None = None) -> None:
-        """Copy the stances of the given rows, or of all agents. Footings, positions and normals of all agents are not copied,
-        because walks replace these arrays."""
+        """Copy the stances of the given rows, or of all agents. For all agents, the arrays of footings, positions and normals
+        are not copied, because walks replace them."""
         now = population.now
         names = [name for name in _POSE_REGISTERS if name in now]
         self.footing = population.footing if rows is None else population.footing.select_rows(rows)
@@ -44,7 +44,7 @@ class Stances:
         self.poses = {name: now[name].copy() if rows is None else now[name].take(rows) for name in names}
 
     def restore(self, population: Population, rows: Rows, own: Rows) -> None:
-        """Write the stances with the indices `own` to the given rows of the species."""
+        """Restore the stances number `own` to the agents at `rows` of the species."""
         position = self.position[own]
         for k, axis in enumerate(AXES):
             population.now[f"position.{axis}"][rows] = position[:, k]
@@ -56,7 +56,7 @@ class Stances:
 
 
 def take_back_overlapping_steps(world: World, start: Mapping[str, Stances], near: NearbyCapsulePairs) -> None:
-    """Return pairs of agents that overlap to their stances at the start of a substep.
+    """Move pairs of agents that still overlap back to their stances at the start of a substep.
 
     Agents that overlapped others at the start do not return, because dense clusters must be able to separate. `near`: the
     pairs that could touch before contacts moved agents."""
@@ -88,7 +88,7 @@ def take_back_overlapping_steps(world: World, start: Mapping[str, Stances], near
 
 
 def _has_moved_far(previous_crowd: CapsuleCrowd, crowd: CapsuleCrowd) -> bool:
-    """Return whether a body has moved so far that it may touch a body with which it forms no pair."""
+    """Return whether any body has moved so far that it may touch a body with which it is in no listed pair."""
     displacement = crowd.middle - previous_crowd.middle
     return bool((vec.dot(displacement, displacement) > (_LISTED_RADII * crowd.radius) ** 2).any())
 
@@ -116,7 +116,8 @@ def _find_deep_pairs(crowd: CapsuleCrowd) -> tuple[Rows, Rows]:
 
 
 def _measure_depths(crowd: CapsuleCrowd, near: NearbyCapsulePairs) -> Floats:
-    """Return how deep (m) the bodies of each pair overlap in space, in widths of the narrower body; below 0 without overlap."""
+    """Return how deep the bodies of each pair overlap in space, as array (m) in widths of the narrower body. Negative without
+    overlap."""
     rows, depth = near.rows, np.empty(len(near.first_indices))
     (middle, ahead, up), (half, radius) = np.empty((3, 3, len(rows))), np.empty((2, len(rows)))
     bodies = CapsuleArrays(middle, ahead, up, half, radius, crowd.period, crowd.tilted_cosine)
@@ -127,7 +128,7 @@ def _measure_depths(crowd: CapsuleCrowd, near: NearbyCapsulePairs) -> Floats:
 
 @kernel
 def _write_depths(bodies: CapsuleArrays, i: Array1[I64], j: Array1[I64], depth: Array1[F64]) -> None:
-    """Write the `depth` of each pair, as `_measure_depths` returns it."""
+    """Write the overlap of each pair (`i`, `j`) to `depth`, in the units of `_measure_depths`."""
     middle, ahead, _, half, radius, period, _ = bodies
     for pair in simd_range(0, i.size):
         p, q = i[pair], j[pair]
