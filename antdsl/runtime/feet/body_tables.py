@@ -1,8 +1,8 @@
-"""Positions and axes of bodies as one table, and the conversion of points between bodies and the world.
+"""Stores positions and axes of bodies in one table, and converts points between body and world coordinates.
 
-A table is float64[14, n]. Its rows are the position (mm) and the unit vectors ahead, up and aside, three rows each. The last
-two rows are the size (mm) and whether the trunk stays over its feet: 1 if it does, 0 if the body has shifted out of the
-ground. Points of a body are in body lengths: ahead, above, aside."""
+A table is float64[14, n]. The position (mm) and the unit vectors ahead, up and aside have three rows each. The last two rows
+are the size (mm), and 1 or 0: 1 if the trunk stays over its feet, 0 if the body has been shifted out of the ground. Body
+coordinates are ahead, above and aside, in body lengths."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _F = np.float32
 def compute_body_table(population: BodyWearers, buffer_name: str, threads: int) -> NDArray[np.float64]:
     """Return the table of the bodies of a population, float64[14, n].
 
-    `buffer_name`: the buffer for the table, which the next call with the same name overwrites."""
+    `buffer_name`: the name of the buffer for the table. The next call with the same name overwrites the table."""
     n, now = len(population), population.now
     (bodies,) = population.get_buffers(buffer_name, 1, (_TABLE_ROWS, n), np.float64)
     if n:
@@ -58,7 +58,7 @@ def compute_body_table(population: BodyWearers, buffer_name: str, threads: int) 
 def _write_body_table(
     position: Array2[F64], heading: VectorColumns, up: VectorColumns, size: Array1[F32], bodies: Array2[F64], begin: I64, end: I64
 ) -> None:
-    """Write the table columns of bodies from `begin` to before `end`."""
+    """Write the columns of the table `bodies` for agents from `begin` to before `end`."""
     for i in simd_range(begin, end):
         place = position[0, i], position[1, i], position[2, i]
         forward = np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
@@ -72,14 +72,15 @@ def _write_body_table(
 
 @inlined
 def compute_orthonormal_axes(heading: Vec3, up: Vec3) -> tuple[Vec3, Vec3, Vec3]:
-    """Return the perpendicular unit vectors ahead, up and aside of a body. Ahead is along `heading`."""
+    """Return the unit vectors ahead, up and aside of a body, which are perpendicular to each other. Ahead has the direction of
+    `heading`."""
     ahead = normalise_or_perpendicular(heading, up)
     straight = normalise_or_perpendicular(project_to_plane(up, ahead), ahead)
     return ahead, straight, cross(ahead, straight)
 
 
 class FootedBody(NamedTuple):
-    """A body in the world: its `position` (mm), its unit vectors ahead, up and to the side, and its `size` (mm)."""
+    """A body in world coordinates: its `position` (mm), its unit vectors ahead, up and aside, and its `size` (mm)."""
 
     position: Vec3
     forward_direction: Vec3
@@ -100,9 +101,9 @@ def read_footed_body(bodies: Array2[F64], row: I64) -> FootedBody:
 
 @inlined
 def prefetch_columns(table: Any, rows: I64, group_size: I64, begin: I64, end: I64) -> None:
-    """Prefetch the columns from `begin` to before `end` of a table (…, n) with `rows` rows, `group_size` numbers at once.
-
-    The kernels of this package read about 100 rows, but a processor automatically prefetches only a few."""
+    """Prefetch the columns from `begin` to before `end` of a table (…, n) with `rows` rows. `group_size`: how many numbers of
+    a row one prefetch loads. The kernels of this package read about 100 rows, but a processor automatically prefetches only a
+    few."""
     for row in range(rows):
         k = begin
         while k < end:
@@ -112,7 +113,7 @@ def prefetch_columns(table: Any, rows: I64, group_size: I64, begin: I64, end: I6
 
 @inlined
 def transform_to_world(body: FootedBody, x: F32, y: F32, z: F32) -> Vec3:
-    """Return the world position (mm) of a point that is given in float32 body lengths."""
+    """Return the world position (mm) of a point in body coordinates, given in float32 body lengths."""
     place, ahead, up, aside, size = body
     a, b, c = np.float64(x) * size, np.float64(y) * size, np.float64(z) * size
     return (
@@ -124,7 +125,7 @@ def transform_to_world(body: FootedBody, x: F32, y: F32, z: F32) -> Vec3:
 
 @inlined
 def transform_to_body(body: FootedBody, position: Vec3) -> Vec3F32:
-    """Convert a world position (mm) to the axes of a body, in float32 body lengths: ahead, above, aside."""
+    """Return a world position (mm) in body coordinates: ahead, above and aside, in float32 body lengths."""
     place, ahead, up, aside, size = body
     by = _F(1.0 / max(size, _MIN_SIZE))
     away = _to_float32(minus(position, place))

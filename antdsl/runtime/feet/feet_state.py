@@ -24,15 +24,15 @@ _SHAPE_BY_COLUMN = {name: column.shape for name, column in _COLUMNS.items()} | {
 
 
 def make_zeros_by_leg(shape: Sequence[int], dtype: DTypeLike = np.float64) -> Array:
-    """Return an array of zeros [..., n, L] with a memory layout leg by leg.
+    """Return an array of zeros [..., n, L] that stores the values of all agents for one leg contiguously.
 
-    Operations on all legs then run along all agents at once, where n is large and L small. NumPy preserves that order in
+    Operations then run along agents, which is faster because n is large and L is small. NumPy preserves this memory layout in
     derived arrays."""
     return np.zeros((*shape[:-2], shape[-1], shape[-2]), dtype).swapaxes(-1, -2)
 
 
 def _make_empty_columns(count: int, legs: int, soles: int) -> dict[str, Any]:
-    """Return all columns of `Feet` for `count` agents, filled with zeros."""
+    """Return all columns of `FeetState` for `count` agents, filled with zeros."""
     shapes = {name: column.compute_dimensions(n=count, L=legs, S=soles) for name, column in _COLUMNS.items()}
     return {
         name: make_zeros_by_leg(shapes[name], column.type) if _is_by_leg(name) else np.zeros(shapes[name], column.type)
@@ -41,7 +41,7 @@ def _make_empty_columns(count: int, legs: int, soles: int) -> dict[str, Any]:
 
 
 def _is_by_leg(name: str) -> bool:
-    """Return whether a column has values for each leg, as its last axis."""
+    """Return whether the last axis of a column enumerates legs."""
     return _SHAPE_BY_COLUMN[name][-1] in ("L", "S")
 
 
@@ -52,22 +52,22 @@ def _find_agent_axis(name: str) -> int:
 
 @dataclass(slots=True, eq=False)
 class FeetState:
-    """The feet of n agents with L legs. Positions are mm in world coordinates, components first. S is L for bodies with flat
-    soles, else 0.
+    """The feet of n agents with L legs. Positions are in world coordinates (mm), with the components as first axis. S is L for
+    bodies with flat soles, else 0.
 
     Agents may be in any order. A step sorts them by the population's rows, so that neighbours in space are mostly adjacent.
 
     - `place` float64[3, n, L]: the point where each foot stands or is to land
-    - `shown`, `start` float64[3, n, L]: current position of each foot, and the start of its swing
-    - `swing` float32[n, L]: the completed share of the swing, -1 for a standing foot
-    - `on` int16[n, L]: number of the thing below `place`; -1: the plane; -2: nothing (the foot hangs)
+    - `shown`, `start` float64[3, n, L]: the current position of each foot, and the position at which its swing started
+    - `swing` float32[n, L]: the completed fraction of the swing; -1 for a standing foot
+    - `on` int16[n, L]: the number of the thing below `place`; -1 for the ground plane, -2 for nothing (the foot hangs)
     - `face` int32[n, L], `weight` float64[2, n, L]: the triangle, and the weights of its second and third corner
-    - `found` float32[n, L]: distance (body lengths) of a foothold from the rest position, if that is the nearest ground
+    - `found` float32[n, L]: the distance (body lengths) of a foothold from the foot's rest position, if no ground is nearer
     - `phase` float32[n]: gait phase, from 0 to 1
     - `rise` float32[n]: height of the trunk above its rest height (mm)
-    - `slope` float32[2, n]: increase in ground height below the feet, per length ahead and per length aside
-    - `position` float64[3, n], `heading`, `up` float32[3, n]: pose of the body at the end of the last frame
-    - `tread`, `sole` float32[3, n, S]: normal of the ground at `place`, and the current direction across each sole"""
+    - `slope` float32[2, n]: the slope of the ground below the feet: increase in height per length ahead, and per length aside
+    - `position` float64[3, n], `heading`, `up` float32[3, n]: the pose of the body at the end of the last frame
+    - `tread`, `sole` float32[3, n, S]: the normal of the ground at `place`, and the current normal of each sole"""
 
     ids: NDArray[np.int64]
     place: NDArray[np.float64]
@@ -112,7 +112,7 @@ class FeetState:
 
     @property
     def is_standing(self) -> NDArray[np.bool_]:
-        """Return which feet stand, bool[n, L]."""
+        """Return which feet stand on the ground, bool[n, L]."""
         return np.asarray(self.swing == SWING_PHASE_OF_STANDING_FOOT)
 
     def get_stored_arrays(self) -> dict[str, Array]:
@@ -124,26 +124,27 @@ class FeetState:
         return self.match_ids(np.sort(self.ids))[0]
 
     def compute_id_ranks(self) -> NDArray[np.int32]:
-        """Return the rank of each row in the order of ids."""
+        """Return the rank of each row if rows are sorted by id."""
         if self._cached_ranks is None:
             self._cached_ranks = invert_order(sort_stably(self.ids))
         return self._cached_ranks
 
     def _find_id_rows(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Return the row of each id, and whether there is such a row."""
+        """Return the row of each id, and whether the id has a row. The row of an id without one has no meaning."""
         order = sort_stably(self.ids)
         at, known = match_ids(ids, self.ids.take(order))
         return order.take(at, mode="clip") if order.size else at, known
 
     def copy_common_agents(self, previous_feet: FeetState) -> None:
-        """Copy from `previous_feet` the values of all agents that both have."""
+        """Copy the values of all agents that occur in both objects from `previous_feet`."""
         at, known = previous_feet._find_id_rows(self.ids)
         for name, array in self.get_stored_arrays().items():
             rows: tuple[Any, ...] = (slice(None),) * _find_agent_axis(name)
             array[(*rows, known)] = getattr(previous_feet, name)[(*rows, at[known])]
 
     def match_ids(self, ids: NDArray[np.int64]) -> tuple[FeetState, NDArray[np.intp]]:
-        """Return the feet in the order of `ids`, and the rows of agents that had no feet. Their values are zero."""
+        """Return the feet of the agents `ids`, in this order, and the rows of agents that had no feet before. The feet of
+        these agents are zero."""
         if np.array_equal(ids, self.ids):
             return self, np.zeros(0, np.intp)
         at, known = self._find_id_rows(ids)
@@ -153,9 +154,9 @@ class FeetState:
 
 
 def _select_rows(name: str, array: Array | None, source_rows: NDArray[np.intp], new_rows: NDArray[np.intp]) -> Array | None:
-    """Return the rows `source_rows` of a column, with zeros in the rows `new_rows`.
+    """Return the rows `source_rows` of the column `name`, with zeros in the rows `new_rows`.
 
-    In previous body positions, new rows contain NaN instead."""
+    In the column of previous body positions, new rows contain NaN instead."""
     if array is None:
         return None
     axis, is_by_leg = _find_agent_axis(name), _is_by_leg(name)
@@ -189,9 +190,8 @@ def feet_hash(feet: Mapping[str, FeetState], threads: int = 1) -> str:
 
 
 def restore_feet(arrays: Mapping[str, Array], feet: FeetState, ids: NDArray[np.int64]) -> FeetState:
-    """Return the feet from arrays that `Feet.stored_arrays` returned. `feet`: feet of the same body.
-
-    Raises ValueError if the arrays do not match the legs and ids. Columns of flat soles may be missing if the body has none."""
+    """Return the feet from arrays that `FeetState.get_stored_arrays` returned. `feet`: feet of the same body. Raises
+    ValueError if the arrays do not match the legs and ids. The columns of flat soles may be missing if the body has no soles."""
     columns = _make_empty_columns(len(ids), feet.legs, feet.soles)
     for name, column in columns.items():
         array = arrays.get(name, column if "S" in _SHAPE_BY_COLUMN[name] and not feet.soles else None)

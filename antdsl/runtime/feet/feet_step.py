@@ -1,4 +1,4 @@
-"""Runs one step of all feet: the kernels of `stepping` for each body, with the ground found by `foothold_search`."""
+"""Runs one step of all feet. For each body, it calls the kernels of `stepping`, and `foothold_search` to find ground for feet."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def place_initial_feet(world: World) -> None:
 
 
 def prepare_feet_of_bodies(world: World) -> None:
-    """Give a world empty feet for each body with legs, if feet are simulated."""
+    """Add empty feet for each body with legs to a world, if feet are simulated."""
     world.feet, world.legs_by_species, world.foot_ground = {}, {}, None
     if not world.options.feet or world.periodic is not None:  # feet stay where they stand, also when their agent wraps
         return
@@ -53,7 +53,8 @@ def prepare_feet_of_bodies(world: World) -> None:
 
 
 def record_ground_covered(world: World) -> None:
-    """Record how far the rest position of each foot moved over the ground in this step, before the ground itself moves."""
+    """Record how far the rest position of each foot moved over the ground in this step. Must be called before the ground
+    itself moves."""
     for name, feet in world.feet.items():
         population, walkers = get_body_wearers(world, name), world.legs_by_species[name]
         feet, new = feet.match_ids(population.ids)
@@ -78,7 +79,7 @@ def step_feet(world: World) -> None:
 
 
 def _transpose_legs(array: NDArray[Any]) -> NDArray[Any]:
-    """Return an array [..., n, L] in the layout that kernels read."""
+    """Return an array [..., n, L] as contiguous array [..., L, n], which kernels read."""
     return array.swapaxes(-1, -2)
 
 
@@ -136,7 +137,7 @@ class _FeetStep:
                 feet.start += np.where(np.isfinite(displacement), displacement, 0.0)[:, :, None]
 
     def _place_newborn_feet(self) -> None:
-        """Place the feet of newborn agents at rest, each agent with a different gait phase."""
+        """Place the feet of newborn agents at their rest positions, and give each agent a different gait phase."""
         rows, feet, legs = self.newborn_rows, self.feet, self.gaits.legs
         if not rows.size:
             return
@@ -165,7 +166,7 @@ class _FeetStep:
                 _transpose_legs(self.undermined)[rows] = volume.sample_distances(feet.place[:, rows].T) > gap
 
     def _plan_swings(self) -> None:
-        """Decide which feet lift and land, and find ground for those that need it."""
+        """Decide which feet lift and which land, and find ground for feet that need it."""
         gaits, dt = self.gaits, self.dt
         times = dt, dt / _F(gaits.rest_cycle_seconds), dt / _F(gaits.max_swing_seconds), gaits.least_reach
         plan_inputs = (
@@ -178,7 +179,8 @@ class _FeetStep:
         self._find_footholds(parallel.join_parts(parts, self.requests)[0])
 
     def _find_footholds(self, requests: NDArray[np.int64]) -> None:
-        """Find ground for feet, and store it. `requests`: agents and legs, encoded as `stepping.REQUEST_LEG_BITS` describes."""
+        """Find ground for feet, and store it. `requests`: the agent and leg of each foot, encoded as
+        `stepping.REQUEST_LEG_BITS` describes."""
         if requests.size:
             feet, gaits, targets = self.feet, self.gaits, self.targets
             goals, measures = (*targets[:3], targets[-1]), (gaits.legs, gaits.exact_legs)
@@ -200,7 +202,7 @@ class _FeetStep:
                 soles.measure_tread_slopes(self.world, self.foot_ground, feet, which, up)
 
     def _compute_trunk_steps(self) -> tuple[np.float32, np.float32, np.float32]:
-        """Return the argument `trunk_steps` of `stepping.take_steps`."""
+        """Return the limits of trunk movement for `stepping.take_steps`, which describes them (`trunk_steps`)."""
         dt, legs = float(self.dt), self.species_legs.legs
         height = max(float((legs.hip[:, 1] - legs.foot[:, 1]).max()), 1e-3) * trunk.MAX_RISE_HIP_SHARE
         return _F(dt / (dt + trunk.TRUNK_SETTLING_SECONDS)), _F(dt / (dt + trunk.TRUNK_RISING_SECONDS)), _F(height)

@@ -1,6 +1,5 @@
-"""Kernels that find ground for feet. They cast rays from the legs, and select the hits that a leg can reach.
-
-Requests are columns: arrays (3, k) of positions (mm), and float64[k] of lengths. Rays are short and use a `TriangleGrid`."""
+"""Kernels that find ground for feet. They cast rays from the hips of legs, and select the hits that a leg can reach. Requests
+are stored by column: positions (mm) as arrays (3, k), and lengths as float64[k]. Rays are short and use a `TriangleGrid`."""
 
 from __future__ import annotations
 
@@ -50,12 +49,12 @@ def aim_first_rays(
     begin: I64,
     end: I64,
 ) -> None:
-    """Compute the first ray of each request for ground from `begin` to before `end`, from the hip to the foot's target.
+    """Compute the first ray of each request for ground: from the hip of the leg to the target position of its foot.
 
-    `requests`: agents and legs, encoded as `stepping.REQUEST_LEG_BITS` describes. `measures`: `Gaits.legs` and `Gaits.exact`.
-    Writes to `seekers` the positions of hips at landing and the target positions of feet, and to `rays` the displacements of the
-    rays and their start faces. `start_faces`: the start face of each agent.
-    `is_quick`: set for feet that lift; they search again when they land."""
+    Requests from `begin` to before `end` are processed. `requests`: agents and legs, encoded as `stepping.REQUEST_LEG_BITS`
+    describes. `measures`: `Gaits.legs` and `Gaits.exact`. Writes the positions of hips at landing and the target positions of
+    feet to `seekers`. Writes the displacements and start faces of the rays to `rays`. `start_faces`: the start face of each
+    agent. `is_quick`: set for feet that lift now; they search again when they land."""
     legs, exact = measures
     count = legs.shape[1]
     target_x, target_z, left, what = targets
@@ -105,11 +104,11 @@ def cast_foot_rays_on_mesh(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Write to `hits` the hits of rays from `begin` to before `end` on one mesh, if they are nearer than previous hits.
+    """Cast rays from `begin` to before `end` on one mesh. Write their hits to `hits` if they are nearer than previous hits.
 
-    Returns `begin`, and the number of rays that are too long for the grid. These are written to `beyond_grid` from index `begin`
-    on. `number`: the number of the mesh among all ground for feet. `starts`: start faces of rays on the mesh, if the mesh has
-    `rings`; replaced by the faces that were hit. Rays without a start face use the grid."""
+    Returns `begin`, and the number of rays that are too long for the grid. The long rays are written to `beyond_grid` from
+    index `begin` on. `number`: the number of the mesh in `FootGround`. `starts`: the start faces of rays on the mesh, if the
+    mesh has `rings`; they are replaced by the faces that were hit. Rays without a start face use the grid."""
     shape, (least, greatest), count = grid[0], box, 0
     zero = shape[6], shape[7], shape[8]
     cells, rays = allocate_scratch(2 * _PREFETCH_GROUP_SIZE, I64), allocate_scratch(_PREFETCH_GROUP_SIZE, I64)
@@ -161,10 +160,10 @@ def find_nearest_on_mesh(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Write to `hits` the positions on one mesh nearest to the points from `begin` to before `end`, within their `reach` (mm).
-
-    Returns `begin`, and the number of points with a reach that is too long for the grid. These are written to `beyond_grid` from
-    index `begin` on. `number`: the number of the mesh among all ground for feet. `reach`: reduced to the distance of a result."""
+    """Write the positions on one mesh that are nearest to `points`, within their `reach` (mm), to `hits`. Points from `begin`
+    to before `end` are processed. Returns `begin`, and the number of points with a reach that is too long for the grid. These
+    points are written to `beyond_grid` from index `begin` on. `number`: the number of the mesh in `FootGround`. `reach`:
+    reduced to the distance of the position found."""
     shape, (low, high), count = grid[0], box, 0
     zero = shape[6], shape[7], shape[8]
     for k in range(begin, end):
@@ -184,14 +183,14 @@ def find_nearest_on_mesh(
 
 @inlined
 def _store_nearer_hit(hits: Any, k: Any, number: Any, t: Any, a: Any, w: Any) -> None:
-    """Store a hit of ray `k` on a mesh, at `a` + `t` * `w`, unless the stored hit is nearer."""
+    """Store a hit of ray `k` on the mesh `number`, at the position `a` + `t` * `w`, unless the stored hit is nearer."""
     if t < hits[0][k]:
         _store_hit_position(hits, k, number, t, (a[0] + w[0] * t, a[1] + w[1] * t, a[2] + w[2] * t))
 
 
 @inlined
 def _store_hit_position(hits: Any, k: Any, number: Any, t: Any, position: Any) -> None:
-    """Write a hit on a mesh that does not move."""
+    """Store a hit on a mesh that does not move as entry `k` of `hits`."""
     part, place, on, face, weight = hits
     part[k], on[k], face[k], weight[0, k], weight[1, k] = t, number, 0, 0.0, 0.0
     store_column(place, k, position)
@@ -207,10 +206,10 @@ def mark_reachable_hits(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Mark in `is_reachable` the hits that legs can reach.
+    """Flag the hits that legs can reach in `is_reachable`.
 
-    Writes to `rows`, from index `begin` on, the seekers that are not `is_quick` and have no reachable hit near the target
-    position. Returns `begin` and their number."""
+    Find the seekers that have no reachable hit near their target position and are not `is_quick`. Write them to `rows`, from
+    index `begin` on. Return `begin` and their number."""
     longest, count = seekers[3], 0
     for k in range(begin, end):
         if is_quick[k]:
@@ -233,10 +232,10 @@ def aim_detour_rays(
     begin: I64,
     end: I64,
 ) -> None:
-    """Compute two rays for each of the seekers `rows`: from the hip to a point above the target position, and down from there.
+    """Compute two rays for each of the seekers `rows`.
 
-    `origins`, `level`: the start and the displacement of the first ray.
-    `upper_starts`, `down_displacement`: the start and the displacement of the second ray."""
+    The first leads from the hip to a point above the target position, the second down from this point. `origins`, `level`:
+    start and displacement of the first ray. `upper_starts`, `down_displacement`: start and displacement of the second ray."""
     hips, goals, ups, longest, _ = seekers
     for n in range(begin, end):
         k = rows[n]
@@ -261,10 +260,10 @@ def choose_nearest_hits(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Write to `hits` the hit nearest to the target position, of the first ray and both rays of `aim_detour_rays`.
-
-    Returns `begin`, and the number of seekers without a near enough hit. These are written to `lost_rows` from index `begin` on,
-    as indices in `rows`. For them, `reach` receives the distance (mm) within which a position would be nearer."""
+    """Write the hit that is nearest to the target position to `hits`, among the hits of the first ray and of both rays of
+    `aim_detour_rays`. Returns `begin`, and the number of seekers without a near enough hit. These are written to `lost_rows`
+    from index `begin` on, as indices into `rows`. For each, `reach` receives the distance (mm) within which another position
+    on the ground would be better."""
     longest = seekers[3]
     count = 0
     for n in range(begin, end):
@@ -301,9 +300,8 @@ def accept_visible_positions(
     begin: I64,
     end: I64,
 ) -> None:
-    """Copy the nearest positions `nearest_hits` of seekers `rows` to `hits`, if the leg reaches them and the hip sees them.
-
-    `sight_hits`: the hits of rays from the hip to these positions."""
+    """Copy nearest positions on the ground, `nearest_hits`, to `hits` if the leg reaches them and they are visible from the
+    hip. `rows`: the seekers to which they belong. `sight_hits`: the hits of rays from the hip to these positions."""
     for n in range(begin, end):
         k = rows[n]
         gap = minus(get_column(sight_hits[1], n), get_column(nearest_hits[1], n))
@@ -324,7 +322,7 @@ def store_footholds(
     begin: I64,
     end: I64,
 ) -> None:
-    """Store the ground found for the requests as the new footholds. A foot without ground hangs at its target position."""
+    """Store the hits for the requests as new footholds. If there is no hit, the foot hangs at its target position."""
     for k in range(begin, end):
         i, leg = requests[k] >> REQUEST_LEG_BITS, requests[k] & REQUEST_LEG_MASK
         foothold = get_column(seekers[1], k) if hits[2][k] == NO_GROUND_NUMBER else get_column(hits[1], k)
@@ -336,7 +334,8 @@ def store_footholds(
 
 @inlined
 def _is_in_reach(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
-    """Return whether hit `n` is in reach of seeker `k`: the distance from hip to foot joint would be at most the leg length."""
+    """Return whether seeker `k` can reach hit `n`. It can if the distance from hip to foot joint would be at most the leg
+    length."""
     hip, up, leg, sole = get_column(seekers[0], k), get_column(seekers[2], k), seekers[3][k], seekers[4][k]
     place = get_column(hits[1], n)
     joint = place[0] + up[0] * sole, place[1] + up[1] * sole, place[2] + up[2] * sole

@@ -1,9 +1,9 @@
 """Finds ground for feet: points of surfaces, obstacles, solids and the plane that a leg can reach, on the side of the body.
 
-A foot searches along the straight line from its hip to its target position, so that no leg passes through a thin mesh. The hit
-may be far from the target, for example at an edge, a wall or a step. Then the foot searches from above the target, along the
-body's up. The start of this ray must be visible from the hip. The last attempt is the nearest position on the ground. A result
-is visible from the hip, and no farther away than the leg is long."""
+A foot first searches along the straight line from its hip to its target position, so that no leg passes through a thin mesh.
+The hit may be far from the target, for example at an edge, a wall or a step. In this case, the foot searches downwards from a
+point above the target, along the body's up direction. This point must be visible from the hip. Last, it uses the nearest
+position on the ground. A result is always visible from the hip and within the length of the leg."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ _NO_RINGS = np.empty(0), np.empty(0, np.int32), np.empty(0, np.float32)  # for a
 
 @dataclass(slots=True, eq=False)
 class GroundHits:
-    """Hits of k rays on the ground. `ray_fraction` float64[k]: the fraction of the ray's length before the hit; inf without a
-    hit. `position` float64[3, k]: the position of the hit (mm). `thing_numbers`, `face`, `weight`: the thing, the triangle and
-    the weights of the hit, as in `Feet`."""
+    """Hits of k rays on the ground. `ray_fraction` float64[k]: the fraction of each ray before its hit; inf without a hit.
+    `position` float64[3, k]: the position of the hit (mm). `thing_numbers`, `face`, `weight`: thing, triangle and weights of
+    the hit, like `on`, `face` and `weight` of `FeetState`."""
 
     ray_fraction: NDArray[np.float64]
     position: Vectors
@@ -49,7 +49,7 @@ class GroundHits:
 
     @staticmethod
     def empty(count: int) -> GroundHits:
-        """Return hits for `count` rays without any hit."""
+        """Return the hits of `count` rays that hit nothing."""
         return GroundHits(
             np.full(count, np.inf), np.zeros((3, count)), np.full(count, NO_GROUND_NUMBER, np.int16), np.zeros(count, np.int32),
             np.zeros((2, count)),
@@ -57,17 +57,17 @@ class GroundHits:
 
     @property
     def columns(self) -> Arrays:
-        """Return the arrays in the order that kernels expect."""
+        """Return the arrays in the order in which kernels expect them."""
         return self.ray_fraction, self.position, self.thing_numbers, self.face, self.weight
 
     def replace_rows(self, rows: Rows, other: GroundHits) -> None:
-        """Replace the hits of the given rows."""
+        """Replace the hits at `rows` by those of `other`, in order."""
         self.ray_fraction[rows], self.thing_numbers[rows], self.face[rows] = other.ray_fraction, other.thing_numbers, other.face
         self.position[:, rows], self.weight[:, rows] = other.position, other.weight
 
 
 class FootGround:
-    """All ground that feet can stand on, by number, in the setting's order.
+    """All ground that feet can stand on, numbered in the order of the setting.
 
     It consists of the surfaces, obstacles and solids that are drawn, or of all of them if none is drawn."""
 
@@ -90,7 +90,8 @@ class FootGround:
         self._walked_meshes: set[int] = set()  # numbers of meshes that agents stand on
 
     def find_start_faces(self, population: BodyWearers) -> Rows:
-        """Return the faces below agents, encoded as `foothold_kernels.REQUEST_FACE_BITS` describes. Near rays start there."""
+        """Return the face below each agent, encoded as `foothold_kernels.REQUEST_FACE_BITS` describes. Rays near agents start
+        their search there."""
         columns = population.footing.columns
         if "face" not in columns or not self._start_codes.size:
             return np.full(len(population), -1)
@@ -102,10 +103,10 @@ class FootGround:
     def cast_rays(
         self, world: World, origin: Vectors, displacement: Vectors, starts: Rows, is_hit_likely: bool = True
     ) -> GroundHits:
-        """Return the first hits of the straight lines from `origin` by `displacement`.
+        """Return the first hits of rays from `origin` along `displacement`.
 
-        `starts`: faces near the origins, or -1. `is_hit_likely`: whether most rays hit a mesh that bodies walk on. Then Open3D
-        does not first test which rays hit. Neither argument changes a result."""
+        `starts`: faces near the origins, or -1. `is_hit_likely`: whether most rays hit a mesh that bodies walk on; Open3D then
+        does not first test which rays hit. Neither argument changes the result."""
         hits, threads = GroundHits.empty(origin.shape[1]), world.options.threads
         if isinstance(world.ground, PlaneGround):
             _cast_on_plane(world, origin, displacement, hits)
@@ -145,7 +146,7 @@ class FootGround:
         return hits
 
     def find_nearest(self, world: World, points: Vectors, reach: NDArray[np.float64]) -> GroundHits:
-        """Return the position on the ground nearest to each point, within `reach` (mm, [k])."""
+        """Return the position on the ground that is nearest to each point, if it is within `reach` (mm, [k])."""
         hits, threads = GroundHits.empty(points.shape[1]), world.options.threads
         least = reach.copy()
         for k, name in enumerate(self.names):
@@ -180,7 +181,7 @@ class FootGround:
     def move_positions_with_ground(
         self, world: World, thing_numbers: NDArray[np.int16], face: NDArray[np.int32], weight: Vectors, place: Vectors
     ) -> None:
-        """Update positions `place` [3, …] on moving things to the current positions of these things."""
+        """Move the positions `place` [3, …] that are on moving things with these things, in place."""
         for k in self.moving_numbers:
             rows = thing_numbers == k
             if rows.any():
@@ -189,11 +190,11 @@ class FootGround:
                 place[:, rows] = a + weight[0][rows] * (b - a) + weight[1][rows] * (c - a)
 
     def _find_grid_tables(self, k: int, obstacle: object) -> Arrays | None:
-        """Return the tables of a mesh that does not move and has a grid of triangles; None for all other ground."""
+        """Return the tables of the triangle grid of a mesh that does not move; None for all other ground."""
         return obstacle.get_tables() if isinstance(obstacle, RayScene) and k not in self.moving_numbers else None
 
     def _find_bounding_box(self, world: World, k: int, obstacle: object) -> tuple[Vectors, Vectors] | None:
-        """Return the least and greatest corner (mm) of a mesh; None if it has none."""
+        """Return the low and high corner (mm) of the bounding box of a ground; None if it has no box."""
         if isinstance(obstacle, SolidProximityQueries):
             return obstacle.volume.low, obstacle.volume.high
         if k in self.moving_numbers:
@@ -229,14 +230,13 @@ class FootGround:
 
 @dataclass(slots=True, eq=False)
 class FootholdRequests:
-    """Requests of feet for ground.
+    """The requests of feet that need ground.
 
-    `requests` int64[k]: agent and leg, encoded as `stepping.REQUEST_LEG_BITS` describes.
-    `columns`: hip, target position and up of the body, (3, k); then two heights or lengths (mm), [k]. These are the largest
-    distance of the foot joint from the hip, and the joint's height above its ground.
-    `displacement` (3, k): from the hip to beyond the target (mm).
-    `start_faces`: start faces of the rays, as returned by `FootGround.find_start_faces`.
-    `is_quick`: the foot lifts, and searches again when it lands."""
+    `requests` int64[k]: agent and leg, encoded as `stepping.REQUEST_LEG_BITS` describes. `columns`: hip, target position and
+    up of the body, each (3, k), then two lengths [k]. These are the largest distance of the foot joint from the hip, and the
+    height of this joint above the ground (mm). `displacement` (3, k): from the hip to beyond the target (mm). `start_faces`:
+    start faces of the rays, as returned by `FootGround.find_start_faces`. `is_quick`: whether the foot lifts now, so that it
+    searches again when it lands."""
 
     requests: Rows
     columns: Arrays
@@ -246,8 +246,8 @@ class FootholdRequests:
 
     @staticmethod
     def build(requests: Rows, aim_inputs: tuple[Any, ...], threads: int) -> FootholdRequests:
-        """Return the requests with their columns and rays. `aim_inputs`: the arguments of
-        `foothold_kernels.aim_first_rays` after the requests."""
+        """Return the requests with their columns and rays. `aim_inputs`: the arguments of `foothold_kernels.aim_first_rays`
+        that follow `requests`."""
         count = len(requests)
         buffer = np.empty((14, count))
         columns = buffer[:3], buffer[3:6], buffer[6:9], buffer[12], buffer[13]
@@ -264,13 +264,14 @@ class FootholdRequests:
         return seeking
 
     def store_ground(self, hits: GroundHits, columns: Arrays, threads: int) -> None:
-        """Write the ground of the requests to `place`, `on`, `face` and `weight` of the feet. Arrays have legs before agents."""
+        """Write the ground found for the requests to `columns`: `place`, `on`, `face` and `weight` of the feet, with the axis
+        of legs before that of agents."""
         work = partial(foothold_kernels.store_footholds, self.requests, self.columns, hits.columns, *columns)
         parallel.run_in_parts(work, len(self.requests), threads, _MIN_RAYS_PER_THREAD)
 
 
 def find_footholds(world: World, foot_ground: FootGround, requests: FootholdRequests) -> GroundHits:
-    """Return the ground for each request. Quick requests only get the hit of the first ray, at any distance from the target."""
+    """Return the ground for each request. Quick requests only get the hit of the first ray, even if it is far from the target."""
     threads, count = world.options.threads, len(requests.requests)
     hits = foot_ground.cast_rays(world, requests.columns[0], requests.displacement, requests.start_faces)
     fits, rows = np.empty(count, np.bool_), np.empty(count, np.int64)
@@ -289,8 +290,8 @@ def _search_with_detour_rays(
     is_reachable: NDArray[np.bool_],
     rows: Rows,
 ) -> None:
-    """Find ground for feet without a usable hit on the straight line. Search from above the target, then for the nearest
-    position."""
+    """Find ground for the feet `rows`, which have no usable hit on the straight line. Search from above the target, then for
+    the nearest position."""
     threads, count = world.options.threads, len(rows)
     buffer = np.empty((13, count))
     above, to_above, down, hips, reach = buffer[:3], buffer[3:6], buffer[6:9], buffer[9:12], buffer[12]
@@ -320,24 +321,24 @@ def _search_with_detour_rays(
 
 
 def _find_rays_at_box(box: tuple[Vectors, Vectors], origin: Vectors, displacement: Vectors) -> Rows:
-    """Return the numbers of the rays that may hit a box."""
+    """Return the indices of the rays that may hit a box."""
     low, high = np.minimum(origin, origin + displacement), np.maximum(origin, origin + displacement)
     return np.flatnonzero(((low <= box[1][:, None]) & (high >= box[0][:, None])).all(axis=0))
 
 
 def _find_rays_near_mesh(obstacle: RayScene, rows: Rows, origin: Vectors, displacement: Vectors) -> Rows:
-    """Return the rays that may hit a mesh. The test uses the bounding sphere of each ray."""
+    """Return which of the rays `rows` may hit a mesh. The test uses the bounding sphere of each ray."""
     half = displacement * 0.5
     return _find_points_near_mesh(obstacle, rows, origin + half, _compute_lengths(half))
 
 
 def _find_points_near_mesh(obstacle: RayScene, rows: Rows, points: Vectors, reach: NDArray[np.float64]) -> Rows:
-    """Return the points that may be within `reach` of a mesh."""
+    """Return which of the points `rows` may be within `reach` (mm) of a mesh."""
     return rows[obstacle.measure_clearance(*points[:, rows]) <= reach[rows] * (1 + 1e-4) + 1e-4]
 
 
 def _cast_on_plane(world: World, origin: Vectors, displacement: Vectors, hits: GroundHits) -> None:
-    """Cast rays on the ground plane, and store the hits in `hits`."""
+    """Cast rays on the ground plane, and store their hits at the same indices in `hits`."""
     up = world.up
     height = (origin[0] * up[0] + origin[1] * up[1]) + origin[2] * up[2]
     fall = -((displacement[0] * up[0] + displacement[1] * up[1]) + displacement[2] * up[2])
@@ -391,7 +392,7 @@ def _compute_bounds(vertices: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
 
 
 def _compute_barycentric_weights(place: Vectors, a: Vectors, b: Vectors, c: Vectors) -> NDArray[np.float64]:
-    """Return the barycentric weights float64[2, k] of the second and third corner, for positions in triangles."""
+    """Return the barycentric weights of positions in triangles, float64[2, k]: those of the second and the third corner."""
     u, v, w = b - a, c - a, place - a
     uu, uv, vv, wu, wv = vec.dot(u, u), vec.dot(u, v), vec.dot(v, v), vec.dot(w, u), vec.dot(w, v)
     determinant = uu * vv - uv * uv

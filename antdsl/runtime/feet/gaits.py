@@ -1,4 +1,4 @@
-"""Tables of gaits by speed (stride, duty factor, lift and phases), and dimensions of legs."""
+"""Tables of stride, duty factor, lift and phases of gaits by speed, and the dimensions of legs."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ SQUARED_LENGTH_ROW = 9  # square of the maximum distance of a standing foot from
 
 
 class Gaits:
-    """The gaits of a body by speed, and its legs, as tables for kernels.
+    """The gaits of a body by speed, and the dimensions of its legs, as tables for kernels.
 
-    `rest_cycle_seconds`: duration (s) of the cycle in which a standing agent puts its feet back.
-    `max_swing_seconds`: duration (s) of the longest swing."""
+    `rest_cycle_seconds`: the duration (s) of the cycle in which a standing agent moves its feet back to rest.
+    `max_swing_seconds`: the duration (s) of the longest swing."""
 
     def __init__(self, legs: LegsData) -> None:
         gaits = legs.gaits
@@ -65,12 +65,13 @@ class Gaits:
 
     @property
     def kernel_tables(self) -> tuple[Floats, Floats, Floats]:
-        """Return the speeds [g], the stride, duty factor and lift [g, 3], and the phases [g, L] of gaits, from slow to fast."""
+        """Return three tables of the gaits, from slow to fast. These are speeds [g]; stride, duty factor and lift [g, 3]; and
+        phases [g, L]."""
         return self.speeds, self.values, self.phases
 
 
 class SelectedGait(NamedTuple):
-    """A gait: its number, its stride (body lengths), its duty factor, and the lift of its feet (body lengths)."""
+    """A gait for a given speed: its number, stride (body lengths), duty factor, and the lift of its feet (body lengths)."""
 
     number: I64
     stride: F32
@@ -82,7 +83,7 @@ class SelectedGait(NamedTuple):
 def select_gait(gaits: Any, speed: F32, frame_distance: F32, reach: F32) -> SelectedGait:
     """Return the gait of an agent at a speed (body lengths per second).
 
-    `frame_distance`: the agent's displacement per frame (body lengths). `reach`: the reach of its shortest leg."""
+    `frame_distance`: the agent's displacement per frame (body lengths). `reach`: the least reach of its legs (body lengths)."""
     speeds, values = gaits[0], gaits[1]
     last, k = speeds.size - 1, 0
     for each in range(1, speeds.size):
@@ -103,10 +104,10 @@ def select_gait(gaits: Any, speed: F32, frame_distance: F32, reach: F32) -> Sele
 
 
 def compute_rest_positions(legs: LegsData) -> tuple[Floats, Floats]:
-    """Return the rest positions of feet, ahead and aside of the body, float32[L] each, in body lengths.
+    """Return the rest positions of feet in two arrays float32[L]: ahead and aside, in body lengths.
 
-    A foot rests at its position in the standing body. If a stretched leg could not make a step from there, the rest position is
-    nearer to the hip."""
+    The rest position is that of the foot in the standing body. If the leg could not step from there, even stretched, the rest
+    position is nearer to the hip."""
     down, ahead = legs.foot - legs.hip, _compute_hip_reach(legs)
     most = ahead * (1.0 - REST_REACH_SHARE)
     x = legs.hip[:, 0] + np.clip(down[:, 0], -most, most)
@@ -114,7 +115,7 @@ def compute_rest_positions(legs: LegsData) -> tuple[Floats, Floats]:
 
 
 def _compute_hip_reach(legs: LegsData) -> NDArray[np.float64]:
-    """Return how far ahead of or behind its hip each foot can be (body lengths), with a slightly lowered trunk."""
+    """Return how far ahead of its hip, or behind it, each foot can be if the trunk is slightly lowered (body lengths)."""
     down = legs.hip - legs.foot
     length = legs.length * MAX_LEG_STRETCH
     height = np.maximum(down[:, 1] - MAX_SINK_SHARE * legs.length, 0.0)
@@ -122,6 +123,6 @@ def _compute_hip_reach(legs: LegsData) -> NDArray[np.float64]:
 
 
 def _compute_rest_reach(legs: LegsData) -> Floats:
-    """Return how far ahead of or behind its rest position each foot can be (body lengths)."""
+    """Return how far ahead of its rest position, or behind it, each foot can be (body lengths)."""
     reach = _compute_hip_reach(legs) - np.abs(compute_rest_positions(legs)[0].astype(np.float64) - legs.hip[:, 0])
     return np.asarray(np.maximum(reach, 0.05 * legs.length), np.float32)

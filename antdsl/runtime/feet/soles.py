@@ -1,5 +1,5 @@
-"""The directions of flat soles. On the ground, a sole faces along the ground's normal. In swing, its direction changes from
-one foothold's normal to the next."""
+"""Orients flat soles. On the ground, a sole is aligned with the ground's normal. During a swing, its direction changes from
+the normal at one foothold to that at the next."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ Vectors = NDArray[np.float64]  # (3, k)
 def measure_tread_slopes(
     world: World, foot_ground: FootGround, feet: FeetState, selected_feet: tuple[Rows, Rows], up: Vectors
 ) -> None:
-    """Write the normals of the ground at footholds to `tread`, on the side of the bodies.
+    """Write the normals of the ground at footholds, on the side of the bodies, to `feet.tread`.
 
-    `selected_feet`: the numbers [k] of agents, and of their legs. `up` [3, k]: the up directions of their bodies. For feet
-    without ground, the result is the up direction of the body."""
+    `selected_feet`: two arrays [k], the rows of agents and the numbers of legs. `up` [3, k]: the up directions of their
+    bodies. For feet without ground, the result is the up direction of the body."""
     things, place, threads = feet.on[selected_feet], feet.place[:, selected_feet[0], selected_feet[1]], world.options.threads
     normals = np.array(up)
     normals[:, things == PLANE_GROUND_NUMBER] = np.asarray(world.up, np.float64)[:, None]
@@ -48,9 +48,9 @@ def measure_tread_slopes(
 def rotate_soles_to_ground(
     world: World, foot_ground: FootGround, feet: FeetState, up: Vectors, frames_left: NDArray[np.float32]
 ) -> None:
-    """Turn the soles of n agents: those of standing feet onto their ground, others towards the ground where they will land.
-
-    `up`: float64[3, n], the up directions of bodies. `frames_left` [n, L]: the number of frames until a foot lands."""
+    """Turn the soles of n agents. Soles of standing feet are aligned with their ground, all others turn towards the ground
+    where they will land. `up`: float64[3, n], the up directions of bodies. `frames_left` [n, L]: the number of frames until a
+    foot lands."""
     stale = (feet.on == NO_GROUND_NUMBER) | np.isin(feet.on, foot_ground.moving_numbers)
     if stale.any():
         rows, legs = np.nonzero(stale)
@@ -62,9 +62,9 @@ def rotate_soles_to_ground(
 
 
 def compute_local_soles(feet: FeetState) -> NDArray[np.float32]:
-    """Return the directions across soles along the axes of the bodies, ahead, up and right: float32[n, L, 3].
+    """Return the normals of soles in the axes of the bodies (ahead, up, right), float32[n, L, 3].
 
-    They are at most 45 degrees from the up direction of the body."""
+    They are at most 45 degrees from the body's up direction."""
     ahead, up = feet.heading[:, :, None], feet.up[:, :, None]
     x, y, z = (vec.dot(feet.sole, axis) for axis in (ahead, up, vec.compute_stacked_cross(ahead, up)))
     level = np.sqrt(x * x + z * z)

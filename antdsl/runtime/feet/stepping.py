@@ -1,13 +1,12 @@
-"""One step of all feet of a species, as kernels: `plan_steps` before the search for ground, `take_steps` after it.
+"""The kernels of one step of all feet of a species:
 
-The phase of a gait advances by the ground that the feet covered, turning included, divided by the stride. A foot lifts when its
-stance is over, or when its leg would be too short. It swings in an arc to a point half a stance ahead of its rest position, and
-stands from then on. An agent that does not move puts its feet back to their rest positions, in the order of the gait.
-
-Phases by covered ground, and stance and swing by duty factor, follow M. H. Raibert and J. K. Hodgins, Animation of Dynamic Legged
-Locomotion, SIGGRAPH 1991, and N. M. Thalmann et al.'s survey of walking. Forces are not simulated.
-
-Arrays of legs are [..., L, n]. Lengths are body lengths, float32; positions are mm, float64."""
+`plan_steps` runs before the search for ground, `take_steps` after it. The phase of a gait advances by the ground that the feet
+covered, divided by the stride. Ground covered by turning is included. A foot lifts when its stance is over, or when its leg
+would be too short. It swings in an arc to a point half a stance ahead of its rest position, and then stands. An agent that
+does not move returns its feet to their rest positions, in the order of the gait. The use of phases, and of stance and swing by
+duty factor, follows M. H. Raibert and J. K. Hodgins, Animation of Dynamic Legged Locomotion, SIGGRAPH 1991, and N. M. Thalmann
+et al.'s survey of walking. Forces are not simulated. Arrays of legs are [..., L, n]. Lengths are body lengths, float32;
+positions are mm, float64."""
 
 from __future__ import annotations
 
@@ -96,10 +95,10 @@ def measure_ground_covered(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write to `covered_ground` [2, L, n] how far the rest position of each foot moved over the ground: ahead and aside of the
-    current body.
+    """Write how far the rest position of each foot moved over the ground to `covered_ground` [2, L, n].
 
-    `last_pose`: position, heading and up of bodies at the end of the last frame. For `new` agents the result is 0."""
+    The distances are ahead and aside in the current axes of the body, and 0 for `new` agents. `last_pose`: position, heading
+    and up of bodies at the end of the last frame."""
     position, heading, up = last_pose
     for i in simd_range(begin, end):
         place, ahead, _, aside, size = read_footed_body(bodies, i)
@@ -135,10 +134,10 @@ def plan_steps(
 ) -> tuple[I64, I64]:
     """Advance the phase of agents from `begin` to before `end`, and decide which of their feet lift and land, and where.
 
-    Returns the index of the first request in `requests`, and the number of requests. `requests`: receives, from index
-    L * `begin` on, the feet that need ground, encoded as `REQUEST_LEG_BITS` describes. `undermined`: feet that lost their ground
-    to digging. `times`: frame duration (s), cycles per frame of an agent that puts its feet back, least share of a swing per
-    frame, and least reach of a leg (body lengths)."""
+    Returns the index of the first request in `requests`, and the number of requests. `requests`: receives the feet that need
+    ground, from index L * `begin` on, encoded as `REQUEST_LEG_BITS` describes. `undermined`: flags of feet that lost their
+    ground to digging. `times`: frame duration (s), gait cycles per frame while feet return to rest, least fraction of a swing
+    per frame, and least reach of a leg (body lengths)."""
     count = legs.shape[1]
     dt, rests, swings, shortest = times
     place, start, _ = feet[0]
@@ -270,10 +269,10 @@ def take_steps(
     begin: I64,
     end: I64,
 ) -> None:
-    """Swing feet to their new footholds, move the trunks over them, and write the positions of all feet.
-
-    `trunk_steps`: the fraction per frame of changes of tilt and downward changes of height, the fraction of upward changes,
-    and the largest difference from the height at rest. `last`: receives position, heading and up of bodies for the next frame."""
+    """Swing feet to their new footholds, move the trunks over them, and write the positions of all feet. `trunk_steps`: how
+    much of a change the trunk makes per frame. The first fraction is for tilt and downward changes, the second for upward
+    changes. The third number is the largest difference from the rest height. `last`: receives position, heading and up of
+    bodies for the next frame."""
     count = legs.shape[1]
     slower, faster, highest = trunk_steps
     place, start, current_place = feet[0]
@@ -346,13 +345,13 @@ def take_steps(
 
 @inlined
 def _wrap_phase(turns: Any) -> Any:
-    """Return the phase (0 to 1) in the current gait cycle after `turns` cycles."""
+    """Return the phase (0 to 1) in the current gait cycle after `turns` cycles, that is, the fractional part."""
     return turns - np.floor(turns)
 
 
 @inlined
 def _compute_hip_position(legs: Any, leg: Any, slope: Any, rise: Any) -> Any:
-    """Return the position of a leg's hip, for a trunk that leans by `slope` and is raised by `rise`."""
+    """Return the position of a leg's hip in body coordinates, for a trunk that leans by `slope` and is raised by `rise`."""
     x, y, z = trunk.rotate_point_by_slope(
         slope, (legs[HIP_POSITION_ROW, leg], legs[HIP_POSITION_ROW + 1, leg], legs[HIP_POSITION_ROW + 2, leg])
     )
@@ -363,7 +362,7 @@ def _compute_hip_position(legs: Any, leg: Any, slope: Any, rise: Any) -> Any:
 def _compute_rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
     """Return the distance (body lengths) of a foot from its rest position.
 
-    This is the lesser of two distances: along the ground, and from the line from the hip through the rest position."""
+    It is the lesser of two distances: the horizontal one, and that from the line through the hip and the rest position."""
     rest_x, rest_z = legs[REST_X_ROW, leg], legs[REST_Z_ROW, leg]
     x, z = local_foot[0] - rest_x, local_foot[2] - rest_z
     by = hip[1] / max(hip[1] - local_foot[1], _MIN_HIP_HEIGHT_SHARE * legs[LEG_LENGTH_ROW, leg])
@@ -373,7 +372,7 @@ def _compute_rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> An
 
 @inlined
 def _is_foot_too_far(legs: Any, leg: Any, local_foot: Any, hip: Any, max_share: Any) -> Any:
-    """Return whether a foot is farther from its hip than the share `max_share` of its leg length, with the trunk as low as
+    """Return whether a foot is farther from its hip than `max_share` times the leg length, even if the trunk is as low as
     allowed."""
     length = legs[LEG_LENGTH_ROW, leg]
     x, z = local_foot[0] - hip[0], local_foot[2] - hip[2]
@@ -385,7 +384,8 @@ def _is_foot_too_far(legs: Any, leg: Any, local_foot: Any, hip: Any, max_share: 
 
 @inlined
 def _compute_swing_position(legs: Any, leg: Any, end_points: Any, progress: Any, stride: Any, lift: Any) -> Any:
-    """Return the position of a foot on its arc, no farther from the hip than the leg reaches."""
+    """Return the position of a swinging foot on its arc, within the reach of the leg. `end_points`: start of the swing,
+    foothold and hip. `progress`: the completed fraction of the swing."""
     swing_start, local_foot, hip = end_points
     eased = progress * progress * (_THREE - _TWO * progress)
     dx, dy, dz = local_foot[0] - swing_start[0], local_foot[1] - swing_start[1], local_foot[2] - swing_start[2]

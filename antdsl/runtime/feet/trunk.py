@@ -1,7 +1,7 @@
-"""Height and tilt of the trunk: they follow a plane through the ground below the feet, smoothed and limited.
+"""Computes height and tilt of trunks.
 
-Lengths are body lengths, float32; sums go over legs in their order. The plane is a least-squares fit with equal weights;
-hanging feet do not count."""
+They follow a plane through the ground below the feet, smoothed and limited. Lengths are body lengths, float32; sums are taken
+in the order of legs. The plane is a least-squares fit with equal weights, without hanging feet."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ _MIN_SQUARED_SLOPE = _F(1e-6)
 def fit_plane_to_feet(points: Any, ground_numbers: Any, legs: Any, i: Any) -> Any:
     """Fit a plane to the ground below the feet of agent `i`. Return its height, and its slopes ahead and aside.
 
-    `points` [3, L, n]: the ground position of each foot. `ground_numbers` [L, n]: the thing that the foot stands on, as
-    `Feet.on`."""
+    `points` [3, L, n]: the ground position of each foot. `ground_numbers` [L, n]: the thing that the foot stands on, as in
+    `FeetState.on`."""
     count, mean_x, mean_y, mean_z = _ZERO, _ZERO, _ZERO, _ZERO
     for leg in range(legs):
         weight = _ONE if ground_numbers[leg, i] != NO_GROUND_NUMBER else _ZERO
@@ -62,8 +62,8 @@ def fit_plane_to_feet(points: Any, ground_numbers: Any, legs: Any, i: Any) -> An
 
 @inlined
 def compute_lowered_trunk_rise(points: Any, swing_phases: Any, legs: Any, rise: Any, slope: Any, min_rise: Any, i: Any) -> Any:
-    """Return the rise of a trunk. It is lowered as far as necessary so that the legs reach the standing feet. The trunk leans
-    by `slope`."""
+    """Return the rise of a trunk that leans by `slope`, lowered as far as necessary for the legs to reach the standing feet.
+    It is not lowered below `min_rise`."""
     most = _INFINITE
     for leg in range(legs.shape[1]):
         x, y, z = rotate_point_by_slope(
@@ -78,7 +78,7 @@ def compute_lowered_trunk_rise(points: Any, swing_phases: Any, legs: Any, rise: 
 
 @inlined
 def rotate_point_by_slope(slope: Any, point: Any) -> Any:
-    """Rotate a point of a trunk from the trunk's up to the normal of a plane.
+    """Return a point of a trunk after the rotation that takes the trunk's up direction to the normal of a plane.
 
     `slope`: the plane's slopes ahead and aside."""
     x, y, z = point
@@ -96,7 +96,8 @@ def rotate_point_by_slope(slope: Any, point: Any) -> Any:
 
 
 def compute_slope_quaternions(slope: Floats) -> Floats:
-    """Return the rotations of trunks with slopes [2, n] as unit quaternions float32[n, 4]: x, y, z, w."""
+    """Return the rotations of trunks as unit quaternions (x, y, z, w), float32[n, 4]. `slope` [2, n]: the slopes ahead and
+    aside."""
     a, b = -slope[0].astype(np.float64), -slope[1].astype(np.float64)
     size = 1 / np.sqrt((a * a + 1) + b * b)
     x, y, z = b * size, np.zeros_like(a), -a * size

@@ -1,4 +1,4 @@
-"""The wearers of a body: all agents that have this body, in the form that the code of feet reads."""
+"""The wearers of a body, that is, all agents that have this body, in the form that the code of feet needs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _REGISTERS = (*(f"{name}.{axis}" for name in ("heading", "up") for axis in AXES)
 
 
 class BodyWearers(Protocol):
-    """Agents with one body: all of a population, or some of its rows."""
+    """The agents that have a certain body: a complete population, or some of its rows."""
 
     @property
     def ids(self) -> NDArray[np.int64]:
@@ -32,13 +32,13 @@ class BodyWearers(Protocol):
 
     @property
     def now(self) -> Mapping[str, NDArray[Any]]:
-        """Return the current values of registers by name. These include heading, up and size, and the body's shift if it
-        exists."""
+        """Return the current values of registers by name. These include heading, up and size, and the shift of the body if the
+        species has one."""
 
     def __len__(self) -> int: ...
 
     def get_buffers(self, name: str, count: int, shape: tuple[int, ...], dtype: type[np.generic]) -> tuple[NDArray[Any], ...]:
-        """Return arrays for results of a step, as `Population.get_buffers` does."""
+        """Return arrays to which a step can write results. Same as `Population.get_buffers`."""
 
     @property
     def footing(self) -> Footing:
@@ -47,7 +47,7 @@ class BodyWearers(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyWearersInRows:
-    """The agents of a population in the given `rows`, which all have the body `key`. Implements `Wearers`."""
+    """The agents of a population at the given `rows`, which all have the body `key`. Implements `BodyWearers`."""
 
     population: Population
     key: str
@@ -80,7 +80,7 @@ def get_body_wearers(world: World, key: str) -> BodyWearers:
 
 
 def compute_crouch_lowering(world: World, key: str) -> NDArray[np.float32] | None:
-    """Return by how much (mm) crouching lowers each of the bodies `key`, in the order of ids.
+    """Return by how much (mm) crouching lowers the body of each agent with the body `key`, in the order of ids.
 
     None for a species that does not crouch."""
     population = world.populations.get(find_species_of_key(key))
