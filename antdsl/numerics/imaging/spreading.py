@@ -53,8 +53,8 @@ def add_disc_averages(
 ) -> None:
     """Distribute the light of each pixel evenly over a disc around it. Only rows `begin` to before `end` of `sums` (h, w + 2,
     4) are written. `pixels` (n,): pixel numbers in ascending order. `values` (n, 4): red, green, blue and weight.
-    `radius_steps` (n,): the row of `table` for each disc. `sums` stores differences from the pixel to the left, so that only
-    the two ends of each disc row are written (Kosloff et al., Graphics Interface 2009)."""
+    `radius_steps` (n,): the row of `table` for each disc. `sums` stores differences from the pixel to the left. So only the
+    two ends of each disc row are written (Kosloff et al., Graphics Interface 2009)."""
     reach, edge = table.half_widths.shape[1] - 1, np.float32(width)
     for i in range(0, pixels.size):
         row = pixels[i] // width

@@ -136,8 +136,8 @@ def plan_steps(
 
     Returns the index of the first request in `requests`, and the number of requests. `requests`: receives the feet that need
     ground, from index L * `begin` on, encoded as `REQUEST_LEG_BITS` describes. `undermined`: flags of feet that lost their
-    ground to digging. `times`: frame duration (s), gait cycles per frame while feet return to rest, least fraction of a swing
-    per frame, and least reach of a leg (body lengths)."""
+    ground to digging. `times`: the frame duration (s), gait cycles per frame while feet return to rest, least swing fraction
+    per frame, and least reach (body lengths)."""
     count = legs.shape[1]
     dt, rests, swings, shortest = times
     place, start, _ = feet[0]

@@ -1,8 +1,8 @@
 """Measures the path of a body over the triangles below it: how the ground turns along the path, and its height profile. A path
 is a straight line over the triangles, ahead of the feet and behind them. At each edge that the line crosses, the ground turns;
 the turn is given by a rotation vector along the edge. The mean of these rotations over the path orients the body. So a body
-begins to turn one path length before an edge, is half turned on the edge, and completes the turn at the same distance beyond
-it."""
+begins to turn one path length before an edge. It is half turned on the edge, and completes the turn at the same distance
+beyond."""
 
 from __future__ import annotations
 

@@ -57,8 +57,8 @@ def _is_body_touching_face(
 ) -> BOOL:
     """Return whether one of the first `count` faces of a list touches a capsule.
 
-    A face touches it if it crosses the capsule's axis or the line from `anchor` to it, or if it is nearer to the axis than the
-    radius."""
+    A face touches the capsule if it crosses the axis or the line from `anchor` to the axis. It also does if its distance from
+    the axis is less than the radius."""
     half, radius = times(heading, shape.axis_half_length), shape.radius
     tip = times(heading, shape.axis_half_length + radius)
     one, two = minus(middle, half), plus(middle, half)
