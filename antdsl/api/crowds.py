@@ -1,4 +1,4 @@
-"""Agents of a species, items and fields of a simulation, as arrays that a caller can read and set."""
+"""Agents, items and fields of a simulation, as arrays that a caller can read and set."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def make_unknown_name_error(kind: str, name: object, known: Iterator[str] | tupl
 
 
 def make_read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Make an array read-only and return it. Changing it would have no effect, because it is a copy."""
+    """Make an array read-only, and return it. All arrays are copies, so changing one would have no effect."""
     array.setflags(write=False)
     return array
 
@@ -49,7 +49,8 @@ def import_pandas() -> Any:
 
 
 def make_table(columns: dict[str, NDArray[Any]], index: NDArray[Any], name: str) -> Any:
-    """Return columns as a DataFrame. A vector becomes one column per axis. Raises AntdslError without pandas."""
+    """Return columns as a DataFrame. A vector column becomes one column per axis. Raises AntdslError if pandas is not
+    installed."""
     pandas = import_pandas()
     flat: dict[str, NDArray[Any]] = {}
     for column, values in columns.items():
@@ -58,7 +59,7 @@ def make_table(columns: dict[str, NDArray[Any]], index: NDArray[Any], name: str)
 
 
 def format_html_table(columns: dict[str, NDArray[Any]], index: NDArray[Any], title: str) -> str:
-    """Return the first rows of columns as an HTML table."""
+    """Return the first rows of a table as HTML."""
     from html import escape
 
     first_rows = index[:_MAX_HTML_ROWS]
@@ -77,7 +78,8 @@ class Crowd:
     """The living agents of one species at the current frame. `crowd["load"]` is an array with one row per agent, by id.
 
     - `position` (mm, scene axes), `velocity` (mm/s), `heading` and `up`: float64 (n, 3)
-    - `state`: the names of states; for machines other than `main`, `MACHINE.state`. `time_in_state` (s): named in the same way
+    - `state`: the name of each agent's state; for machines other than `main`, `MACHINE.state`. `time_in_state` (s), or
+      `MACHINE.time_in_state`: the time since the agent entered the state
     - `age` (s), and the attributes of the program, in base units: numbers, vectors, conditions, ids of agents (-1 for none) and
       names of items ("" for none). Positions in attributes are relative to `Simulation.origin`
 
@@ -123,8 +125,7 @@ class Crowd:
         return tuple(name for name, kind in kinds.items() if kind in (ValueKind.F32, ValueKind.BOOL))
 
     def _machine_columns(self) -> dict[str, tuple[str, str]]:
-        """Return, for the name of each array about states, its machine and the part of the machine's register: `state` or
-        `time_in_state`."""
+        """Return the machine behind each state array, by array name, and the part of it: `state` or `time_in_state`."""
         machines = self._population.plan.machines
         columns = dict[str, tuple[str, str]]()
         for machine in machines:
@@ -161,7 +162,7 @@ class Crowd:
     def __setitem__(self, name: str, values: ArrayLike) -> None:
         """Set an attribute of all agents, from the next step on. `values`: one value, or one per agent in the order of ids.
 
-        Raises AntdslError if `name` is no attribute, the shape is wrong, or an agent cannot have a value, such as a size of 0.
+        Raises AntdslError if `name` is not an attribute, the shape is wrong, or a value is not allowed, such as a size of 0.
         Limits such as `max_turn` may be infinite."""
         population = self._population
         if name not in self.settable:
@@ -251,15 +252,15 @@ class ItemGroup:
 
 
 class Field:
-    """A field of the simulation. `values`: the amount in each cell (n,), or vectors (n, 3). `positions`: the centre of each cell
-    (n, 3) in mm."""
+    """A field of the simulation. `values`: the amount in each cell (n,), or a vector (n, 3). `positions`: the centre of each
+    cell (n, 3) in mm."""
 
     def __init__(self, simulation: Simulation, name: str) -> None:
         self._simulation, self.name = simulation, name
 
     @property
     def values(self) -> NDArray[Any]:
-        """The amounts (n,) or vectors (n, 3) of all cells, a read-only copy."""
+        """The amounts (n,) or vectors (n, 3) of all cells, as a read-only copy."""
         field = self._find_field()
         return make_read_only(field.vectors if isinstance(field, VectorField) else np.array(field.amounts))
 

@@ -9,7 +9,7 @@ from antdsl.diagnostics.render import render
 class AntdslError(Exception):
     """The error for a mistake in a scene, a program, a name or a value.
 
-    `report`: the findings, each with its location; empty if the error has no findings. `help`: what to write instead, or None."""
+    `report`: the findings, each with its location; empty if there are none. `help`: what to write instead, or None."""
 
     def __init__(self, message: str, help: str | None = None, report: Report | None = None) -> None:
         super().__init__(message if help is None else f"{message}; {help}")
@@ -17,5 +17,5 @@ class AntdslError(Exception):
 
     @classmethod
     def from_report(cls, report: Report) -> AntdslError:
-        """Return an error for a report that contains errors. Its text is the output of `antdsl check`."""
+        """Return the error for a report that contains errors. Its text is what `antdsl check` prints."""
         return cls(render(report).rstrip("\n"), report=report)

@@ -1,4 +1,5 @@
-"""A scene that Python runs step by step: its agents at the current frame, its params, and functions that observe each step."""
+"""A scene that Python simulates step by step. It gives access to agents at the current frame and to params, and calls functions
+after each step."""
 
 from __future__ import annotations
 
@@ -35,10 +36,10 @@ def open_scene(
 ) -> Simulation:
     """Open a scene and return its simulation at the first frame.
 
-    `seed`, `frames` (first, last): used instead of the scene's own.
-    `set`: values of params and of fields' settings, such as `{"forager.smell": "20 mm"}`. A number, for params only, is in base
-    units.
-    `roots`: folders outside the scene's own that it may read, by name.
+    `seed`, `frames` (first, last): values that override those of the scene.
+    `set`: values of params and field settings by name, such as `{"forager.smell": "20 mm"}`. A param may also be a number, in
+    base units.
+    `roots`: folders outside the scene's folder that the scene may read, by name.
     `threads`: the number of threads for a step; results do not depend on it.
 
     Raises AntdslError with the report if the scene or a program has errors. Warnings are in `Simulation.report`."""
@@ -59,7 +60,7 @@ def open_scene(
 
 
 def read_seed(seed: SupportsIndex) -> int:
-    """Return a seed as a Python integer; NumPy integers are accepted. Raises AntdslError for another value."""
+    """Return a seed as a Python integer. NumPy integers are accepted. Raises AntdslError for any other value."""
     try:
         number = index(seed)
     except TypeError:
@@ -70,8 +71,7 @@ def read_seed(seed: SupportsIndex) -> int:
 
 
 def read_frames(frames: tuple[SupportsIndex, SupportsIndex] | None) -> FrameRange | None:
-    """Return a range of frames from the first to the last. Return None if `frames` is None. Raises AntdslError for another
-    value."""
+    """Return the range of frames from (first, last), or None if `frames` is None. Raises AntdslError for any other value."""
     from antdsl.scene.values import FrameRange
 
     if frames is None:
@@ -86,7 +86,7 @@ def read_frames(frames: tuple[SupportsIndex, SupportsIndex] | None) -> FrameRang
 
 
 class Simulation:
-    """A running scene. `simulation["ant"]`: the agents of a species. `items` and `fields`: mappings by name.
+    """A running scene. `simulation["ant"]` returns the agents of a species; `items` and `fields` are mappings by name.
 
     `report`: the warnings about the scene. `world`: the internal world of the run, which may change in any version."""
 
@@ -128,7 +128,7 @@ class Simulation:
 
     @property
     def origin(self) -> tuple[float, float, float]:
-        """The point, in mm, from which positions in attributes are measured. It is zero unless the world is far from the
+        """The point (in mm) from which positions in attributes are measured. It is (0, 0, 0) unless the world is far from the
         coordinate origin."""
         x, y, z = self.world.origin.tolist()
         return x, y, z
@@ -150,7 +150,7 @@ class Simulation:
 
     @property
     def measures(self) -> Mapping[str, float | int | None]:
-        """The program's measures of this frame by name, in base units; None for a value that is not finite."""
+        """The program's measures at this frame by name, in base units; None for a value that is not finite."""
         return MappingProxyType(dict(self._measures.values))
 
     @property
@@ -161,7 +161,7 @@ class Simulation:
     def set_param(self, name: str, value: str | float) -> None:
         """Set a param from the next step on. `value`: text with a unit, such as `20 mm/s`, or a number in base units.
 
-        Raises AntdslError for an unknown param, a wrong unit, and a value outside the declared range."""
+        Raises AntdslError for an unknown param, a wrong unit, or a value outside the declared range."""
         from antdsl.runtime import set_param
         from antdsl.scene.field_settings import list_settable_names
         from antdsl.scene.overrides import read_overrides
@@ -190,9 +190,9 @@ class Simulation:
         return value / one
 
     def step(self, count: int = 1) -> Simulation:
-        """Simulate `count` frames, also beyond the last frame of the scene. Return the simulation.
+        """Simulate `count` frames, if necessary beyond the last frame of the scene. Return the simulation.
 
-        Raises AntdslError if `count` is below 0, a value of an agent becomes NaN or infinite, or a limit is exceeded."""
+        Raises AntdslError if `count` is negative, a value of an agent becomes NaN or infinite, or a limit is exceeded."""
         from antdsl.runtime import step
 
         if count < 0:
@@ -219,8 +219,8 @@ class Simulation:
             raise
 
     def run(self, until: Callable[[Simulation], bool] | None = None) -> Simulation:
-        """Simulate to the end of the scene. Stop earlier if the scene's `until` condition holds, or if the function `until`
-        returns True. Return the simulation."""
+        """Simulate to the end of the scene, and return the simulation. Stop earlier if the scene's `until` condition holds, or
+        if the function `until` returns True."""
         while self.frame < self.last_frame and not self._measures.is_over:
             self.step()
             if until is not None and until(self):
@@ -228,26 +228,26 @@ class Simulation:
         return self
 
     def observe(self, observer: Observer) -> Observer:
-        """Register a function that is called with the simulation after each step. Return the function, so that `observe` can be a
+        """Register a function that is called with the simulation after each step. Return it, so that `observe` can be used as a
         decorator."""
         self._observers.append(observer)
         return observer
 
     def stop_observing(self, observer: Callable[[Simulation], object]) -> None:
-        """Stop calling an observer after each step. Raises AntdslError if the function is not an observer."""
+        """Stop calling an observer after each step. Raises AntdslError if the function is not registered."""
         if observer not in self._observers:
             raise AntdslError("this function is not an observer of the simulation", "pass the function that `observe` got")
         self._observers.remove(observer)
 
     @property
     def state_hash(self) -> str:
-        """The hash of the state, as `antdsl run` writes it for each frame. Equal hashes mean equal states."""
+        """The state hash, as `antdsl run` writes it for each frame. Equal hashes mean equal states."""
         from antdsl.runtime import state_hash
 
         return state_hash(self.world)
 
     def __getitem__(self, species: str) -> Crowd:
-        """Return the agents of a species. Raises AntdslError for another name."""
+        """Return the agents of a species. Raises AntdslError if the program has no such species."""
         if species not in self.world.populations:
             raise make_unknown_name_error("species", species, self.species)
         return Crowd(self, species)

@@ -1,4 +1,4 @@
-"""Runs sweeps from Python: every combination of scenes, values and seeds, simulated by several processes."""
+"""Sweeps from Python: every combination of scenes, values and seeds, simulated by several processes."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SweepResult:
-    """The runs of a sweep. `runs`: one dictionary per run, with the scene, varied values, seed and all measures.
-
-    `failures`: a message for each failed run; failed runs are not in `runs`.
-    `series`: the measures of the program in each frame of each run, as columns of equal length by name."""
+    """The results of a sweep. `runs`: one dictionary per run, with the scene, varied values, seed and all measures. `failures`:
+    a message for each failed run; failed runs are not in `runs`. `series`: the program's measures in each frame of each run,
+    as columns of equal length by name."""
 
     runs: tuple[Mapping[str, Any], ...]
     failures: tuple[str, ...] = ()
@@ -30,12 +29,12 @@ class SweepResult:
         return len(self.runs)
 
     def to_pandas(self) -> Any:
-        """Return a DataFrame with one row per run. Raises AntdslError without pandas."""
+        """Return a DataFrame with one row per run. Raises AntdslError if pandas is not installed."""
         return import_pandas().DataFrame(list(self.runs))
 
     def series_to_pandas(self) -> Any:
-        """Return a DataFrame with one row per frame of each run, and the program's measures as columns. Raises AntdslError
-        without pandas."""
+        """Return a DataFrame with one row per frame of each run, and the program's measures as columns. Raises AntdslError if
+        pandas is not installed."""
         return import_pandas().DataFrame(dict(self.series))
 
     def __repr__(self) -> str:
@@ -56,12 +55,13 @@ def sweep(
     """Run each scene with each seed and each combination of the values in `vary`. Return the measures of each run.
 
     `scenes`: one path or several. `seeds`: a number N for the seeds 1 to N, or a list of seeds.
-    `vary`: the values of params and of fields' settings, such as `{"walker.pace": ["20 mm/s", "40 mm/s"]}`, with their units.
-    `frames` (first, last), `until`: used instead of the scene's own. `until`: a condition that ends a run, in the language of
-    specs, such as `total(food.load) == 0`.
-    `processes`: their number; by default, one for each core. `on_result`: a function that is called with each run as it ends.
+    `vary`: the values of each param or field setting by name, with units, such as `{"walker.pace": ["20 mm/s", "40 mm/s"]}`.
+    `frames` (first, last), `until`: values that override those of the scenes. `until`: a condition that ends a run, in the
+    language of specs, such as `total(food.load) == 0`.
+    `processes`: the number of processes; by default, one per core. `on_result`: a function that is called with each finished
+    run.
 
-    Raises AntdslError with the report if a scene, a name or a value is wrong. In this case, no run has started."""
+    Raises AntdslError with the report, before any run starts, if a scene, a name or a value is wrong."""
     from itertools import product
 
     from antdsl.executors import ProcessEngine

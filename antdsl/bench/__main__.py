@@ -1,4 +1,4 @@
-"""The measuring process. It takes a job as its JSON argument, and prints the result as JSON on its last line."""
+"""The measuring process. It receives a job as a JSON argument, and prints the result as JSON on its last line of output."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Requests to measuring processes, and their results, as values that are sent as JSON. A job runs in a separate process, so
-that no other job affects its memory and start-up.
+"""Requests to measuring processes and their results, which are sent as JSON.
 
-A turn is one measurement of one backend. The backends of a process alternate, so that all have the same machine load."""
+A job runs in a separate process, so that no other job affects its memory and start-up. A turn is one measurement of one backend.
+The backends of a process alternate, so that all have the same machine load."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class BenchJob:
 class StepCost:
     """The cost of a step in seconds.
 
-    `cpu`, `wall`: CPU time and elapsed time, one number per turn. `phases_cpu`, `phases_wall`: the same two times for each phase,
-    by phase name, averaged over all turns."""
+    `cpu`, `wall`: CPU time and elapsed time, one number per turn. `phases_cpu`, `phases_wall`: the same for each phase, by phase
+    name, averaged over all turns."""
 
     cpu: list[float]
     wall: list[float]
@@ -48,12 +48,12 @@ class StepCost:
 
     @property
     def cpu_ms(self) -> float:
-        """Return the CPU milliseconds of a step: the median of the turns."""
+        """Return the CPU milliseconds of a step (the median over all turns)."""
         return 1000 * median(self.cpu)
 
     @property
     def wall_ms(self) -> float:
-        """Return the wall-clock milliseconds of a step: the median of the turns."""
+        """Return the elapsed milliseconds of a step (the median over all turns)."""
         return 1000 * median(self.wall)
 
 
@@ -61,16 +61,16 @@ class StepCost:
 class SetUpCost:
     """The cost of a set-up, in CPU seconds.
 
-    Until the first frame:
+    Before the first frame is complete:
     - `start`: import of Python and packages.
-    - `compile`: from the texts to a plan and meshes.
-    - `bind`: from these to a world.
+    - `compile`: from the source texts to a plan and meshes.
+    - `bind`: from the plan and meshes to a world.
     - `first`: the first step.
 
-    After the first frame, in the order of the fields; all are None for a backend without machine code:
-    - Build machine code that no run has cached (`code`).
-    - Load cached machine code; also None if no folder can store it.
-    - Simulate the second step, which is the first one in machine code (`second`)."""
+    After the first frame, None for a backend without machine code:
+    - `code`: building machine code that is not cached.
+    - The time to load cached machine code; also None if it cannot be cached.
+    - `second`: the second step, which is the first one in machine code."""
 
     start: float
     compile: float
@@ -107,8 +107,8 @@ class Measurement:
     """The result of a measuring process. `set_up`, `memory` and `full_run` are those of the first backend.
 
     `costs`: the cost of a step, by the name of the backend or other program.
-    `memory`: the largest growth of the process in bytes, from before the binding.
-    `state`: the bytes of all stored values of agents.
+    `memory`: the largest growth of the process since the start of binding, in bytes.
+    `state`: the size of all stored values of agents, in bytes.
     `nodes`: the number of nodes of the plan.
     `neighbours`: the mean number of other agents within the case's sight after the last step.
     `told`: notes about deviations from the request, for example that NumPy ran instead of machine code. Each begins with the
@@ -127,8 +127,7 @@ class Measurement:
     told: tuple[str, ...] = ()
 
     def compute_ratios(self, name: str, other: str) -> list[float]:
-        """Return the ratio of two CPU times per step for each turn: that of `name` divided by that of `other`. Both are keys of
-        `costs`."""
+        """Return, for each turn, the CPU time per step of `name` divided by that of `other`. Both are keys of `costs`."""
         return [one / two for one, two in zip(self.costs[name].cpu, self.costs[other].cpu, strict=True)]
 
 
@@ -140,8 +139,8 @@ class MeasuringError(Exception):
 
 
 def measure_in_process(job: BenchJob, base_command: Sequence[str] = ()) -> Measurement:
-    """Return the measurement of a job in a separate process. `base_command`: the command to run, without the job; by default that
-    of antdsl. Raises MeasuringError."""
+    """Return the measurement of a job, made in a separate process. `base_command`: the command to run, without the job; by
+    default the command of antdsl. Raises MeasuringError if the process ends without a result."""
     text = JOB_ADAPTER.dump_json(job).decode()
     command = [*base_command, text] if base_command else build_module_command("antdsl.bench", text)
     process = subprocess.run(command, capture_output=True, text=True, env=build_module_environment())

@@ -1,4 +1,4 @@
-"""Runs the set-up and the steps of a job in this process, with several backends in turn."""
+"""Measurement of the set-up and the steps of a job in this process, alternating between backends."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def measure_job(
 ) -> Measurement:
     """Return the measurement of a job. Raises CaseError for a scene that cannot be opened or scaled.
 
-    `make_comparison_frames`: returns further functions to measure by name, for a number of agents. Each simulates one frame in
-    another program."""
+    `make_comparison_frames`: a function that returns, for a number of agents, further functions to measure, by name. Each
+    simulates one frame in another program."""
     with _use_empty_code_folder():
         return _measure_job(job, make_comparison_frames)
 
 
 def _measure_job(job: BenchJob, make_comparison_frames: Callable[[int], Mapping[str, StepFunction]]) -> Measurement:
-    """Return the measurement of a job as `measure_job` does, with the current folder for machine code."""
+    """Return the measurement of a job, as `measure_job` does. Machine code is stored in the current folder for it."""
     start = _import_packages("native" in job.backends)
     case = find_case(job.case)
     shot, compile_ = _time_call(lambda: case.make_shot(job.agents))
@@ -91,13 +91,14 @@ def _measure_job(job: BenchJob, make_comparison_frames: Callable[[int], Mapping[
 
 
 def _cast_backend_name(name: str) -> Any:
-    """Return the name of a backend, typed as Any. The caller has already looked it up in `BACKENDS`."""
+    """Return the name of a backend, typed as Any. The caller has already checked that it is in `BACKENDS`."""
     return name
 
 
 @contextmanager
 def _use_empty_code_folder() -> Iterator[None]:
-    """Use an empty folder for machine code and mesh tables while the context is open, so that nothing is cached."""
+    """While the context is active, use an empty folder for machine code and mesh tables, so that nothing is cached at its
+    start."""
     previous_values = {name: os.environ.get(name) for name in (CACHE_VARIABLE, stored_tables.TABLE_STORE.variable)}
     with tempfile.TemporaryDirectory(prefix="antdsl-code-") as folder:
         os.environ |= dict.fromkeys(previous_values, folder)
@@ -115,8 +116,8 @@ def _use_empty_code_folder() -> Iterator[None]:
 
 
 def _import_packages(include_llvm: bool) -> float:
-    """Import all packages that steps need, and return the CPU seconds of this process so far. `include_llvm`: include the
-    packages that build machine code."""
+    """Import all packages that steps need, and return the CPU seconds that this process has used so far. `include_llvm`: also
+    import the packages that build machine code."""
     import antdsl.casting.rays
     import antdsl.runtime.backends  # noqa: F401
 
@@ -147,9 +148,9 @@ def wait_for_code(world: World) -> bool:
 
 
 def _time_code_load(world: World) -> tuple[float | None, list[str]]:
-    """Return the CPU seconds in which a world loads machine code from the cache, and messages.
+    """Return the CPU seconds that a world needs to load machine code from the cache, and messages.
 
-    The seconds are None for a backend without machine code, and for code that cannot be stored; the messages then say why."""
+    The seconds are None for a backend without machine code, and for code that cannot be cached; the messages then say why."""
     if not wait_for_code(world):
         return None, []
     compile_queue.release_code()
@@ -160,7 +161,7 @@ def _time_code_load(world: World) -> tuple[float | None, list[str]]:
 
 
 def _measure_turns(runners: dict[str, StepFunction], worlds: dict[str, World], steps: int, turns: int) -> dict[str, StepCost]:
-    """Return the cost of a step of each runner, by name. The runners alternate; each runs `turns` turns of `steps` steps.
+    """Return the cost of a step for each runner, by name. The runners alternate, with `turns` turns of `steps` steps each.
 
     `runners`: functions that simulate one step, by name. `worlds`: the world of each runner that is a backend. Before the first
     turn, each runner makes WARM_UP_STEPS uncounted steps."""
@@ -173,7 +174,7 @@ def _measure_turns(runners: dict[str, StepFunction], worlds: dict[str, World], s
     names = list(runners)
 
     def measure_step_seconds(runner_index: int) -> tuple[float, float]:
-        """Return the CPU time and the wall time of a step of a runner, in seconds."""
+        """Return the CPU seconds and the elapsed seconds per step of one runner, in one turn."""
         run = runners[names[runner_index]]
         worked, passed = process_time(), perf_counter()
         for _ in range(steps):
@@ -192,7 +193,7 @@ def _measure_turns(runners: dict[str, StepFunction], worlds: dict[str, World], s
 
 
 def _count_state_bytes(world: World) -> int:
-    """Return the bytes of the arrays that hold the agents. An array that is used twice counts once."""
+    """Return the size in bytes of the arrays that store the agents. An array that is used twice counts once."""
     arrays: dict[int, int] = {}
     for population in world.populations.values():
         held = [population.ids, population.born, population.quarantined, population.position, population.normal]
@@ -204,7 +205,7 @@ def _count_state_bytes(world: World) -> int:
 
 
 def _count_nodes(shot: Shot) -> int:
-    """Return the number of nodes of the plan: its operations, each counted once per block."""
+    """Return the number of nodes in the plan, that is, its operations. A node counts once for each block that contains it."""
     return sum(
         len(collect_required_nodes([node for _, each in iterate_statements(block) for node in list_operands(each)]))
         for species in shot.plan.species.values()
@@ -213,7 +214,7 @@ def _count_nodes(shot: Shot) -> int:
 
 
 def count_mean_neighbours(world: World, sight_radius_mm: float) -> float:
-    """Return the mean number of other agents within `sight_radius_mm` mm of an agent."""
+    """Return the mean number of other agents within `sight_radius_mm` of an agent."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(np.concatenate([population.position for population in world.populations.values()]))
@@ -221,13 +222,13 @@ def count_mean_neighbours(world: World, sight_radius_mm: float) -> float:
 
 
 def choose_run_frames(step: float) -> int:
-    """Return the number of frames that a run of about two seconds has, within limits. `step`: seconds of a bare step."""
+    """Return the number of frames of a full run that takes about two seconds, within limits. `step`: seconds per bare step."""
     return min(max(int(2.0 / max(8.0 * step, 1e-6)), _MIN_RUN_FRAMES), _MAX_STEPS_PER_TURN)
 
 
 def _measure_full_run(shot: Shot, options: Options, frames: int) -> FullRunCost:
-    """Return the cost of `frames` frames of a run, and of the same steps without writing, after WARM_UP_STEPS uncounted
-    frames."""
+    """Return the cost of `frames` frames of a full run, and of the same steps without writing. WARM_UP_STEPS frames are
+    simulated first and not counted."""
     from antdsl.outputs.recording import begin_recording, record_frames
     from antdsl.scene.values import parse_frame_range
 

@@ -1,4 +1,4 @@
-"""Generates programs and scenes of the cases that are not examples: texts with a placeholder for the size of the crowd's area."""
+"""Programs and scenes for the cases that are not examples. Their texts contain a placeholder for the size of the crowd's area."""
 
 from __future__ import annotations
 
@@ -100,20 +100,20 @@ species ant {
 
 
 def build_plane_scene(species: str, agents: int, radius: float) -> str:
-    """Return a scene of one species on the empty plane, in a disc of `radius` mm."""
+    """Return a scene in which agents of one species fill a disc of `radius` mm on an otherwise empty plane."""
     crowd = f"{{species: {species}, from: {species}.ant, count: {agents}, place: {{radius: {radius:.3f} mm}}}}"
     return f"antdsl: 1\nunits: mm\nfps: 24\nframes: 1..480\nseed: 1\ncrowd: [{crowd}]\n"
 
 
 def build_flat_ground(side_length: float) -> str:
-    """Return a square of two triangles centred on the origin, `side_length` mm wide, as PLY."""
+    """Return a PLY file of a square with its centre at the origin, made of two triangles. `side_length`: the width in mm."""
     head = "ply\nformat ascii 1.0\nelement vertex 4\n" + "".join(f"property float {axis}\n" for axis in "xyz")
     corners = "".join(f"{x * side_length / 2:g} 0 {z * side_length / 2:g}\n" for x, z in ((-1, -1), (-1, 1), (1, 1), (1, -1)))
     return f"{head}element face 2\nproperty list uchar int vertex_indices\nend_header\n{corners}3 0 1 2\n3 0 2 3\n"
 
 
 def build_trails_scene(agents: int) -> str:
-    """Return a scene of `agents` ants from one nest on a square metre with 200 x 200 scent cells, as in krABMaga's example."""
+    """Return a scene of `agents` ants from one nest, on a square metre with 200 x 200 scent cells, like krABMaga's example."""
     return f"""antdsl: 1
 units: mm
 fps: 24
@@ -129,5 +129,5 @@ crowd: [{{species: ant, from: ant.ant, count: {agents}, place: {{on: ground, rad
 
 
 def compute_disc_radius(agents: int, sight_radius: float = SIGHT_RADIUS_MM) -> float:
-    """Return the radius (mm) of the disc in which each of `agents` agents has about nine others within `sight_radius`."""
+    """Return the radius (mm) of a disc in which each of `agents` agents has about nine others within `sight_radius` mm."""
     return sight_radius * sqrt(agents / MEAN_NEIGHBOURS)

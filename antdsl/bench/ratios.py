@@ -1,6 +1,6 @@
-"""Ratios of costs that were measured alternately, with their 95 % intervals.
+"""Ratios between costs that were measured in turn, with 95 % confidence intervals.
 
-Two runs that alternate have the same machine load. So their ratio is meaningful, unlike a single time."""
+Runs that alternate have the same machine load, so their ratio is meaningful, while a single time is not."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ResultType = TypeVar("ResultType")
 
 @dataclass(frozen=True, slots=True)
 class RatioInterval:
-    """The mean of ratios and its 95 % interval."""
+    """The mean of ratios and its 95 % confidence interval."""
 
     mean: float
     low: float
@@ -27,15 +27,15 @@ class RatioInterval:
         return f"{self.mean:.3f} ({self.low:.3f} to {self.high:.3f})"
 
     def is_above(self, limit: float) -> bool:
-        """Return whether the complete interval is above `limit`, so that chance does not explain the excess."""
+        """Return whether the complete interval is above `limit`, so that chance alone is an unlikely reason."""
         return self.low > limit
 
 
 def compute_bootstrap_interval(ratios: Sequence[float], seed: int = 1) -> RatioInterval:
-    """Return the mean of ratios, with the 2.5th and 97.5th percentile of bootstrap means (B. Efron, Annals of Statistics 7,
-    1979).
+    """Return the mean of ratios and its 95 % interval: the 2.5th and 97.5th percentiles of bootstrap means.
 
-    The same ratios and seed always give the same interval. Raises ValueError for an empty sequence."""
+    Source: B. Efron, Annals of Statistics 7 (1979). Equal ratios and seeds always give the same interval. Raises ValueError for
+    an empty sequence."""
     if not ratios:
         raise ValueError("no ratios were measured")
     draw = random.Random(seed)
@@ -46,10 +46,10 @@ def compute_bootstrap_interval(ratios: Sequence[float], seed: int = 1) -> RatioI
 def measure_in_turn(
     measure: Callable[[int], ResultType], runners: int, count: int, warm_up_runs: int = 1
 ) -> list[tuple[ResultType, ...]]:
-    """Return the costs of `runners` runners, measured alternately: one tuple per round, with the cost of each runner in order.
+    """Return the costs of several runners, measured in turn: one tuple per round, with one cost per runner.
 
-    `measure`: returns the cost of a runner by its number. `count`: the number of rounds; the first runner of a round changes.
-    `warm_up_runs`: uncounted runs of each runner at the start, which fill caches."""
+    `measure`: returns the cost of the runner with a given number. `count`: the number of rounds; each round starts with another
+    runner. `warm_up_runs`: the number of uncounted runs of each runner at the start, which fill caches."""
     for _ in range(warm_up_runs):
         for runner in range(runners):
             measure(runner)

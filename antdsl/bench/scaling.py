@@ -1,4 +1,4 @@
-"""Changes the number of agents of a setting, at the same density or in one cluster."""
+"""Changes of the number of agents in a setting, at the same density or in one dense cluster."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from antdsl.scene.setting import PointMm, WorldSetting
 
 
 def scale_setting(setting: WorldSetting, agents: int) -> WorldSetting:
-    """Return the setting with `agents` agents in total, at the same density. Lengths of the world are scaled about its origin:
-    meshes, positions of items and crowds, and curves. Sizes of agents and items, cells of fields and radii of behaviours are not
-    scaled.
+    """Return a setting with `agents` agents in total, at the same density as in `setting`.
+
+    The world is scaled about its origin: meshes, positions of items and crowds, and curves. The sizes of agents, items and field
+    cells, and the radii of behaviours, are not scaled.
 
     Raises ValueError for a world with solids, flows, maps or moving things.
     """
@@ -52,8 +53,8 @@ def scale_setting(setting: WorldSetting, agents: int) -> WorldSetting:
 
 
 def compress_crowds(setting: WorldSetting, area_share: float) -> WorldSetting:
-    """Return the setting with each crowd compressed around its centre, to the fraction `area_share` (0 .. 1) of its area. Crowds
-    without a radius do not change."""
+    """Return a setting in which each crowd is compressed around its centre. Crowds without a radius do not change. `area_share`:
+    the new area as a fraction of the old one, 0 to 1."""
     crowds = tuple(
         replace(crowd, place=replace(crowd.place, radius=crowd.place.radius * area_share**0.5)) if crowd.place.radius else crowd
         for crowd in setting.crowds

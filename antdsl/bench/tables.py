@@ -1,4 +1,4 @@
-"""Formats measurements: rows for a terminal, and plain values for JSON."""
+"""Measurements as table rows for the terminal, and as plain values for JSON."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ REPORTED_PACKAGES = ("numpy", "scipy", "llvmlite", "open3d", "open3d-cpu")
 class BenchCaseResult:
     """The measurements of a case with one number of agents.
 
-    `alone`: one measurement per backend, each in a separate process.
-    `together`: the measurement of one process in which several backends alternated; None for a single backend."""
+    `alone`: one measurement per backend, each made in a separate process.
+    `together`: the measurement of one process in which all backends alternated; None if there is only one backend."""
 
     alone: tuple[Measurement, ...]
     together: Measurement | None = None
 
 
 def format_ratios(ratios: Sequence[float]) -> str:
-    """Return the mean of ratios as text, with its interval if there are enough turns for one."""
+    """Return the mean of ratios as text, with its interval if there are enough turns."""
     return str(compute_bootstrap_interval(ratios)) if len(ratios) >= MIN_PAIRS else f"{mean(ratios):.2f} ({len(ratios)} turns)"
 
 
 def find_measured_backend(measured: Measurement) -> str:
-    """Return the name of the first backend of a measurement."""
+    """Return the name of the first backend in a measurement."""
     return measured.job.backends[0]
 
 
@@ -50,17 +50,17 @@ STEP_COLUMNS = (
 
 
 def format_set_up(measurement: Measurement) -> list[str]:
-    """Return the values of a set-up as text, in the order of SET_UP_COLUMNS. Missing values are empty."""
+    """Return the times of a set-up as texts, in the order of SET_UP_COLUMNS. The text of a missing value is ""."""
     one = measurement.set_up
     seconds = (one.start, one.compile, one.bind, one.first, one.code, one.kept, one.second)
     return ["" if each is None else f"{each:.2f}" if each >= 0.1 else f"{each:.4f}" for each in seconds]
 
 
 def format_full_run(measurement: Measurement) -> list[str]:
-    """Return the costs of a run as five texts: CPU ms, wall-clock ms and frames per second; CPU ms of its steps and of its
-    feet.
+    """Return the costs of a full run as five texts.
 
-    All are empty if no run was measured."""
+    They are CPU ms, elapsed ms and frames per second of the run, then CPU ms of its steps and of its feet. All are "" if no run
+    was measured."""
     run = measurement.full_run
     if run is None:
         return [""] * 5
@@ -69,8 +69,8 @@ def format_full_run(measurement: Measurement) -> list[str]:
 
 
 def build_step_rows(result: BenchCaseResult) -> list[list[str]]:
-    """Return the rows of the table of steps, one per backend, with the columns STEP_COLUMNS. Bytes are those of all stored values
-    of agents; `grew by` is the growth of the process."""
+    """Return the rows of the table of steps: one per backend, with the columns STEP_COLUMNS. The column of bytes has the size of
+    all stored values of agents; `grew by` is the growth of the process."""
     rows = []
     for measurement in result.alone:
         name = find_measured_backend(measurement)
@@ -92,8 +92,8 @@ def build_step_rows(result: BenchCaseResult) -> list[list[str]]:
 
 
 def build_phase_table(result: BenchCaseResult) -> tuple[list[str], list[list[str]]]:
-    """Return the column names and the rows of the table of phases: CPU and wall-clock milliseconds. The most expensive phase of
-    the first backend comes first."""
+    """Return the column names and the rows of the table of phases, in CPU and elapsed milliseconds. Rows are sorted by the cost
+    of the first backend, highest first."""
     columns = ["phase"]
     for measurement in result.alone:
         columns += [f"{find_measured_backend(measurement)}: CPU ms", "wall ms"]
@@ -109,8 +109,7 @@ def build_phase_table(result: BenchCaseResult) -> tuple[list[str], list[list[str
 
 
 def compare_backends(result: BenchCaseResult) -> list[str]:
-    """Return a line for each backend after the first, with its ratio to the first. Both were measured alternately in one
-    process."""
+    """Return one line for each further backend, with its ratio to the first. Both were measured alternately in one process."""
     if result.together is None:
         return []
     first, *others = result.together.job.backends
@@ -127,7 +126,7 @@ def list_messages(result: BenchCaseResult) -> list[str]:
 
 
 def describe_result(result: BenchCaseResult) -> str:
-    """Return one line of text: the case, its number of agents, neighbours and nodes, and published figures."""
+    """Return one line that describes a case: its number of agents, neighbours and nodes, and published figures."""
     measurement = result.alone[0]
     case = BENCH_CASES.get(measurement.job.case)
     words = [f"{measurement.job.case}, {measurement.agents:,} {'agent' if measurement.agents == 1 else 'agents'}"]
@@ -139,12 +138,12 @@ def describe_result(result: BenchCaseResult) -> str:
 
 
 def make_json_document(results: Sequence[BenchCaseResult]) -> dict[str, Any]:
-    """Return all measurements, with the ratios that tables display, as JSON values."""
+    """Return all measurements, and the ratios that tables display, as values for JSON."""
     return {"machine": describe_machine(), "results": [asdict(result) for result in results]}
 
 
 def describe_machine() -> dict[str, str]:
-    """Return a description of the machine as a mapping: date, machine, system and versions."""
+    """Return the date, machine, system and versions, by name."""
     details = {
         "date": datetime.date.today().isoformat(),
         "machine": f"{read_processor_name()}, {os.cpu_count()} cores",

@@ -1,7 +1,7 @@
-"""Runs tasks on a Dask cluster: a local one that ends with the command, or an existing one.
+"""The engine that runs tasks on a Dask cluster: a local one that ends with the command, or an existing one.
 
-Dask runs a task again if its worker is lost, so each task runs at least once. Message formats are Dask's. The payloads of antdsl
-are its own functions by name, JSON, and the bytes of the project's files.
+Dask runs a task again if its worker is lost, so each task runs at least once. Messages have Dask's formats. They contain
+functions of antdsl by name, JSON, and the bytes of the project's files.
 """
 
 from __future__ import annotations
@@ -42,19 +42,18 @@ _MAX_MESSAGE_CHARACTERS = 2000  # characters of one sentence of a worker
 
 
 def load_security(folder: Path) -> Security:
-    """Return mutual TLS with the certificate files of a folder. Peers without a certificate of the same authority are
-    rejected."""
+    """Return the settings of mutual TLS with the certificate files in a folder. Peers without a certificate of the same
+    authority are rejected."""
     ca, cert, key = (str(folder / name) for name in TLS_FILE_NAMES)
     return Security(require_encryption=True, tls_ca_file=ca, tls_client_cert=cert, tls_client_key=key)
 
 
 @contextmanager
 def start_local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
-    """Start a scheduler and worker processes on the loopback interface. Yield the address and the certificates, which are new and
-    only in memory.
+    """Start a scheduler and worker processes on the loopback interface. Yield the address and new certificates.
 
-    There is no dashboard, and workers have no memory limit. Dask still starts an HTTP server without pages in the scheduler and
-    in each worker. Without an explicit address, that server would listen on every interface.
+    The certificates exist only in memory. There is no dashboard, and workers have no memory limit. Dask still starts an HTTP
+    server without pages in the scheduler and in each worker; without an explicit address, it would listen on every interface.
     """
     isolate_search_paths()
     settings: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in _ROLES}
@@ -80,11 +79,9 @@ def start_local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Secur
 def connect_cluster(
     address: str, security: Security | None, files: Iterable[Path], visible_file: VisibleFile | None = None
 ) -> Iterator[Cluster]:
-    """Yield a connection to a cluster. Raises WorkersLostError if no scheduler answers, TaskRejectedError if no worker is
-    suitable or the files are too large.
-
-    `files`: the files that workers receive. With `visible_file`, no file is sent: each worker must see this file at its path, and
-    is assumed to see the others."""
+    """Yield a connection to a cluster. Raises WorkersLostError if no scheduler answers, and TaskRejectedError if no worker is
+    suitable or the files are too large. `files`: the files that workers receive. `visible_file`: if given, no files are sent.
+    Each worker must see this file at its path, and is then assumed to see all others."""
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL)  # antdsl reports errors itself
     with ExitStack() as stack:
@@ -101,7 +98,7 @@ def connect_cluster(
 
 
 class Cluster(Engine):
-    """Runs tasks on the workers of a Dask cluster."""
+    """The engine that runs tasks on the workers of a Dask cluster."""
 
     def __init__(self, client: Any, bundle: FileBundle, visible_file: VisibleFile | None) -> None:
         self._client = client
@@ -120,7 +117,7 @@ class Cluster(Engine):
         self._futile_resubmits = 0  # resubmissions of all tasks since the last answer
 
     def send_files(self) -> None:
-        """Send the files to all workers, also to those that join later."""
+        """Send the files to all workers, including those that join later."""
         client = self._client
         client.subscribe_topic(self.name, lambda event: self._event_queue.put(event[1]))
         worker_identities = client.run(describe_worker, on_error="return")
@@ -145,7 +142,7 @@ class Cluster(Engine):
 
     @property
     def task_capacity(self) -> int:
-        """Return two tasks per worker, so that no worker waits for its next task."""
+        """Return the number of tasks to submit at once: two per worker, so that no worker waits for its next task."""
         return 2 * max(len(self._present_workers), 1)
 
     def start(self) -> None:
@@ -181,7 +178,7 @@ class Cluster(Engine):
         return messages
 
     def _read_events(self) -> None:
-        """Read messages from workers: the frames of their tasks, and whether they can run tasks."""
+        """Read messages from the workers: the current frame of each task, and whether they can run tasks."""
         with suppress(Empty):
             while True:
                 event = self._event_queue.get_nowait()
@@ -194,8 +191,9 @@ class Cluster(Engine):
                     self._messages.append("".join(s if s.isprintable() else " " for s in message))
 
     def _check_workers(self) -> None:
-        """Check from time to time which workers are available. If none was available before and one is now, cancel all tasks, so
-        that they are submitted again. Dask assigns waiting tasks when a worker joins, which is before the worker has the files.
+        """Check from time to time which workers are available. If some are, but none of them was at the last check, cancel all
+        tasks, so that they are submitted again. Dask assigns waiting tasks as soon as a worker joins, which is before the
+        worker has the files.
         """
         finished_futures = [future for future in self._key_by_future if future.done()]
         if not all(future.cancelled() for future in finished_futures):

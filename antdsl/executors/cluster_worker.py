@@ -1,9 +1,9 @@
-"""The part that runs on a worker of a Dask cluster. It receives a project's files, reports whether it can run tasks, and runs
+"""The code that runs on each worker of a Dask cluster. It receives a project's files, reports whether it can run tasks, and runs
 them.
 
 A worker that has the files and the same antdsl sources offers a resource named after both. A task needs one unit of this
-resource. So a worker with other sources, or without space for the files, never gets a task, even if it joins later. A worker runs
-one task at a time.
+resource. So a worker with other sources, or without space for the files, never gets a task, even if it joins later. A worker
+runs one task at a time.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ FILE_PART_BYTES = 8 * MIB  # bytes per request of a fetched file
 
 
 class ProjectPlugin(WorkerPlugin):  # type: ignore[misc]
-    """The files of a project, as every worker of a cluster receives them. The bytes of the files are the only user data in this
-    object."""
+    """A Dask plugin with the files of a project, which every worker of a cluster receives. The contents of these files are the
+    only user data in this object."""
 
     def __init__(self, bundle: FileBundle, sources: str, visible_file: VisibleFile | None) -> None:
         self.name = f"antdsl-{visible_file.digest if visible_file is not None else bundle.digest}-{sources}"
@@ -40,7 +40,7 @@ class ProjectPlugin(WorkerPlugin):  # type: ignore[misc]
         self.worker: WorkerContext | None = None
 
     async def setup(self, worker: Any) -> None:
-        """Install the files. Called when a worker starts, or when the project reaches a running worker."""
+        """Install the files. Dask calls this when a worker starts, or when a running worker receives the plugin."""
         if self.sources != hash_sources():
             worker.log_event(self.name, {"refused": explain_mismatch(worker.address, describe_worker(), self.sources)})
             return
@@ -72,7 +72,7 @@ _TASK_LOCK = threading.Lock()
 
 
 def _unpack_bundle(bundle: FileBundle, folder: Path) -> None:
-    """Unpack the files to the folder where tasks look for them, unless an earlier command did."""
+    """Unpack files to the folder where tasks look for them, unless an earlier command has done so."""
     with _TASK_LOCK:
         complete_mark = folder / "whole"  # exists once all other files are complete
         if complete_mark.is_file():
@@ -89,13 +89,13 @@ def describe_worker() -> dict[str, str]:
 
 
 def can_see_file(visible_file: VisibleFile) -> bool:
-    """Return whether this worker can see the requester's file at the same path."""
+    """Return whether this worker sees the requester's file at the same path."""
     return visible_file.is_visible()
 
 
 def explain_mismatch(address: str, worker_versions: Mapping[str, str], expected_sources: str) -> str:
-    """Return the message about a worker that gets no tasks, because its sources of antdsl differ. `worker_versions`: as from
-    `describe_worker`."""
+    """Return the message about a worker that gets no tasks, because its antdsl sources differ from the requester's.
+    `worker_versions`: the result of `describe_worker`."""
     return (
         f"worker {address} on {worker_versions['host']} gets no tasks: its antdsl {worker_versions['antdsl']} has other sources "
         f"({worker_versions['sources'][:8]}, here {expected_sources[:8]}); install the same version there"
@@ -105,8 +105,8 @@ def explain_mismatch(address: str, worker_versions: Mapping[str, str], expected_
 def run_task_on_worker(work: TaskFunction, document_text: str, project_name: str, key: str, attempt: int) -> str:
     """Run a task on this worker, and return its answer as JSON.
 
-    `work`: the task's function. `document_text`: its argument as JSON. `project_name`: the project with the files of the task.
-    `key`: the task's key. `attempt`: the number of earlier attempts."""
+    `work`: the task's function. `document_text`: its argument as JSON. `project_name`: the name of the project that has the
+    task's files. `key`: the task's key. `attempt`: the number of earlier attempts."""
     dask_worker = get_worker()
     project = dask_worker.plugins.get(project_name)
     if project is None or project.worker is None:

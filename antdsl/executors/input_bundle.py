@@ -1,4 +1,4 @@
-"""Input bundles: files under their original paths, with a hash. A bundle transports the files of a project to other machines."""
+"""Input bundles: the files of a project, packed with their paths and a hash to be sent to other machines."""
 
 from __future__ import annotations
 
@@ -15,17 +15,15 @@ from antdsl.safe_read import read_size_limited
 
 @dataclass(frozen=True, slots=True)
 class FileBundle:
-    """Files to send to other machines.
+    """A bundle of files to send to other machines.
 
-    `files`: their contents by path, relative to the folder into which they are unpacked. `digest`: the hash of paths and
-    contents."""
+    `files`: contents by path, relative to the folder into which they are unpacked. `digest`: a hash of paths and contents."""
 
     files: Mapping[str, bytes]
     digest: str
 
     def unpack(self, folder: Path) -> None:
-        """Write the files below a folder. Raises TaskRejectedError if they do not match the hash, or if a path leads out of the
-        folder."""
+        """Write the files below a folder. Raises TaskRejectedError if the hash is wrong, or if a path leads out of the folder."""
         if hash_files(self.files) != self.digest:
             raise TaskRejectedError("the project's files were changed during the transfer")
         for name, content in self.files.items():
@@ -39,20 +37,20 @@ class FileBundle:
 
 @dataclass(frozen=True, slots=True)
 class VisibleFile:
-    """A file with a known digest. A machine on which this file exists shares the requester's folders. `path`: its path. `digest`:
-    a hash of its content."""
+    """A file that shows whether a machine shares the requester's folders: the machine does if it has the same file. `path`: its
+    path. `digest`: a hash of its content."""
 
     path: str
     digest: str
 
     @classmethod
     def from_path(cls, path: Path) -> VisibleFile:
-        """Return the visible file for a path. Raises OSError if there is no such file."""
+        """Return an object for the file at `path`. Raises OSError if there is no such file."""
         absolute_path = os.path.abspath(path)
         return cls(absolute_path, hash_files({"": read_size_limited(absolute_path, MAX_BUNDLE_BYTES)}))
 
     def is_visible(self) -> bool:
-        """Return whether this machine has the file."""
+        """Return whether this machine has a file with this path and content."""
         try:
             return VisibleFile.from_path(Path(self.path)) == self
         except OSError:
@@ -60,8 +58,8 @@ class VisibleFile:
 
 
 def pack_files(paths: Iterable[Path]) -> FileBundle:
-    """Return an input bundle of regular files. Raises TaskRejectedError if their total size exceeds `MAX_BUNDLE_BYTES`, OSError
-    if one cannot be read."""
+    """Return a bundle of regular files. Raises TaskRejectedError if their total size exceeds `MAX_BUNDLE_BYTES`, and OSError if
+    one cannot be read."""
     files: dict[str, bytes] = {}
     left = MAX_BUNDLE_BYTES
     for path in sorted({Path(os.path.abspath(path)) for path in paths}):
@@ -74,7 +72,7 @@ def pack_files(paths: Iterable[Path]) -> FileBundle:
 
 
 def find_unpacked_path(folder: Path, path: str) -> Path:
-    """Return the path of a bundled file below the folder that the bundle was unpacked into."""
+    """Return the path of a bundled file on this machine. `folder`: the folder into which the bundle was unpacked."""
     return folder / _make_relative_path(Path(path))
 
 

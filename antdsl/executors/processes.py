@@ -1,5 +1,6 @@
-"""Runs tasks in processes of this machine. Each process starts from scratch, imports everything once, and runs one task after the
-other."""
+"""The engine that runs tasks in processes on this machine.
+
+Each process starts from scratch, imports everything once, and runs one task after the other."""
 
 from __future__ import annotations
 
@@ -79,7 +80,7 @@ class ProcessEngine(Engine):
 
 
 def _describe_exit(code: int | None) -> str:
-    """Return a clause that says why a process ended. `code`: its exit code; a negative code is a signal."""
+    """Return a clause that says why a process ended. `code`: its exit code; a negative one is the number of a signal."""
     if code is not None and code < 0:
         name = signal.Signals(-code).name if -code in {s.value for s in signal.Signals} else str(-code)
         reason = ", most likely because memory ran out" if name == "SIGKILL" else ""
@@ -92,7 +93,7 @@ _frame_by_slot: MutableSequence[int] = []
 
 
 def _initialise_process(threads: int, frame_by_slot: MutableSequence[int]) -> None:
-    """Initialise a process of the pool: its environment, signals, and the thread that ends it with its parent."""
+    """Initialise a process of the pool: its environment, its signals, and a thread that ends it when its parent ends."""
     global _PROCESS_WORKER, _frame_by_slot
     _PROCESS_WORKER, _frame_by_slot = WorkerContext(threads), frame_by_slot
     if not sys.warnoptions:
@@ -104,7 +105,7 @@ def _initialise_process(threads: int, frame_by_slot: MutableSequence[int]) -> No
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent ends. Otherwise the processes of a killed pool owner would wait for tasks forever."""
+    """End this process when its parent ends. Otherwise, the processes of a killed parent would wait for tasks forever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -114,8 +115,8 @@ def _end_with_parent() -> None:
 def _run_task_in_process(work: TaskFunction, document_text: str, slot: int) -> str:
     """Run a task in a process of the pool, and return its answer as JSON.
 
-    `work`: the task's function. `document_text`: its argument as JSON. `slot`: the index at which its current frame is
-    reported."""
+    `work`: the task's function. `document_text`: its argument as JSON. `slot`: the index of the shared counter that reports the
+    task's current frame."""
 
     def say_frame(frame: int) -> None:
         _frame_by_slot[slot] = frame

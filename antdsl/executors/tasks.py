@@ -1,4 +1,4 @@
-"""Submits tasks to an engine and yields their results as they arrive. Lost tasks run again."""
+"""The function that runs tasks on an engine and yields their results as they arrive. Lost tasks run again."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ TaskAnswer = dict[str, Any]
 
 
 class TaskRejectedError(Exception):
-    """Error for a task that cannot be carried out. The message is for the requester. The task does not run again."""
+    """Error for a task that cannot be carried out. The message is written for the requester. The task is not repeated."""
 
 
 class WorkersLostError(Exception):
-    """Error if no process or worker is left to run tasks. The message is for the requester."""
+    """Error if no process or worker is left to run tasks. The message is written for the requester."""
 
 
 @dataclass(slots=True)
@@ -38,10 +38,10 @@ class WorkerContext:
     """The environment of a task.
 
     `threads`: the number of threads that the task may use.
-    `report_frame`: is called with the current frame.
-    `cached_values`: objects by name that stay in the process for later tasks.
+    `report_frame`: a function to call with the current frame.
+    `cached_values`: objects by name, which stay in the process for later tasks.
     `notes`: messages about deviations from the request, sent with the answer.
-    `find_local_path`: maps a path of the requester to this machine.
+    `find_local_path`: a function that converts a path on the requester's machine to a path on this machine.
     `scratch_folder`: a folder for files that the requester fetches; None if all machines see the same folders.
     `name`: the name of the process; empty on the requester's machine."""
 
@@ -65,8 +65,8 @@ class Task:
     `function`: a function at module level of antdsl.
     `document`: the argument of `function`, as JSON values.
 
-    An answer may have `files`: path, size and digest of each file to fetch. Then `worker` is the address of the worker, and
-    `made` the task's folder there."""
+    The answer may list `files` to fetch, each with path, size and digest. It then also has `worker`, the worker's address, and
+    `made`, the task's folder there."""
 
     key: str
     function: TaskFunction
@@ -84,23 +84,24 @@ class TaskOutcome:
 
 
 class Engine(ABC):
-    """A means to run tasks in other processes.
+    """The interface for running tasks in other processes.
 
-    If a task is lost, its future is cancelled, and the task must be submitted again. If its process ended, possibly because of
-    the task, the future raises BrokenExecutor."""
+    If a task is lost, its future is cancelled, and the task must be submitted again. If its process has ended, possibly because
+    of the task, the future raises BrokenExecutor."""
 
     @property
     @abstractmethod
     def task_capacity(self) -> int:
-        """Return the number of tasks that should run at the same time."""
+        """Return the number of tasks that should be submitted at the same time."""
 
     @abstractmethod
     def start(self) -> None:
-        """Start the engine, or start it again after a stop. Raises WorkersLostError."""
+        """Start the engine, or restart it after a stop. Raises WorkersLostError if this fails."""
 
     @abstractmethod
     def submit(self, task: Task) -> Future[str]:
-        """Submit a task. Call this only while fewer than `task_capacity` tasks run. Raises WorkersLostError."""
+        """Submit a task. Call this only while fewer than `task_capacity` tasks are running. Raises WorkersLostError if that
+        fails."""
 
     @abstractmethod
     def stop(self) -> None:
@@ -111,7 +112,7 @@ class Engine(ABC):
         return None
 
     def collect_notes(self) -> Iterable[str]:
-        """Return the messages about workers since the last call."""
+        """Return the messages about workers that have arrived since the last call."""
         return ()
 
     def explain_process_end(self) -> str:
@@ -119,7 +120,7 @@ class Engine(ABC):
         raise NotImplementedError  # only engines with processes on this machine can break
 
     def describe_failure(self, exception: BaseException) -> str:
-        """Return the message for a task that ended with an exception. Raises the exception if it is an error of antdsl itself."""
+        """Return the message about a task that ended with an exception. An exception that is a bug in antdsl is raised again."""
         if isinstance(exception, TaskRejectedError | MemoryError | OSError):
             return str(exception) or "out of memory"
         raise exception
@@ -130,7 +131,7 @@ class Engine(ABC):
         raise NotImplementedError  # only tasks on other machines leave files to fetch
 
     def remove_task_files(self, worker: str, folder: str) -> None:
-        """Make a worker remove the files that a task wrote."""
+        """Make a worker remove the files that a task has written there. `folder`: the task's folder on the worker."""
         return  # tasks on this machine write directly to the final folder
 
 
@@ -143,12 +144,12 @@ def run_tasks(
 ) -> Iterator[TaskOutcome]:
     """Run tasks and yield the outcome of each as soon as it is known and its files are in `choose_folder(task)`.
 
-    `tasks`: is read one at a time, whenever another task can start.
-    `report_frame`: is called from time to time with the current frame of a task.
-    `report_note`: is called with messages about workers.
+    `tasks`: the next one is read only when another task can start.
+    `report_frame`: called from time to time with a task and its current frame.
+    `report_note`: called with messages about workers.
 
-    If a process is lost, the cause is unknown, so all running tasks run again, one by one. A task that breaks the engine while it
-    runs alone is given up. Raises WorkersLostError if the engine cannot start again.
+    If a process is lost, the cause is unknown, so all running tasks run again, one by one. A task that breaks the engine while
+    it runs alone fails. Raises WorkersLostError if the engine cannot start again.
     """
     waiting, suspects, lost_tasks = iter(tasks), deque[Task](), deque[Task]()
     running: dict[Future[str], Task] = {}
@@ -204,23 +205,23 @@ def run_tasks(
 
 
 def _find_finished(running_tasks: Mapping[Future[str], Task]) -> list[Future[str]]:
-    """Return the futures of tasks that have ended. The result of `wait` is not used, since it lacks a future that is cancelled
-    while its task ends."""
+    """Return the futures of all tasks that have ended. The result of `wait` is not used, because it omits a future that is
+    cancelled while its task ends."""
     return [future for future in running_tasks if future.done()]
 
 
 def _is_broken(future: Future[str]) -> bool:
-    """Return whether the process of a task has ended before its answer."""
+    """Return whether the process of a task has ended before the task was answered."""
     return not future.cancelled() and isinstance(future.exception(), BrokenExecutor)
 
 
 def _fetch_outcome(
     task: Task, future: Future[str], engine: Engine, choose_folder: Callable[[Task], Path], attempts: dict[str, int]
 ) -> TaskOutcome | None:
-    """Return the outcome of a task that has ended, after its files were fetched. Return None if the files are lost and the task
-    must run again.
+    """Return the outcome of a task that has ended, after fetching its files.
 
-    `attempts`: the number of failed fetches by the key of each task; it is updated."""
+    Return None if the files are lost, so that the task must run again. `attempts`: the number of failed fetches by task key,
+    which is updated."""
     exception = future.exception()
     if exception is not None:
         return TaskOutcome(task, None, engine.describe_failure(exception))
@@ -260,7 +261,7 @@ def run_task(
 ) -> str:
     """Run a task in the current process, and return its answer as JSON.
 
-    `work`: the task's function. `document_text`: its argument as JSON. `send_frame`: is called from time to time with the current
+    `work`: the task's function. `document_text`: its argument as JSON. `send_frame`: called from time to time with the current
     frame."""
     last_report = time.monotonic()
 
@@ -281,7 +282,7 @@ def run_task(
 
 @contextmanager
 def raise_as_task_rejected(*kinds: type[Exception]) -> Iterator[None]:
-    """Raise TaskRejectedError in place of exceptions of these kinds, with the same message."""
+    """While the context is active, turn exceptions of these kinds into TaskRejectedError with the same message."""
     try:
         yield
     except kinds as error:
@@ -289,5 +290,5 @@ def raise_as_task_rejected(*kinds: type[Exception]) -> Iterator[None]:
 
 
 def hash_document(document: Mapping[str, Any]) -> str:
-    """Return a hash of JSON values, for the key of a task."""
+    """Return a hash of JSON values, for use in the key of a task."""
     return hashlib.blake2b(json.dumps(document, sort_keys=True).encode(), digest_size=12).hexdigest()

@@ -1,5 +1,6 @@
-"""Explains what an agent did in a step, and why. The step is repeated from a checkpoint and traced. Collecting data is
-separate from formatting it."""
+"""Explanations of what an agent did in a step, and why. The step is simulated again from a checkpoint and traced.
+
+The modules that collect data are separate from those that format it."""
 
 from antdsl.explain.history import CacheHistory, ExplainError, History, open_shot
 from antdsl.explain.model import Explanation, make_json_document

@@ -1,7 +1,7 @@
-"""Runs with checkpoints from which a step can be repeated. A run is a cache or a session that is still running.
+"""The history of a run, with checkpoints from which a step can be simulated again.
 
-A cache names the shot that made it. The scene of that shot must exist with unchanged texts. Otherwise the step cannot be
-explained."""
+A run is a cache, or a session that is still active. A cache names the scene that made it. A step can be explained only if this
+scene still exists with unchanged texts."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ _SPEC_INPUT_PREFIX = "set "
 
 
 class History(Protocol):
-    """A run of one shot that is stored and can be replayed."""
+    """A stored run of one shot that can be replayed."""
 
     @property
     def shot(self) -> Shot: ...
 
     def checkpoint_frames(self) -> Sequence[int]:
-        """Return the frames that have a checkpoint, in order."""
+        """Return the numbers of the frames that have a checkpoint, ascending."""
 
     def restore_world(self, point: int) -> World | None:
-        """Return a separate world in the state of a checkpoint, or None if the checkpoint is damaged."""
+        """Return a new world with the state of a checkpoint, or None if the checkpoint is damaged."""
 
     def find_hash(self, frame: int) -> str | None:
-        """Return the hash of the state at a frame, if it is known."""
+        """Return the state hash of a frame, or None if it is unknown."""
 
     def apply_interventions(self, world: World) -> None:
-        """Apply the external changes that the run received before the next step."""
+        """Apply the external changes that the run received at the world's frame, before its next step."""
 
     def make_missing_error(self, frame: int) -> ExplainError:
-        """Return the error for a frame without an undamaged checkpoint before it."""
+        """Return the error for a frame that has no undamaged checkpoint before it."""
 
     def make_difference_error(self, frame: int) -> ExplainError:
-        """Return the error for a frame that gives a different state when it is repeated."""
+        """Return the error for a frame that has a different state when it is simulated again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CacheHistory:
-    """The run that wrote a cache. `shot`: the shot from which the cache was made. `has_feet`: whether restored worlds compute
-    positions of feet."""
+    """The history of a run that wrote a cache. `shot`: the shot that the run simulated. `has_feet`: whether restored worlds
+    compute the positions of feet."""
 
     cache: Cache
     shot: Shot
@@ -62,7 +62,7 @@ class CacheHistory:
 
     @classmethod
     def from_cache(cls, cache: Cache, shot: Shot, threads: int = 1) -> CacheHistory:
-        """Return the history of a cache. `threads`: the number of threads for the replay."""
+        """Return the history of a cache. `threads`: the number of threads for replays."""
         return cls(cache, shot, threads, cache.read_state_hashes())
 
     def checkpoint_frames(self) -> Sequence[int]:
@@ -82,7 +82,7 @@ class CacheHistory:
         return self.hashes.get(frame)
 
     def apply_interventions(self, world: World) -> None:
-        """Do nothing: the run of a cache has no changes from outside."""
+        """Do nothing: a run that writes a cache receives no external changes."""
 
     def make_missing_error(self, frame: int) -> ExplainError:
         missing = "no good checkpoint" if any(point <= frame for point in self.checkpoint_frames()) else "no checkpoint"
@@ -97,9 +97,9 @@ class CacheHistory:
 
 
 class ExplainError(Exception):
-    """Error for a step that cannot be explained. The message is understandable without context.
+    """Error for a step that cannot be explained. The message can be understood without context.
 
-    `usage`: whether the request is wrong. `report`: the findings about the scene's files, if they are the reason."""
+    `usage`: whether the request itself is wrong. `report`: the findings about the scene's files, if they are the reason."""
 
     def __init__(self, message: str, help: str = "", *, usage: bool = False, report: Report | None = None) -> None:
         super().__init__(message)
@@ -109,8 +109,8 @@ class ExplainError(Exception):
 def open_shot(
     cache: Cache, scene: Path | None = None, grants: Mapping[str, Path] | None = None, purpose: str = "an explanation"
 ) -> Shot:
-    """Return the shot of a cache. Raises ExplainError if its scene is missing, has errors, or differs from the scene that
-    made the cache. `purpose`: what needs the shot, for the message."""
+    """Return the shot that made a cache. Raises ExplainError if its scene is missing, has errors, or differs from the scene that
+    made the cache. `purpose`: what the shot is needed for, for the message."""
     manifest = cache.manifest
     path = scene or _find_scene(cache)
     spec = [name for name in manifest.inputs if name.startswith(_SPEC_INPUT_PREFIX)]
@@ -143,8 +143,8 @@ def open_shot(
 
 
 def _find_scene(cache: Cache) -> Path:
-    """Return the path of the scene file. Look at its old relative path, first from folders above the cache, then from the
-    working directory."""
+    """Return the path of the scene file that made a cache. The stored relative path is tried from each folder above the cache,
+    then from the working directory."""
     name = Path(cache.manifest.scene).name
     folder = cache.folder.resolve()
     then = Path(os.path.normpath(folder / cache.manifest.scene_path)) if cache.manifest.scene_path else None

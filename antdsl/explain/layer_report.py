@@ -1,6 +1,6 @@
-"""Reports each layer of a step: the push it requests, the strength left for it, and the length by which its push was cut.
+"""Reports on the layers of a step: the push that each requests, the strength left for it, and how much of its push was cut.
 
-Sums are computed in float32, as in the step."""
+Sums are computed in float32, as in the step itself."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ PushVector = NDArray[np.float32]
 
 
 def build_layer_reports(world: World, mode: str, notes: SourceNotes, trace: AgentTrace) -> tuple[LayerReport, ...]:
-    """Return reports on the layers, in the order in which the layers were evaluated."""
+    """Return a report on each layer, in the order in which the layers were evaluated. `mode`: how layers are combined."""
     with np.errstate(all="ignore"):
         return tuple(_build_layer_report(world, mode, note, trace) for note in notes.layers)
 
 
 def _build_layer_report(world: World, mode: str, note: LayerNote, trace: AgentTrace) -> LayerReport:
-    """Return the report on one layer."""
+    """Return the report on one layer. `mode`: how layers are combined."""
     where, left = locate_span(note.layer.span, note.layer.text), float(trace.values.get(note.budget_left, 0.0))
     no_push = (0.0, 0.0, 0.0)
     if not trace.values.get(note.has_budget, False):
@@ -51,10 +51,10 @@ def _build_layer_report(world: World, mode: str, note: LayerNote, trace: AgentTr
 
 
 def _grant_push(mode: str, push: PushVector, size: np.float32, budget: np.float32) -> PushVector:
-    """Return the part of a layer's push that the layer receives.
+    """Return the part of a layer's push that takes effect.
 
-    If pushes are summed, it is the complete push. With a priority budget, the push is shortened to the length `budget`. If the
-    first layer takes all, it is shortened to length 1."""
+    If pushes are summed, it is the complete push. With a priority budget, the push is shortened to the remaining `budget`. If
+    the first layer takes all, it is shortened to length 1. `size`: the length of the push."""
     if mode == "sum":
         return push
     limit = budget if mode == "budget" else _F32(1)
@@ -62,19 +62,19 @@ def _grant_push(mode: str, push: PushVector, size: np.float32, budget: np.float3
 
 
 def compute_length(push: PushVector) -> np.float32:
-    """Return the length of a vector, computed in the plan's order of operations."""
+    """Return the length of a vector, computed with the same order of operations as in the plan."""
     x, y, z = push
     size: np.float32 = np.sqrt((x * x + y * y) + z * z)
     return size
 
 
 def read_total_push(trace: AgentTrace) -> PushVector:
-    """Return the sum of the pushes of all layers, from the register that moves the agent."""
+    """Return the sum of the pushes of all layers, read from the register that moves the agent."""
     return np.array([trace.end_registers[f"push.{axis}"] for axis in AXES], _F32)
 
 
 def find_steering_lines(species: str, notes: SourceNotes, trace: AgentTrace, sites: tuple[str, ...]) -> tuple[SteeringLine, ...]:
-    """Return the `steer` and `face` lines that ran at code sites with one of these prefixes."""
+    """Return the `steer` and `face` lines that ran. `sites`: prefixes of the code sites to include."""
     steer_lines = []
     for note in notes.steers:
         if note.site.startswith(sites) and all(node in trace.values for node in note.push):

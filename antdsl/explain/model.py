@@ -1,4 +1,5 @@
-"""The explanation of one agent's step, as immutable values that JSON can represent. Numbers are in the author's units."""
+"""The explanation of one agent's step, as immutable values that can be written as JSON. Numbers are in the units that authors
+use."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ PlainValue = float | bool | str | None | FloatTriple
 
 @dataclass(frozen=True, slots=True)
 class SourceLocation:
-    """A span of a program: its text on one line, its file and line."""
+    """The location of a text in a program: the text on one line, its file and its line number."""
 
     text: str
     file: str
@@ -24,9 +25,10 @@ class SourceLocation:
 class ExpressionPart:
     """A part of a condition.
 
-    - `text`: the part in the source. `value`: its value in `unit`. `shown`: the value as an author would write it.
-    - `role`: "draw" for the random number of a `chance`, and "bar" for the limit it is compared with. "joined" for parts that
-      only join inner parts by `and`, `<` or similar words; "" for other parts."""
+    - `text`: the part as in the source. `value`: its value in `unit`. `shown`: the value as text, in the form that authors
+      write.
+    - `role`: "draw" for the random number of a `chance`, "bar" for the limit with which this number is compared. "joined" for a
+      part that only joins other parts by `and`, `<` or similar words. "" for all other parts."""
 
     text: str
     value: PlainValue
@@ -38,7 +40,7 @@ class ExpressionPart:
 
 @dataclass(frozen=True, slots=True)
 class TimerReading:
-    """A waiting time of a transition.
+    """A timer of a transition.
 
     `what`: "held" (in steps), or "after" or "at least" (seconds in the state). `has`, `needs`: the elapsed and the required
     time. `holds`: whether the required time has elapsed."""
@@ -71,10 +73,9 @@ class TransitionReport:
 
 @dataclass(frozen=True, slots=True)
 class ClaimResult:
-    """The result of one claim by the agent.
-
-    `amount`: the requested amount; None means all. `draw`: a random number; claims with smaller draws are granted first. `won`:
-    whether the claim succeeded. For a field, `items` and `item` are the name of the field, and `attribute` may be empty."""
+    """The result of one claim by the agent. `amount`: the requested amount; None means everything. `draw`: a random number;
+    claims with smaller numbers are granted first. `won`: whether the claim was granted. `items`, `item`, `attribute`: what
+    was claimed; for a claim from a field, the first two are the name of the field and `attribute` may be empty."""
 
     items: str
     item: str
@@ -89,8 +90,8 @@ class ClaimResult:
 class ChoiceResult:
     """A random choice among states.
 
-    `draw`: the random number, from 0 to 1. `bars`: for each state, the upper limit of its part of the range 0 to 1. `chosen`:
-    the state that was chosen."""
+    `draw`: the random number, from 0 to 1. `bars`: the range 0 to 1 is divided among the states; these are the upper limits of
+    their parts. `chosen`: the chosen state."""
 
     draw: float
     bars: tuple[tuple[str, float], ...]
@@ -120,10 +121,9 @@ class LayerReport:
 
     - `state`: "pushed", "nothing" (the push was zero), "off" (the condition was false) or "no strength" (earlier layers used
       all).
-    - `left`: the strength that earlier layers have left, from 0 to 1.
+    - `left`: the strength that earlier layers have left over, from 0 to 1.
     - `push`: the push that the layer requested. `length`: its length.
-    - `given`: the part of the push that the layer received. `share`: the length of this part, as a fraction of the complete
-      budget.
+    - `given`: the part of the push that took effect. `share`: the length of this part, as a fraction of the complete budget.
     - `cut`: the length by which the push was reduced."""
 
     place: SourceLocation
@@ -139,7 +139,7 @@ class LayerReport:
 
 @dataclass(frozen=True, slots=True)
 class SteeringLine:
-    """A `steer` or `face` line that ran, and its push. `part`: `state`, or `layers` if it is in a layer."""
+    """A `steer` or `face` line that ran, and its push. `part`: `state`, or `layers` for a line of a layer."""
 
     text: str
     push: FloatTriple
@@ -151,8 +151,8 @@ class SteeringLine:
 class NearbyObject:
     """Another agent or an item near the agent.
 
-    `name`: the id of the agent or the name of the item. `distance`: the distance in mm. `about`: its states or amounts, as
-    text."""
+    `name`: the id of the agent or the name of the item. `distance`: the distance in mm. `about`: a text with its states or
+    amounts."""
 
     name: str
     distance: float
@@ -161,9 +161,9 @@ class NearbyObject:
 
 @dataclass(frozen=True, slots=True)
 class ObservedSet:
-    """A set of agents or items that the agent searched.
+    """A set of agents or items that the agent has searched.
 
-    The fields are its text in the program, the species or items, the number of members, and the nearest members."""
+    The fields are the text of the set in the program, the species or items, the number of members, and the nearest members."""
 
     asked: str
     of: str
@@ -173,7 +173,7 @@ class ObservedSet:
 
 @dataclass(frozen=True, slots=True)
 class SenseReading:
-    """A sense that was queried. `kind`: ray, obstacle, curve, flow, map or field. `shown`: the result in words."""
+    """The reading of a sense. `kind`: ray, obstacle, curve, flow, map or field. `shown`: the result in words."""
 
     kind: str
     name: str
@@ -184,7 +184,7 @@ class SenseReading:
 
 @dataclass(frozen=True, slots=True)
 class RandomDraw:
-    """A random draw: the stable name of its code site, the text that requested it, and the value."""
+    """A random draw: the stable name of its code site, the program text that requested it, and its value."""
 
     site: str
     text: str
@@ -193,7 +193,7 @@ class RandomDraw:
 
 @dataclass(frozen=True, slots=True)
 class ChangedValue:
-    """An attribute or memory before and after the step."""
+    """An attribute or a memory that has changed, with its values before and after the step."""
 
     name: str
     before: PlainValue
@@ -205,7 +205,7 @@ class ChangedValue:
 
 @dataclass(frozen=True, slots=True)
 class StateInterval:
-    """A range of frames in which a machine has one state; both ends are included."""
+    """A range of frames in which a machine was in one state. Both ends are included."""
 
     machine: str
     state: str
@@ -218,14 +218,15 @@ class Explanation:
     """The report on one agent in the step to `frame`.
 
     - `hash`: the hash of the complete state at `frame`, equal to that of the cache.
-    - `checkpoint`: the frame from which the run was repeated.
+    - `checkpoint`: the frame from which the run was simulated again.
     - `mode`: how the layers are combined.
-    - `strip`: the states over time of each machine. From a cache, only the first machine has them.
-    - `alive`: the first and the last frame in which the agent lives. `notes`: sentences about notes of the scene.
+    - `strip`: the states of each machine over time; for a cache, only those of the first machine.
+    - `alive`: the first and the last frame in which the agent lives. `notes`: sentences about the scene's notes that direct the
+      agent.
     - `push`: the combined push, without a unit; its length is at most 1.
     - `velocity`: the velocities before and after the step, in mm/s; None after death. `acceleration`: mm/s².
     - `seen`: the sets that the agent searched. `fields`: the value of each field at the agent.
-    - `did`: the agent's requests to the world, as sentences. `changes`: the registers that have changed."""
+    - `did`: sentences about the agent's requests to the world. `changes`: the attributes and memories that have changed."""
 
     scene: str
     species: str
@@ -254,7 +255,7 @@ class Explanation:
 
 
 def make_json_document(explanation: Explanation) -> dict[str, Any]:
-    """Return the explanation as JSON values. Infinity and NaN become null."""
+    """Return the explanation as values for JSON. Infinity and NaN become null."""
     document: dict[str, Any] = _json_value({"format": FORMAT_VERSION, **asdict(explanation)})
     return document
 

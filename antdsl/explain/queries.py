@@ -1,5 +1,4 @@
-"""The command `explain`: reports what an agent of a cache did in a frame, and why. Raises ExplainError with the reason if it
-cannot."""
+"""The function behind the command `explain`: it reports what an agent of a cache did in a frame, and why."""
 
 from __future__ import annotations
 
@@ -29,10 +28,12 @@ def explain_agent_in_cache(
     grants: Mapping[str, Path] | None = None,
     threads: int = 1,
 ) -> Explanation:
-    """Return what an agent did in the step to a frame, and why. The step is repeated from the nearest checkpoint and must
-    give the hash in the cache. Nothing is written. Raises ExplainError, or CacheError for a damaged frame.
+    """Return what an agent did in the step that leads to `frame`, and why. Nothing is written.
 
-    `species` is optional if the scene has only one. `scene` is optional if the file is near the cache."""
+    The step is simulated again from the nearest checkpoint, and must give the state hash in the cache. Raises ExplainError if it
+    does not or the request is wrong, and CacheError for a damaged frame.
+
+    `species`: optional if the scene has only one. `scene`: optional if the file is near the cache."""
     name = _require_species(cache, species)
     _require_frame(cache, frame)
     stretches, alive = read_state_timeline(cache, name, agent)
@@ -61,7 +62,7 @@ def _require_species(cache: Cache, requested_species: str | None) -> str:
 
 
 def _require_frame(cache: Cache, frame: int) -> None:
-    """Check that a step leads to a frame: the frame must be in the cache, and must not be the first."""
+    """Raise ExplainError unless `frame` is in the cache and is not the first frame."""
     frames = cache.frames()
     if not frames:
         raise ExplainError(f"`{cache.folder}` has no frames", "run the scene first")
@@ -80,7 +81,7 @@ def _require_alive(
     state_intervals: tuple[StateInterval, ...],
     lifetime: tuple[int, int] | None,
 ) -> None:
-    """Check that the agent existed in the previous frame. Frames without ids are not checked."""
+    """Raise ExplainError if the agent did not exist in the previous frame. Frames without ids are not checked."""
     if "id" not in cache.manifest.attributes:
         return
     if lifetime is None:
@@ -94,7 +95,7 @@ def _require_alive(
 
 
 def _describe_agents(cache: Cache, species: str, agent: int, frame: int) -> str:
-    """Return a hint that lists agents of a frame, and the id most similar to the requested one."""
+    """Return a hint that lists some agents of a frame, and the id most similar to the requested one."""
     arrays = cache.frame(frame, frozenset(("id", "species")))
     ids = arrays["id"]
     if "species" in arrays:
@@ -107,7 +108,7 @@ def _describe_agents(cache: Cache, species: str, agent: int, frame: int) -> str:
 
 
 def make_absence_error(replay: StepReplay, species: str, agent: int, frame: int) -> ExplainError:
-    """Return the error for an agent that was not traced because it was not alive, was quarantined, or is guided by the scene."""
+    """Return the error for an agent that was not traced because it was dead, in quarantine, or guided by the scene."""
     world = replay.restore_step_start(frame)
     population = world.populations[species]
     row = int(population.find_rows(np.array([agent]))[0])

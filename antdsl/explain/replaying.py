@@ -1,4 +1,4 @@
-"""Repeats old steps. A world is restored from the nearest checkpoint and stepped to a frame; some agents are traced in the
+"""Replays of past steps. A world is restored from the nearest checkpoint and simulated up to a frame. Agents are traced in the
 last step."""
 
 from __future__ import annotations
@@ -30,12 +30,11 @@ TraceReader = Callable[[World, Population, AgentTrace], T]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReplayedStep(Generic[T]):
-    """A repeated step.
+    """The result of replaying a step.
 
-    - `results`: for each requested agent, the result of `read_trace`; None if it was not alive at the start or was in
-      quarantine.
-    - `end_world`: the world at the end of the step, valid until the next step changes it. `hash`: the hash of its state.
-    - `checkpoint`: the frame from which the run was continued."""
+    - `results`: for each requested agent, the result of `read_trace`; None if the agent was dead at the start or in quarantine.
+    - `end_world`: the world at the end of the step, valid until the next step changes it. `hash`: its state hash.
+    - `checkpoint`: the frame from which the run was simulated again."""
 
     results: tuple[T | None, ...]
     end_world: World
@@ -44,7 +43,7 @@ class ReplayedStep(Generic[T]):
 
 
 class StepReplay:
-    """A replay of a run's steps. Frames that are requested in ascending order are simulated only once.
+    """An object that replays the steps of a run. If frames are requested in ascending order, each is simulated only once.
 
     Raises ExplainError where a checkpoint is missing, or where a state differs from the known state of the run."""
 
@@ -59,7 +58,7 @@ class StepReplay:
     def _build_annotated_plan(self) -> Plan:
         """Return the plan of the program, with notes that link its nodes to the program text.
 
-        Only the pass that changes rounding is applied, so that blocks give the same bits as the plan of the run."""
+        Only the pass that changes rounding is applied, so that all blocks give the same bits as in the run."""
         scene, program = self.shot.scene, self.shot.program
         orders = {
             name: order for name in scene.model.layers if (order := resolve_layer_order(scene, program, name)[0]) is not None
@@ -73,7 +72,7 @@ class StepReplay:
         return hoist_factors(noted, self.replacement_by_node)
 
     def restore_step_start(self, frame: int) -> World:
-        """Return the world at the start of the step to `frame`, which is the state of the frame before."""
+        """Return the world at the start of the step that leads to `frame`, that is, at the end of the previous frame."""
         world = self._world
         if world is None or not self._checkpoint <= world.frame <= frame - 1 or self._has_nearer_checkpoint(world.frame, frame):
             world = self._restore_checkpoint(frame - 1)
@@ -86,8 +85,8 @@ class StepReplay:
         return world
 
     def replay_step(self, frame: int, agents: Sequence[tuple[str, int]], read_trace: TraceReader[T]) -> ReplayedStep[T]:
-        """Replay the step that leads to `frame` and trace the given agents (species, id). `read_trace` receives each agent's
-        trace while other agents, items and fields are in their state at the start of the step."""
+        """Replay the step that leads to `frame` and trace the given agents (species, id). `read_trace`: called with the trace of
+        each agent, while other agents, items and fields are still in their state at the start of the step."""
         world = self.restore_step_start(frame)
         self.history.apply_interventions(world)
         self._world = None  # until the step is complete
@@ -114,7 +113,7 @@ class StepReplay:
         return any(start_frame < point < frame for point in self.history.checkpoint_frames())
 
     def _restore_checkpoint(self, frame: int) -> World:
-        """Return a world at the last undamaged checkpoint that is not after `frame`."""
+        """Return a world with the state of the last undamaged checkpoint at or before `frame`."""
         for point in reversed([point for point in self.history.checkpoint_frames() if point <= frame]):
             world = self.history.restore_world(point)
             if world is not None:
@@ -123,7 +122,7 @@ class StepReplay:
         raise self.history.make_missing_error(frame)
 
     def _require_known_hash(self, world: World) -> str:
-        """Return the hash of the state. Raises the history's error if it differs from the known hash."""
+        """Return the state hash of the world. Raises ExplainError if the history knows another hash for this frame."""
         world_hash = state_hash(world)
         if self.history.find_hash(world.frame) not in (None, world_hash):
             self._world = None

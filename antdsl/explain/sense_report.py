@@ -1,4 +1,4 @@
-"""Reports what an agent sensed in a step: nearby agents and items, fields at its position, rays, curves, flows and random
+"""Reports on what an agent sensed in a step: nearby agents and items, fields at its position, rays, curves, flows and random
 draws."""
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _MAX_TEXT_CHARACTERS = 72  # characters of a text
 
 
 def list_observed_sets(world: World, trace: AgentTrace) -> tuple[ObservedSet, ...]:
-    """Return the sets that were searched, in the order of the queries, without duplicates."""
+    """Return the sets that the agent has searched, in the order of the queries and without duplicates."""
     sets_by_key: dict[tuple[str, tuple[int, ...]], ObservedSet] = {}
     for node, members in trace.set_members.items():
         nearest = sorted(members, key=lambda m: (float(m[4]), m[0]))
@@ -53,7 +53,7 @@ def read_field_values(world: World, population: Population, row: int) -> tuple[t
 
 
 def list_sense_readings(trace: AgentTrace) -> tuple[SenseReading, ...]:
-    """Return the other senses that the agent queried from its position."""
+    """Return the readings of the other senses that the agent queried at its position."""
     return tuple(
         sense
         for node, value in sorted(trace.senses.items(), key=lambda pair: pair[0].number)
@@ -72,7 +72,8 @@ def _build_sense_readings(node: PlanNode, value: Any) -> Iterator[SenseReading]:
 
 
 def _describe_sense(row: rows.SenseRow, values: tuple[bool | float, ...]) -> str:
-    """Return the result of a sense as text, formatted by the template in its table row. Without a template, list its numbers."""
+    """Return the reading of a sense as text, formatted by the template in its table row, or as a list of numbers without a
+    template."""
     if row.empty_trace and not values[0]:
         return row.empty_trace
     if row.trace:
@@ -92,6 +93,6 @@ def list_random_draws(trace: AgentTrace) -> tuple[RandomDraw, ...]:
 
 
 def _find_node_text(node: PlanNode) -> str:
-    """Return the program or library text that made the query. Long text is shortened."""
+    """Return the program or library text that made a query. Long text is shortened."""
     text = "" if node.span is None else " ".join(node.span.text.split())
     return text if len(text) <= _MAX_TEXT_CHARACTERS else text[: _MAX_TEXT_CHARACTERS - 1].rstrip() + "…"

@@ -1,4 +1,4 @@
-"""An agent's states over time, read from frames that store states."""
+"""The states of an agent over time, read from the frames of a cache."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ _FRAME_ARRAYS = frozenset(("id", "state", "species"))
 
 
 def read_state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[StateInterval, ...], tuple[int, int] | None]:
-    """Return the intervals of frames in which the first machine has one state, and the first and last frame in which the
-    agent lives.
+    """Return the intervals of frames in which the first machine was in one state, and the frames of the agent's life.
 
-    Both frames are None if the agent is in no frame. If the cache stores no states, each interval has the state "". Raises
-    CacheError if a frame is damaged."""
+    The second result is the first and the last frame, or None if the agent is in no frame. If the cache stores no states, each
+    interval has the state "". Raises CacheError if a frame is damaged."""
     names = [entry.name for entry in cache.manifest.species]
     number = names.index(species)
     machine = next(iter(cache.manifest.species[number].machines), None)
@@ -27,8 +26,7 @@ def read_state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[S
 
 
 def merge_state_frames(machine: str, frame_states: Iterable[tuple[int, str]]) -> tuple[StateInterval, ...]:
-    """Return one interval for each run of consecutive frames with the same state. `frame_states`: (frame, state) pairs in
-    order."""
+    """Return one interval for each run of consecutive frames with the same state. `frame_states`: (frame, state), ascending."""
     parts: list[StateInterval] = []
     for frame, state in frame_states:
         if parts and parts[-1].state == state and parts[-1].last == frame - 1:
@@ -43,7 +41,7 @@ def _find_state_name(states: Sequence[str], state: int) -> str:
 
 
 def _find_state(cache: Cache, frame: int, species: int, agent: int) -> int | None:
-    """Return the agent's state index in a frame. Return -1 if states are not stored, and None if the agent is not alive."""
+    """Return the number of the agent's state in a frame; -1 if states are not stored, or None if the agent is not alive."""
     arrays = cache.frame(frame, _FRAME_ARRAYS)
     if "id" not in arrays:
         return None

@@ -1,4 +1,5 @@
-"""The effects of a step on an agent: attributes and memories before and after it, and requests to the rest of the world."""
+"""The effects of a step: the agent's attributes and memories before and after it, and the agent's requests to the rest of the
+world."""
 
 from __future__ import annotations
 
@@ -24,9 +25,9 @@ from antdsl.specs.value_text import format_position
 def list_changes(
     world: World, population: Population, species: Species, trace: AgentTrace, agent: int
 ) -> tuple[ChangedValue, ...]:
-    """Return the changes of an agent's stored registers, in the order of the program; empty for a dead agent.
+    """Return the changes of an agent's stored registers, in the order of the program; () for a dead agent.
 
-    `world`, `population`: their state after the step."""
+    `world`, `population`: as they are after the step."""
     row = int(population.find_rows(np.array([agent]))[0])
     return () if row < 0 else tuple(_find_changed_registers(world, population, species, trace, row))
 
@@ -74,7 +75,7 @@ def _find_changed_registers(
 
 
 def _find_pair_values(registers: Mapping[str, Any], slots: list[tuple[str, str]]) -> dict[int, Any]:
-    """Return the values that an agent stores for each other agent, by the other agent's id."""
+    """Return the values that the agent stores for each other agent, by the id of the other agent."""
     return {
         int(registers[id_register]): registers[value_register]
         for id_register, value_register in slots
@@ -83,7 +84,7 @@ def _find_pair_values(registers: Mapping[str, Any], slots: list[tuple[str, str]]
 
 
 def _describe_value(world: World, value: Any, type: ValueType, unit: str) -> tuple[PlainValue, str]:
-    """Return a value in JSON form and as text. The text of a missing value is `nothing`."""
+    """Return a value for JSON, and the same value as text. The text of a missing value is `nothing`."""
     return (
         ("nothing", "nothing")
         if value is None
@@ -92,7 +93,7 @@ def _describe_value(world: World, value: Any, type: ValueType, unit: str) -> tup
 
 
 def _read_vector_registers(population: Population, stem: str, row: int) -> dict[str, Any]:
-    """Return the components of a vector register of one agent."""
+    """Return the components of one agent's vector register, by name. `stem`: the common start of their names."""
     return {f"{stem}.{axis}": population.now[f"{stem}.{axis}"][row] for axis in AXES}
 
 
@@ -120,7 +121,7 @@ def _build_vector_change(
 
 
 def _find_register_type(name: str, register: Register, species: Species) -> ValueType:
-    """Return the type of a register that no attribute declares: a machine's register, or a memory."""
+    """Return the type of a register that is not declared as an attribute: a register of a machine, or a memory."""
     machine, _, part = name.partition(".")
     if part in ("state", "previous") and any(m.name == machine for m in species.machines):
         return ValueType(TypeKind.STATE, referent=f"{species.name}.{machine}")
@@ -134,7 +135,8 @@ def _find_register_type(name: str, register: Register, species: Species) -> Valu
 
 
 def describe_effects(effects: EffectRequests) -> tuple[str, ...]:
-    """Return the agent's requests to the world, in words: deposits, gifts, digging, calls, births and its death."""
+    """Return a sentence for each request of the agent to the world: deposits, gifts, digging, calls, births, and its own
+    death."""
     lines_by_effect = {
         row.op: [line for entry in effects.requests.get(row.op, ()) if (line := _describe_request(row, entry))]
         for row in EFFECT_BY_OPERATION.values()
@@ -149,7 +151,7 @@ def describe_effects(effects: EffectRequests) -> tuple[str, ...]:
 
 
 def _describe_request(row: EffectRow, entry: RequestEntry) -> str:
-    """Return one request as text, by the template in its table row; empty if the request has no effect."""
+    """Return a text about one request, made from the template in its table row; "" if the request has no effect."""
     if row.hides_zero_in_trace and not float(entry.get_required_operand(0)[0]):
         return ""
     args = dict(zip(row.operand_names, entry.args, strict=True))

@@ -1,5 +1,5 @@
-"""Builds the report on an agent's step, which is the result of `explain`. It needs the trace, and the world before and after
-the step."""
+"""The report on an agent's step, which is the result of `explain`. It is made from the trace and the worlds before and after the
+step."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ MAX_NEIGHBOUR_POSITIONS = 256  # maximum per set
 
 @dataclass(frozen=True, slots=True)
 class LocatedExplanation:
-    """An explanation with positions in mm, relative to the world's origin. They are the agent's at the start of the step, and
-    those of the agents and items it considered, the nearest of each set first."""
+    """An explanation with positions in mm, relative to the world's origin. They are the agent's position at the start of the
+    step, and the positions of the agents and items that it considered. The nearest of each set come first."""
 
     explanation: Explanation
     position: FloatTriple
@@ -36,15 +36,16 @@ class LocatedExplanation:
 
 
 def explain_agents(replay: StepReplay, frame: int, agents: Sequence[tuple[str, int]]) -> list[Explanation | None]:
-    """Return what each agent (species, id) did in the step to `frame`, without its state timeline. None for an agent that was
-    not alive at the start of the step, or was in quarantine. Raises ExplainError if the step cannot be repeated."""
+    """Return what each agent (species, id) did in the step that leads to `frame`, without its states over time. The entry is
+    None for an agent that was dead at the start of the step, or in quarantine. Raises ExplainError if the step cannot be
+    simulated again."""
     return [None if each is None else each.explanation for each in explain_agents_with_positions(replay, frame, agents)]
 
 
 def explain_agents_with_positions(
     replay: StepReplay, frame: int, agents: Sequence[tuple[str, int]]
 ) -> list[LocatedExplanation | None]:
-    """Return explanations with positions; otherwise the same as `explain_agents`."""
+    """Return the results of `explain_agents`, each with the positions of the agent and what it considered."""
 
     def explain_agent(world: World, population: Population, trace: AgentTrace) -> tuple[AgentTrace, LocatedExplanation]:
         return trace, LocatedExplanation(_build_explanation(replay, frame, world, population, trace), *_find_positions(trace))
@@ -62,8 +63,7 @@ def explain_agents_with_positions(
 
 
 def _find_positions(trace: AgentTrace) -> tuple[FloatTriple, tuple[FloatTriple, ...]]:
-    """Return the agent's position at the start of the step, and the positions of the agents it considered, without
-    duplicates."""
+    """Return the agent's position at the start of the step, and the positions of what it considered, without duplicates."""
     position = to_float_triple(trace.start_registers[f"position.{axis}"] for axis in AXES)
     near = [
         member
@@ -75,7 +75,7 @@ def _find_positions(trace: AgentTrace) -> tuple[FloatTriple, tuple[FloatTriple, 
 
 
 def _has_collided(handler: Handler, trace: AgentTrace) -> bool:
-    """Return whether a collision handler has run, because the agent began to touch another."""
+    """Return whether a collision handler has run because the agent began to touch another one."""
     if handler.event != "collision":
         return False
     return any(
@@ -84,7 +84,7 @@ def _has_collided(handler: Handler, trace: AgentTrace) -> bool:
 
 
 def _build_explanation(replay: StepReplay, frame: int, world: World, population: Population, trace: AgentTrace) -> Explanation:
-    """Return the explanation of a step without the effects on the agent, which `_add_effects` adds."""
+    """Return the explanation of a step except the effects on the agent, which `_add_effects` adds."""
     program = replay.shot.program.species[population.name]
     notes = replay.notes[population.name]
     machines = tuple(build_machine_step(world, population, machine, notes, trace) for machine in population.plan.machines)
@@ -124,7 +124,7 @@ def _build_explanation(replay: StepReplay, frame: int, world: World, population:
 
 
 def _list_scene_notes(replay: StepReplay, world: World, population: Population, row: int) -> tuple[str, ...]:
-    """Return a sentence for each note of the scene that directs the agent of a row in this step."""
+    """Return a sentence for each note of the scene that directs the agent in `row` in this step."""
     scene = replay.shot.scene
     lines = []
     for active in world.notes.active if world.notes is not None else ():
@@ -139,7 +139,7 @@ def _list_scene_notes(replay: StepReplay, world: World, population: Population, 
 
 
 def _find_active_sites(species: Species, machines: Sequence[MachineStep]) -> tuple[str, ...]:
-    """Return the code sites that run for this agent in this step. The default site is included if no current state steers."""
+    """Return the code sites that run for this agent in the step. The default site is included if no current state steers."""
     sites = [f"{species.name}.{m.machine}.{m.after}#" for m in machines]
     sites += [f"{species.name}.{m.machine}.{m.after}.enter#" for m in machines if m.changed]
     sites.append(f"{species.name}.layers.face#")
@@ -153,7 +153,7 @@ def _find_active_sites(species: Species, machines: Sequence[MachineStep]) -> tup
 
 
 def _add_effects(replay: StepReplay, world: World, trace: AgentTrace, explanation: Explanation) -> Explanation:
-    """Return the explanation completed with the results of the step. An agent that died in the step has no results."""
+    """Return the explanation, completed with the effects of the step. For an agent that died in the step, only add a note."""
     population = world.populations[explanation.species]
     row = int(population.find_rows(np.array([explanation.agent]))[0])
     if row < 0:

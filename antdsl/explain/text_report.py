@@ -1,4 +1,4 @@
-"""Formats an explanation as text for people, in blocks. The decisions come first."""
+"""Explanations as text for people, in blocks. The decisions come first."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def _format_report_lines(explanation: Explanation) -> Iterator[str]:
 
 
 def _format_place(place: SourceLocation) -> str:
-    """Return the file name and the line. The folders are left out, because the name is enough to find the file."""
+    """Return the file name and line number of a location. Folders are left out, because the name is enough to find the file."""
     return f"{PurePath(place.file).name}:{place.line}"
 
 
 def _format_timeline_lines(timeline: tuple[StateInterval, ...], frame: int, name: str) -> Iterator[str]:
-    """Yield lines with the states over time; the state of this frame is in brackets."""
+    """Yield lines that list the states over time. The state in `frame` is in brackets."""
     current = next((k for k, s in enumerate(timeline) if s.first <= frame <= s.last), len(timeline) - 1)
     first = max(0, min(current - _MAX_INTERVALS // 2, len(timeline) - _MAX_INTERVALS))
     part = timeline[first : first + _MAX_INTERVALS]
@@ -118,7 +118,7 @@ def _format_transition_lines(transition: TransitionReport, hide_condition: bool)
 
 
 def _format_condition_lines(part: ExpressionPart, indent: str) -> Iterator[str]:
-    """Yield the lines of a condition and its parts. A test whether something exists is replaced by the thing it tests."""
+    """Yield the lines of a condition and its parts. A test of whether a thing exists is shown as the thing itself."""
     if len(part.parts) == 1 and part.parts[0].text == part.text:
         part = part.parts[0]
     if part.role in ("draw", "bar"):
@@ -159,7 +159,7 @@ def _format_push_lines(explanation: Explanation) -> Iterator[str]:
 
 
 def _format_strength_bar(layer: LayerReport) -> str:
-    """Return a bar that shows the fraction of the strength a layer used, placed after the fraction used by earlier layers."""
+    """Return a bar of text that shows the part of the strength that a layer used, after the part that earlier layers used."""
     granted = round(min(layer.share, 1.0) * _BAR_CHARACTERS)
     if layer.share > 0:
         granted = max(granted, 1)

@@ -1,7 +1,7 @@
-"""Traces one agent's step with the reference backend. The trace has the value of every note, the draws, the assignments and
-the senses.
+"""Traces of one agent's step, made with the reference backend.
 
-The trace runs in addition to the step, on copies of the agent's registers, so it changes nothing in the world."""
+A trace has the values of all nodes with notes, the random draws, the assignments and the senses. It is made in addition to the
+step, on copies of the agent's registers, so nothing in the world changes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class AgentTrace:
 
 
 class TracedAgent(AgentRun):
-    """An agent that records the values of nodes with notes while its blocks run."""
+    """An agent that records the values of nodes with notes while it runs the blocks of a step."""
 
     def __init__(
         self,
@@ -61,7 +61,7 @@ class TracedAgent(AgentRun):
         self.trace = AgentTrace(row, {name: array[0] for name, array in registers.items()}, {})
 
     def run_step_blocks(self) -> AgentTrace:
-        """Run the blocks of a step in order. Claims have the same results as in the world's own step."""
+        """Run the blocks of a step in order. Claims get the results that they have in the world's own step."""
         for block in STEP_BLOCKS:
             self.run(block, self.plan)
             if block == "decide":
@@ -74,7 +74,7 @@ class TracedAgent(AgentRun):
         return self.trace
 
     def _fill_impossible_changes(self) -> None:
-        """Compute the values of transitions that can never happen. They were not recorded, because no register stores them."""
+        """Compute the values of transitions that can never happen. No register stores these values, so they were not recorded."""
         for note in self.notes.changes:
             if note.state.index == int(self.trace.start_registers[f"{note.machine}.state"]):
                 for node in list_change_nodes(note):
@@ -96,7 +96,7 @@ class TracedAgent(AgentRun):
         return self.trace.set_members[node]
 
     def _record_block_values(self, block: str) -> None:
-        """Record the values that a block has computed. Values that it skipped are left out, such as senses of a layer without
+        """Record the values that a block has computed. Skipped values are left out, such as senses of a layer without
         strength."""
         for node, value in self.values.items():
             if node.op in SENSE_BY_OPERATION:
@@ -125,10 +125,10 @@ def trace_agent(
     notes: SourceNotes,
     replacement_by_node: Mapping[ir.PlanNode, ir.PlanNode],
 ) -> AgentTrace:
-    """Return the trace of the agent in `row`. Its current step must have run all blocks but applied no effects.
+    """Return the trace of the agent in `row`. Its current step must have run all blocks but not yet applied any effects.
 
-    `plan` and `notes` are the result of lowering the same program again, with notes. `replacement_by_node` maps noted nodes
-    to their replacements."""
+    `plan`, `notes`: the result of lowering the same program again, with notes. `replacement_by_node`: for each node with a note,
+    the node that replaced it in the plan."""
     now = {}
     for name, register in plan.registers.items():
         if register.role == "temp":
@@ -140,26 +140,26 @@ def trace_agent(
 
 
 def list_part_nodes(note: ExpressionNote | None) -> list[ir.PlanNode]:
-    """Return all nodes of a part with a note."""
+    """Return all nodes of a condition's part, from its note."""
     if note is None:
         return []
     return [*note.nodes, *(node for part in note.parts for node in list_part_nodes(part))]
 
 
 def list_change_nodes(note: ChangeNote) -> list[ir.PlanNode]:
-    """Return all nodes of a transition with a note."""
+    """Return all nodes of a transition, from its note."""
     timers = [node for timer in note.timers for node in (timer.elapsed, timer.required, timer.is_over)]
     condition_nodes = [note.is_taken] if note.condition_value is None else [note.is_taken, note.condition_value]
     return [*condition_nodes, *timers, *list_part_nodes(note.condition), *list_part_nodes(note.take_note)]
 
 
 def list_layer_nodes(note: LayerNote) -> list[ir.PlanNode]:
-    """Return all nodes of a layer with a note."""
+    """Return all nodes of a layer, from its note."""
     return [note.budget_left, note.has_budget, note.condition_value, *note.push, *list_part_nodes(note.condition)]
 
 
 def list_act_nodes(notes: SourceNotes) -> list[ir.PlanNode]:
-    """Return all nodes with notes that run when an agent acts: `steer` and `face` lines, and choices of a state."""
+    """Return the nodes with notes that run when an agent acts: `steer` and `face` lines, and choices of a state."""
     chosen = [node for note in notes.choices.values() for node in (note.draw, *(n for _, n in note.weights))]
     steered = [
         node for note in notes.steers for node in (*note.push, *([] if note.condition_value is None else [note.condition_value]))
@@ -168,6 +168,6 @@ def list_act_nodes(notes: SourceNotes) -> list[ir.PlanNode]:
 
 
 def list_noted_nodes(notes: SourceNotes) -> list[ir.PlanNode]:
-    """Return all nodes with notes in a species."""
+    """Return all nodes of a species that have notes."""
     changes = [node for note in notes.changes for node in list_change_nodes(note)]
     return [*changes, *list_act_nodes(notes), *(node for note in notes.layers for node in list_layer_nodes(note))]

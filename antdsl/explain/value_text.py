@@ -1,4 +1,4 @@
-"""Formats values of nodes as an author would write them: parts of conditions, timers, vectors."""
+"""Values of nodes, in the form that authors write: parts of conditions, timers and vectors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MAX_TEXT_CHARACTERS = 160
 
 
 def locate_span(span: Span, text: str | None = None) -> SourceLocation:
-    """Return the file, line and text of a span. Long text is shortened."""
+    """Return the location of a span: its file, its line and its text. Long text is shortened."""
     line = " ".join((text or span.text).split())
     return SourceLocation(
         line if len(line) <= _MAX_TEXT_CHARACTERS else line[: _MAX_TEXT_CHARACTERS - 1] + "…",
@@ -37,7 +37,7 @@ def to_float_triple(parts: Any) -> FloatTriple:
 
 
 def build_condition_part(world: World, note: ExpressionNote | None, values: NodeValues) -> ExpressionPart | None:
-    """Return a part of a condition, given by its note, with its value."""
+    """Return a part of a condition with its value; None if `note` is None."""
     if note is None or any(node not in values for node in note.nodes):
         return None
     inner = tuple(inner_part for each in note.parts if (inner_part := build_condition_part(world, each, values)) is not None)
@@ -57,7 +57,8 @@ def build_condition_part(world: World, note: ExpressionNote | None, values: Node
 
 
 def format_author_value(world: World, raw: Any, type: ValueType, unit: str) -> str:
-    """Return a value as an author would write it. A boolean is written as a boolean, whatever its declared type."""
+    """Return a value as text, in the form that authors write. A boolean is always written as `yes` or `no`, whatever its
+    declared type."""
     if isinstance(raw, np.bool_ | bool):
         type = ValueType(TypeKind.BOOL)
     elif type.kind is TypeKind.BOOL:
@@ -66,7 +67,7 @@ def format_author_value(world: World, raw: Any, type: ValueType, unit: str) -> s
 
 
 def to_plain_value(world: World, raw: Any, type: ValueType, unit: str) -> PlainValue:
-    """Return a value that JSON can represent: a number in `unit`, a boolean, or the name of a state, item or agent."""
+    """Return a value for JSON: a number in `unit`, a boolean, or the name of a state, item or agent."""
     if isinstance(raw, np.bool_ | bool):
         return bool(raw)
     if type.kind in (TypeKind.STATE, TypeKind.ITEM, TypeKind.AGENT):
@@ -75,7 +76,7 @@ def to_plain_value(world: World, raw: Any, type: ValueType, unit: str) -> PlainV
 
 
 def convert_to_unit(world: World, raw: Any, unit: str) -> float:
-    """Convert a number in base units to a unit."""
+    """Return a number in `unit`, converted from base units."""
     measure = find_unit_measure(unit) if unit else None
     return (
         float(raw)
@@ -85,7 +86,7 @@ def convert_to_unit(world: World, raw: Any, unit: str) -> float:
 
 
 def build_timer_reading(note: TimerNote, values: NodeValues) -> TimerReading:
-    """Return a timer, given by its note, with the elapsed and the required time."""
+    """Return the elapsed and the required time of a timer."""
     unit = "steps" if note.timer_kind == "held" else "s"
     return TimerReading(
         note.timer_kind, float(values[note.elapsed]), float(values[note.required]), unit, bool(values[note.is_over])

@@ -1,4 +1,4 @@
-"""Folders that the user grants. The paths of a call are turned into absolute paths below one of them."""
+"""The folders that the user grants. Paths in calls are converted to absolute paths below one of these folders."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _MAX_PATH_CHARACTERS = 1000
 
 
 class PathOutsideFolders(Exception):
-    """Error for a path that is not below a granted folder. Its text is the message for the caller."""
+    """Error for a path that is not below a granted folder. Its text is the message for the client."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,17 +21,17 @@ class GrantedFolders:
 
     @staticmethod
     def open(paths: Sequence[Path]) -> GrantedFolders:
-        """Return the granted folders. Raises NotADirectoryError for a path that is not a folder."""
+        """Return the granted folders for `paths`. Raises NotADirectoryError if one is not a folder."""
         for path in paths:
             if not path.is_dir():
                 raise NotADirectoryError(f"there is no folder `{path}`")
         return GrantedFolders(tuple(dict.fromkeys(path.resolve() for path in paths)))
 
     def locate(self, text: str) -> Path:
-        """Return a path as an absolute path, with all links resolved.
+        """Return the absolute path, with links resolved, of a path in a call.
 
-        A relative path starts in the first granted folder that has such a file. If none has it, it starts in the first folder.
-        Raises PathOutsideFolders if the path leads out of the granted folders."""
+        A relative path starts at the first granted folder that contains such a file, or else at the first granted folder. Raises
+        PathOutsideFolders if the path leads out of the granted folders."""
         if not text or "\0" in text or len(text) > _MAX_PATH_CHARACTERS:
             raise PathOutsideFolders(f"a path has 1 to {_MAX_PATH_CHARACTERS} characters; write one such as `scene.yaml`")
         choices = [(folder / text).resolve() for folder in self.folders]

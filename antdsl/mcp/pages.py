@@ -1,4 +1,4 @@
-"""Searches the pages of the documentation, and returns their text."""
+"""A search in the pages of the documentation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _EXCERPT_CHARACTERS = 1500
 
 
 class Section(NamedTuple):
-    """A part of a page below one heading. `counts`: how often each word occurs in the text."""
+    """A part of a page, below one heading. `counts`: how often each word occurs in its text."""
 
     page: str
     heading: str
@@ -32,8 +32,7 @@ def list_pages() -> tuple[str, ...]:
 
 
 def read_page(name: str) -> str | None:
-    """Return the Markdown text of a page, or None if there is no such page. `name`: a name that `list_pages` returns, or its
-    last part."""
+    """Return the Markdown text of a page, or None if it does not exist. `name`: a name from `list_pages`, or its last part."""
     names = list_pages()
     name = name.removesuffix(".md")
     found = name if name in names else next((each for each in names if each.rpartition("/")[2] == name), None)
@@ -45,9 +44,8 @@ def _read_listed_page(name: str) -> str:
 
 
 def search_pages(query: str, count: int = 5) -> list[Section]:
-    """Return at most `count` sections that match a query, best match first. Sections with none of its words are left out.
-
-    Rare words have more weight (inverse document frequency, Spärck Jones 1972), and so have words in a heading."""
+    """Return at most `count` sections that match a query, the best match first. Sections that contain none of its words are
+    omitted. Rare words have more weight (inverse document frequency, Spärck Jones 1972), and so have words in headings."""
     words = set(_split_words(query))
     sections = _list_sections()
     frequency = {word: sum(word in section.counts for section in sections) for word in words}
@@ -66,7 +64,7 @@ def search_pages(query: str, count: int = 5) -> list[Section]:
 
 
 def format_sections(sections: list[Section]) -> str:
-    """Return sections as Markdown. Each has the name of its page, and is cut after a few paragraphs."""
+    """Return sections as Markdown, each with the name of its page and cut after a few paragraphs."""
     parts = []
     for section in sections:
         excerpt = section.text if len(section.text) <= _EXCERPT_CHARACTERS else f"{section.text[:_EXCERPT_CHARACTERS]} […]"
@@ -87,5 +85,5 @@ def _list_sections() -> tuple[Section, ...]:
 
 
 def _split_words(text: str) -> list[str]:
-    """Return the words of a text in lower case, without a plural ending."""
+    """Return the words of a text in lower case, without plural endings."""
     return [word.removesuffix("s") for word in re.findall(r"[a-z0-9_]{2,}", text.lower())]

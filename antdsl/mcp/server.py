@@ -1,4 +1,4 @@
-"""The MCP server: registers the tools, reads calls from standard input and writes answers to standard output."""
+"""The MCP server. It registers the tools, reads calls from standard input, and writes answers to standard output."""
 
 from __future__ import annotations
 
@@ -39,6 +39,6 @@ def run_server(tools: Tools) -> None:
 
 
 def _find_first_error(group: BaseExceptionGroup[OSError]) -> OSError:
-    """Return the first single error of a group, which may contain other groups."""
+    """Return the first OSError in an exception group, which may contain other groups."""
     first = group.exceptions[0]
     return _find_first_error(first) if isinstance(first, BaseExceptionGroup) else first

@@ -26,7 +26,7 @@ _SUCCESS, _FINDINGS = 0, 1  # exit codes
 
 
 class Completed(NamedTuple):
-    """The result of a command. `text`: its standard output, then its messages."""
+    """The result of a command. `text`: its standard output, followed by its messages."""
 
     code: int
     text: str
@@ -34,7 +34,7 @@ class Completed(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Tools:
-    """The tools, for calls below some folders. `grants`: options `--root NAME=DIR` for scenes."""
+    """The tools, for calls that stay within some folders. `grants`: the options `--root NAME=DIR` for scenes."""
 
     folders: GrantedFolders
     grants: tuple[str, ...] = ()
@@ -139,9 +139,9 @@ class Tools:
             raise ToolError(str(error)) from None
 
     def _locate_existing(self, text: str) -> Path:
-        """Return the path that a call names, as `_locate` does. Raises ToolError if there is nothing.
+        """Return the path that a call names. Raises ToolError if nothing exists there, or if it is outside the granted folders.
 
-        A command would read it as a pattern, which could select links to other files."""
+        A command would read a missing path as a pattern, which could select links to other files."""
         path = self._locate(text)
         if not path.exists():
             raise ToolError(f"there is no file or folder `{path}`")
@@ -151,7 +151,7 @@ class Tools:
         return [f"--root={grant}" for grant in self.grants]
 
     async def _run(self, words: list[str], seconds: float = 300.0, stdin: str | None = None) -> Completed:
-        """Run a command of antdsl. Raises ToolError if it takes longer than `seconds`."""
+        """Run a command of antdsl and return its result. Raises ToolError if it takes longer than `seconds`."""
         if not 0 < seconds <= _MAX_SECONDS:
             raise ToolError(f"seconds is a number above 0, at most {_MAX_SECONDS:g}")
         result = None
@@ -170,7 +170,7 @@ class Tools:
         return Completed(result.returncode, result.stdout.decode("utf-8", "replace").strip())
 
     def _require(self, completed: Completed, *codes: int) -> str:
-        """Return the text of a command. Raises ToolError if it ended with another exit code than `codes`."""
+        """Return the output of a command. Raises ToolError if its exit code is not one of `codes`."""
         text = _cut(completed.text, 0) or "no output"
         if completed.code not in codes:
             raise ToolError(f"{text}\n(exit code {completed.code})")
@@ -178,7 +178,7 @@ class Tools:
 
 
 class ToolEntry(NamedTuple):
-    """A tool: the method of `Tools` with its name, and whether it only reads."""
+    """An entry in the table of tools: the method of `Tools`, its name, and whether it only reads."""
 
     method: Callable[..., Any]
     is_reader: bool
@@ -195,12 +195,12 @@ TOOLS = (
 
 
 def _option(name: str, value: object) -> list[str]:
-    """Return an option of the command line; nothing for None."""
+    """Return the words of a command-line option; [] if `value` is None."""
     return [] if value is None else [f"--{name}={value}"]
 
 
 def _cut(text: str, start: int) -> str:
-    """Return the part of a text that fits into an answer, with a remark if more follows."""
+    """Return the part of a text from `start` on that fits into an answer, with a remark if more follows."""
     part = text[start : start + _MAX_TEXT_CHARACTERS]
     end = start + len(part)
     return part if end >= len(text) else f"{part}\n[… {len(text) - end} more characters, from character {end}]"

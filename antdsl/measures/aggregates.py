@@ -24,15 +24,15 @@ _EXACT_OPERATIONS = frozenset(("add", "sub", "neg", "abs", "min", "max", "mul", 
 
 
 def sum_exactly(values: NDArray[Any]) -> np.float64:
-    """Return the sum, rounded only once. The result is not finite if a term is not."""
+    """Return the sum of all values, rounded only once. The result is not finite if a value is not."""
     wide = np.asarray(values, np.float64)
     return np.float64(fsum(wide.tolist())) if np.isfinite(wide).all() else np.float64(wide.sum())
 
 
 def evaluate_aggregate(world: World, populations: dict[str, Population], plan: AggregatePlan) -> Any:
-    """Return the number that an aggregate computes: float64 for totals and counts, float32 for others.
+    """Return the number that an aggregate computes: float64 for totals and counts, float32 for all others.
 
-    Without agents, return the result for an empty set."""
+    If there are no agents, return the aggregate of the empty set."""
     if plan.kind == "field" and plan.body_register is None:
         values = world.fields[plan.subject].amounts
         if plan.reducer == "count":
@@ -72,7 +72,7 @@ def _aggregate_values(operation: str, values: NDArray[Any], count: int) -> Any:
 
 
 def evaluate_uniform_node(world: World, node: ir.PlanNode, spec_values: dict[str, Any]) -> Any:
-    """Return the value of a node that is equal for all agents, computed with the backends' table of elementwise operations."""
+    """Return the value of a node that has one value for all agents, computed with the backends' table of elementwise operations."""
     values: dict[ir.PlanNode, Any] = {}
     with np.errstate(all="ignore"):
         for each in collect_required_nodes((node,)):
@@ -88,8 +88,7 @@ def evaluate_uniform_node(world: World, node: ir.PlanNode, spec_values: dict[str
 
 
 def _is_exact(node: ir.PlanNode, value: Any) -> bool:
-    """Return whether the value of a node is exact. Totals, results computed only from totals, booleans and whole constants are
-    exact."""
+    """Return whether the value of a node is exact, that is, computed only from totals, booleans and whole constants."""
     if isinstance(value, np.float32):
         return node.op == "const" and float(value).is_integer()
     return True

@@ -1,6 +1,7 @@
-"""Compiles a condition that is not in a program, such as a breakpoint or the end of a run. It is in the language of specs.
+"""Compilation of conditions that are not part of a program, such as a breakpoint or the end of a run.
 
-A condition concerns the complete world, or each agent of a species (`each SPECIES: …`)."""
+Conditions are written in the language of specs. They concern the complete world, or each agent of a species (`each SPECIES:
+…`)."""
 
 from __future__ import annotations
 
@@ -52,7 +53,7 @@ def check_condition(loaded: LoadedSources, text: str, *, allows_each: bool = Tru
 
 
 def compile_condition(loaded: LoadedSources, plan: ir.Plan, text: str) -> SpecPlan:
-    """Return the plan that evaluates a condition, as if it were the only line of a spec. Raises ConditionError with the first
+    """Return the plan that evaluates a condition, as if this were the only line of a spec. Raises ConditionError with the first
     error in the text. `plan`: the lowered program of the loaded files."""
     program = check_condition(loaded, text)
     spec_plan, report = lower_spec(program.specs[-1], program, plan)
@@ -82,8 +83,8 @@ def _is_one_line(file: nodes.File) -> bool:
 def _raise_first_error(report: Report, suggestion: str = "") -> None:
     """Raise ConditionError with the first error in the text of the condition.
 
-    The error that a file contains only a spec is ignored.
-    `suggestion`: the text to write instead if a condition about the complete world could only be about an agent."""
+    The error "the file contains only a spec" is ignored. `suggestion`: the text to write instead if a condition about the
+    complete world could only be about an agent."""
     for error in report.sort_by_place():
         if error.severity == "error" and error.code != "empty-program":
             help = (error.help or "").replace("never: ", "")

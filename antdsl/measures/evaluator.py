@@ -1,6 +1,6 @@
-"""Evaluates the expressions of specs and measures in a copy of the world with separate registers.
+"""Evaluation of the expressions of specs and measures, in a copy of the world with separate registers.
 
-The run's own backend evaluates them. The run itself does not change."""
+The backend of the run evaluates them. The run itself does not change."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _UNKNOWN_VALUE = 1e300  # not representable as float32; marks agents that did no
 
 
 class RunEvaluator:
-    """Evaluates the expressions of a spec, or of measures. Call `evaluate_frame` at each frame, from the first on.
+    """Evaluates the expressions of a spec or of measures. Call `evaluate_frame` at each frame, from the first on.
 
-    `values`: after each call, the aggregates of the frame and stored values of earlier frames, by name."""
+    `values`: by name, the aggregates of the last evaluated frame, and stored values of earlier frames."""
 
     def __init__(self, plan: QueryPlan, world: World) -> None:
         self.plan, self.first = plan, world.frame
@@ -45,12 +45,12 @@ class RunEvaluator:
         self.field_reading_species = {name for name, species in plan.plan.species.items() if _has_field_requests(species)}
 
     def evaluate_node(self, world: World, node: ir.PlanNode) -> Any:
-        """Return the value of a node that is equal for all agents."""
+        """Return the value of a node that has one value for all agents."""
         return evaluate_uniform_node(world, node, self.values)
 
     def evaluate_frame(self, world: World, compared_values: Mapping[str, Any]) -> World:
-        """Return a copy of the world in which registers have the results of the expressions. `compared_values`: values of the
-        reference run."""
+        """Return a copy of the world, with the results of the expressions in its registers. `compared_values`: values of the
+        reference run, by name."""
         self._store_motion_measures(world)
         self.values |= compared_values
         for items in world.items.values():
@@ -76,7 +76,7 @@ class RunEvaluator:
         return spec_world
 
     def _store_values(self, world: World, spec_world: World) -> None:
-        """Store the values of this frame that later frames need."""
+        """Store the values of this frame that are needed in later frames."""
         for each in self.plan.stored_values:
             if not isinstance(each, StartValuePlan):
                 if not np.isfinite(self.values.setdefault(each.name, np.float32(np.inf))) and self.evaluate_node(
@@ -90,20 +90,21 @@ class RunEvaluator:
                 self._record_first_values(spec_world.populations[each.species], each.name, each.source_register)
 
     def run_block(self, spec_world: World, block: str, species: str | None = None, rows: Any = None) -> None:
-        """Run a block of the spec for all agents, or only for `rows` of one species. The results are written to its registers."""
+        """Run a block of the spec for all agents, or only for `rows` of one species. Results are written to registers of
+        `spec_world`."""
         for name, population in spec_world.populations.items():
             if len(population) and getattr(population.plan, block).statements and species in (None, name):
                 self.backend.run(spec_world, population, block, rows)
 
     def _store_motion_measures(self, world: World) -> None:
-        """Store the motion measures of this frame; NaN for a measure without data."""
+        """Store the motion measures of this frame. A measure without data is NaN."""
         for name, number in world.motion.summary().items():
             unknown = world.motion.ways == 0 and name in ("circling", "straightness")
             value = radians(number) if MOTION_MEASURES[name] == "angle" else number
             self.values[f"motion.{name}"] = np.float32(np.nan if unknown else value)
 
     def _make_queried_population(self, spec_world: World, name: str) -> Population:
-        """Return the agents of a species, the items of a name or the cells of a field as a population."""
+        """Return a population that stands for the agents of a species, the items of a name, or the cells of a field."""
         if name in spec_world.items:
             return self._make_item_population(spec_world.items[name])
         if name in spec_world.fields:
@@ -111,7 +112,7 @@ class RunEvaluator:
         return self._make_agent_population(spec_world, spec_world.populations[name])
 
     def _make_cell_population(self, spec_world: World, name: str) -> Population:
-        """Return the cells of a field as agents at the origin."""
+        """Return a population that stands for the cells of a field, all at the origin."""
         plan, values = self.plan.plan.species[name], np.asarray(spec_world.fields[name].amounts)
         start, count = {"value": values.astype(np.float32)}, len(values)
         nowhere = np.broadcast_to(np.zeros(3), (count, 3))
@@ -119,7 +120,7 @@ class RunEvaluator:
         return _make_population(plan, start, now, nowhere)
 
     def _make_agent_population(self, spec_world: World, population: Population) -> Population:
-        """Return a population with the same agents, and with additional registers for results."""
+        """Return a population of the same agents with additional registers for results."""
         respondents = copy(population)
         respondents.columns = population.columns.copy()
         respondents.plan, respondents.effects, respondents.cells = self.plan.plan.species[population.name], EffectRequests(), {}
@@ -134,7 +135,7 @@ class RunEvaluator:
         return respondents
 
     def _make_item_population(self, items: Items) -> Population:
-        """Return items as if they were agents of a separate species."""
+        """Return a population that stands for items, as if they were agents of a separate species."""
         plan, count = self.plan.plan.species[items.name], len(items)
         start = {f"position.{axis}": items.visible_values[axis] for axis in AXES}
         start |= {name: items.visible_values[name] for name in ("radius", *items.amounts)}
@@ -142,7 +143,7 @@ class RunEvaluator:
         return _make_population(plan, start, now, items.position)
 
     def _record_first_values(self, judged: Population, name: str, register: str) -> None:
-        """Copy a number's value in each agent's first frame to the register that conditions read."""
+        """Copy the value that a number has in each agent's first frame to the register that conditions read."""
         ids, current_values = judged.ids, judged.now[register]
         values = self.start_values[name] = extend_table_for_ids(self.start_values.get(name, np.zeros(0)), ids, _UNKNOWN_VALUE)
         values[ids] = np.where(values[ids] == _UNKNOWN_VALUE, current_values, values[ids])
@@ -160,7 +161,7 @@ def extend_table_for_ids(table: NDArray[Any], ids: NDArray[np.int64], fill_value
 def _make_population(
     plan: ir.SpeciesPlan, start: dict[str, NDArray[Any]], registers: dict[str, NDArray[Any]], positions: NDArray[np.float64]
 ) -> Population:
-    """Return a population of things that are not agents, at positions (n, 3), without ground."""
+    """Return a population of things that are not agents and have no ground. `positions`: (n, 3)."""
     n = len(positions)
     return Population(
         plan, make_fixed_columns(n, ids=np.arange(n), position=positions), start, registers, Footing.create_unplaced(n), {}, {}
@@ -176,7 +177,7 @@ def _make_result_arrays(
 
 
 def _has_field_requests(species: ir.SpeciesPlan) -> bool:
-    """Return whether a block reads the agent's own cell of a field."""
+    """Return whether any block reads the field cell of the agent."""
     operand_nodes = (
         node
         for block in (species.decide, species.act, species.blend)
@@ -192,7 +193,7 @@ def measure_geometry(world: World, population: Population, name: str) -> FloatAr
 
 
 def _measure_overlap(world: World, population: Population) -> FloatArray:
-    """Return the worst overlap of each agent with any other agent of any species: 0 if separate, 1 at the same position."""
+    """Return, for each agent, the worst overlap with any other agent: 0 if separate, 1 at the same position."""
     populations = list(world.populations.values())
     measured = [
         each for each in populations if "radius" in each.start and "position.x" in each.start and each.footing is not None
@@ -207,7 +208,7 @@ def _measure_overlap(world: World, population: Population) -> FloatArray:
 
 
 def _measure_penetration(world: World, population: Population) -> FloatArray:
-    """Return how deep each agent's centre is inside a solid or an obstacle that is a closed mesh; 0 outside."""
+    """Return how deep each agent's centre is inside a solid or a closed obstacle mesh; 0 if it is outside."""
     depth = np.zeros(len(population))
     for name in world.plan.obstacles:
         scene = world.obstacles.get(name)
@@ -219,7 +220,7 @@ def _measure_penetration(world: World, population: Population) -> FloatArray:
 
 
 def _measure_surface_distance(world: World, population: Population) -> FloatArray:
-    """Return how far each agent is from its correct position, which is its clearance above its point on a triangle or solid."""
+    """Return the distance of each agent from its correct position: its clearance above its point on a triangle or solid."""
     distance: NDArray[np.float64] = np.linalg.norm(population.position - world.ground.position(population.footing), axis=1)
     for number, volume in enumerate(world.solids.values(), len(world.setting.surfaces)):
         rows = np.flatnonzero(population.footing.mesh == number)

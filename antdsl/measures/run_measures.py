@@ -1,4 +1,4 @@
-"""The measures of one run, frame by frame, and the condition that ends it."""
+"""The measures of one run, frame by frame, and the condition that ends the run."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class RunMeasures:
         return tuple(self.nodes)
 
     def record_frame(self, world: World) -> None:
-        """Evaluate all measures in this frame, and whether the run ends with it."""
+        """Evaluate all measures at this frame, and check whether the run ends with it."""
         if self._measured is not None:
             self._measured.evaluate_frame(world, {})
             for name, node in self.nodes.items():
@@ -49,15 +49,16 @@ class RunMeasures:
             self.is_over = bool(evaluator.evaluate_node(world, condition))
 
     def save_stored_values(self) -> NDArray[np.float64]:
-        """Return the values of earlier frames that later frames need, for a checkpoint, float64 (n, 2).
+        """Return the values of earlier frames that later frames need, for a checkpoint, as float64 (n, 2).
 
-        Row 0 is the first frame. Column 0 is the value, NaN if it is not known yet. Column 1 is 1 for a 64-bit value."""
+        Row 0 is the first frame. Column 0 is the value, or NaN if it is not known yet. Column 1 is 1 if the value has 64 bits.
+        """
         values = [each.values.get(name, np.float32(math.nan)) for each, name in self._list_stored()]
         first = [(float(each.first), 1.0) for each in self._evaluators()[:1]]
         return np.array([*first, *((float(each), float(isinstance(each, np.float64))) for each in values)]).reshape(-1, 2)
 
     def restore_stored_values(self, stored_values: NDArray[np.float64]) -> None:
-        """Restore the values of earlier frames from a checkpoint. An array of another shape is ignored."""
+        """Restore the values of earlier frames from a checkpoint. An array of the wrong shape is ignored."""
         stored = self._list_stored()
         if stored_values.shape != (len(stored) + 1, 2):
             return
@@ -75,5 +76,5 @@ class RunMeasures:
 
 
 def _make_finite(value: np.float32 | np.float64) -> float | None:
-    """Return a number with the fewest digits that identify it. Return None for a number that is not finite."""
+    """Return a number with as few digits as identify it, or None if it is not finite."""
     return float(str(value)) if math.isfinite(value) else None

@@ -13,8 +13,8 @@ from antdsl.scene.load import Scene
 
 
 def check_until(scene: Scene, loaded: LoadedSources, *, is_option: bool = False) -> Report:
-    """Return the errors of the condition that ends a run of a scene. `is_option`: whether the condition is an option and not in
-    the scene's text."""
+    """Return the errors in the condition that ends a run of a scene. `is_option`: whether the condition comes from an option
+    instead of the scene's text."""
     report, text = Report(), scene.model.until
     if text is None:
         return report
@@ -29,10 +29,10 @@ def check_until(scene: Scene, loaded: LoadedSources, *, is_option: bool = False)
 def lower_scene_measures(
     scene: Scene, program: Program, loaded: LoadedSources, plan: Plan
 ) -> tuple[MeasuresPlan | None, SpecPlan | None, Report]:
-    """Return the plans of the measures and of the scene's `until`, and a report. A plan is None if the program or scene has
-    none.
+    """Return the plan of the measures, the plan of the scene's `until`, and a report. A plan is None if there is nothing to
+    evaluate.
 
-    `plan`: the lowered program. `check_until` must have found no errors in the `until`."""
+    `plan`: the lowered program. `check_until` must have found no errors."""
     measures, report = lower_measures(program, plan) if program.measures else (None, Report())
     until = None
     if scene.model.until is not None and report.ok:

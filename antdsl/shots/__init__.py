@@ -1,2 +1,3 @@
-"""Runs shots of a sequence and frames of caches as tasks of an executor. `caches`, `stills` and `exports` do the work on a
-worker. `task_destination` transfers the written files to the requested folder."""
+"""Shots and frames of caches as tasks of an executor.
+
+`caches`, `stills` and `exports` do the work on a worker. `task_destination` brings the written files to the requested folder."""

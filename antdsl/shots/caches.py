@@ -1,4 +1,4 @@
-"""The shots of a sequence as tasks. Each task simulates a scene into a separate cache."""
+"""Simulations of scenes as tasks. Each task writes a separate cache."""
 
 from __future__ import annotations
 
@@ -28,8 +28,7 @@ _REFUSED_ERRORS = (
 def make_cache_task(
     shot: Shot, scene: Path, choices: RunChoices, options: Mapping[str, Any], destination: Destination, name: str
 ) -> Task:
-    """Return a task that simulates a shot into the cache folder `name` of a destination. Raises StartError if the shot cannot
-    start.
+    """Return a task that simulates a shot into the folder `name` of a destination. Raises StartError if the shot cannot start.
 
     `options`: the fields of `Options` except threads, and also `resume` and `force`."""
     scene = resolve_path(scene)
@@ -49,7 +48,7 @@ def make_cache_task(
 
 
 def simulate_cache(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
-    """Simulate a scene into a cache. Runs a task that `make_cache_task` made, and returns the task's answer."""
+    """Simulate a scene into a cache, as the function of a task from `make_cache_task`. Return the task's answer."""
     grants = {name: worker.find_local_path(folder) for name, folder in document["grants"].items()}
     choices = RunChoices(grants, FrameRange(*document["frames"]), document["seed"], document["set"], until=document["until"])
     shot, report = open_scene(worker.find_local_path(document["scene"]), choices)
@@ -75,7 +74,8 @@ def simulate_cache(document: Mapping[str, Any], worker: WorkerContext) -> dict[s
 
 
 def remove_other_frames(folder: Path, files: list[Any], name: str) -> None:
-    """Remove frames and checkpoints of an earlier run from a cache fetched from a worker."""
+    """Remove the frames and checkpoints of an earlier run from a folder into which a cache was fetched. `files`: the files of
+    the fetched cache."""
     current_names = {str(file) for file, *_ in files}
     for kind in FRAME_FOLDER_NAMES:
         for path in (folder / kind).glob("*.npz"):

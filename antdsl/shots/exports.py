@@ -28,16 +28,16 @@ def make_export_tasks(
     *,
     shows_states: bool = False,
 ) -> Iterator[Task]:
-    """Yield tasks that together write all frames. `file_pattern`: the pattern of the file names. `cache`: an absolute path
-    without links. `agents`: the keys of the agents to export; None for all. `shows_states`: whether agents are coloured by
-    their states."""
+    """Yield tasks that together export all frames. `file_pattern`: the pattern of the file names. `cache`: an absolute path
+    without links. `agents`: the keys of the agents to export; None for all. `shows_states`: whether agents have the colours
+    of their states."""
     chosen = None if agents is None else sorted(agents)
     document = {"cache": str(cache), "name": file_pattern, "form": form, "agents": chosen, "states": shows_states}
     return destination.make_frame_tasks(export_frames, document, frames, FRAMES_PER_TASK)
 
 
 def export_frames(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
-    """Write the files of some frames. Runs a task that `make_export_tasks` made, and returns the task's answer."""
+    """Write the files of some frames, as the function of a task from `make_export_tasks`. Return the task's answer."""
     to, name = Destination.from_document(document), document["name"]
     export = find_export(Path(name))
     if export is None or document["form"] not in export.per_frame_forms:

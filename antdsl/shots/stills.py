@@ -1,4 +1,4 @@
-"""Stills of a cache as tasks of a few frames each. This is possible because the frames of a cache are independent."""
+"""Stills of a cache as tasks of a few frames each. The frames of a cache are independent, so any worker can draw any frame."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ FRAMES_PER_TASK = 4  # frames per task
 def make_still_tasks(
     cache: Path, picture_request: DrawRequest, frames: Sequence[int], camera_frames: Sequence[int], destination: Destination
 ) -> Iterator[Task]:
-    """Yield tasks that together draw all frames. `cache`: an absolute path without links. `camera_frames`: the frames that
-    determine the camera."""
+    """Yield tasks that together draw all frames. `cache`: an absolute path without links. `camera_frames`: the frames from which
+    an automatic camera is chosen."""
     pictures = {"cache": str(cache), "wanted": asdict(picture_request), "all": list(camera_frames)}
     return destination.make_frame_tasks(draw_stills, {"pictures": pictures}, frames, FRAMES_PER_TASK)
 
 
 def draw_stills(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
-    """Draw some frames. Runs a task that `make_still_tasks` made, and returns the task's answer.
+    """Draw some frames, as the function of a task from `make_still_tasks`. Return the task's answer.
 
-    The drawing state is cached in the process for the next task with the same picture settings."""
+    The drawing state stays in the process for the next task with the same picture settings."""
     to, pictures = Destination.from_document(document), document["pictures"]
     with raise_as_task_rejected(ManifestError, CacheError, PictureUnavailable, AgentMissing, ValueError):
         if worker.cached_values.get("pictures") != pictures:

@@ -1,6 +1,7 @@
-"""Chooses where a task writes its files. If the worker can access the requested folder, the task writes to it. Otherwise it
-writes to a folder of the worker. The files are then fetched in parts, and moved to the requested folder when they are
-complete."""
+"""The choice of the folder to which a task writes its files.
+
+A worker that can access the requested folder writes to it. Any other worker writes to a local folder. These files are then
+fetched in parts, and moved to the requested folder once they are complete."""
 
 from __future__ import annotations
 
@@ -20,18 +21,18 @@ from antdsl.safe_read import open_size_limited, read_blocks
 
 @dataclass(frozen=True, slots=True)
 class Destination:
-    """A requested folder with a marker file. If a worker sees the marker, it can access the same folder."""
+    """A requested folder with a marker file. A worker that sees the marker can access this folder."""
 
     folder: str
     token: str
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> Destination:
-        """Return the destination that the document of a task contains."""
+        """Return the destination that is stored in the document of a task."""
         return cls(document["folder"], document["token"])
 
     def make_task(self, work: TaskFunction, document: Mapping[str, Any]) -> Task:
-        """Return a task that writes to this folder. Its key is computed from `document`."""
+        """Return a task that writes to this folder. Its key is a hash of `document` and this destination."""
         document = {**document, **asdict(self)}
         key = hash_document(document)
         return Task(key, work, {**document, "key": key})
@@ -39,7 +40,7 @@ class Destination:
     def make_frame_tasks(
         self, work: TaskFunction, document: Mapping[str, Any], frames: Sequence[int], chunk: int
     ) -> Iterator[Task]:
-        """Yield tasks that write to this folder. Each handles at most `chunk` frames."""
+        """Yield tasks that write to this folder, each with at most `chunk` of the frames."""
         for start in range(0, len(frames), chunk):
             yield self.make_task(work, {**document, "frames": list(frames[start : start + chunk])})
 
@@ -52,8 +53,8 @@ class Destination:
         return task_folder
 
     def describe_files(self, worker: WorkerContext, task_folder: Path, key: str) -> dict[str, Any]:
-        """Return the answer of a task that has written its files. It lists the files to fetch. Raises TaskRejectedError if they
-        are too large."""
+        """Return the answer of a task that has written its files. It lists the files that must be fetched. Raises
+        TaskRejectedError if they are too large."""
         if task_folder == Path(self.folder):
             return {"worker": "", "made": key, "files": []}
         files = [path for path in sorted(task_folder.rglob("*")) if path.is_file()]
@@ -69,7 +70,7 @@ class Destination:
 
 @contextmanager
 def mark_folder(folder: Path) -> Iterator[Destination]:
-    """Yield a folder as a destination. The marker file exists only while the context is active."""
+    """Yield a folder as a destination. The marker file exists while the context is active."""
     token = create_sibling_file(folder / "seen")
     try:
         yield Destination(str(folder.resolve()), token.name)

@@ -1,4 +1,4 @@
-"""The cases to run, and their outcomes. A case is one spec with its scene and one seed."""
+"""The cases to run, and their outcomes. A case is one spec in one scene with one seed."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class SpecFailure:
     """An expectation of a spec that was not met.
 
     - `values`: for each value in the condition, its text in the source and its formatted value.
-    - `agent`: the species and the id of the first failing agent of an `each`.
-    - `other_count`: the number of other agents that fail in the same frame.
-    - `agents`: the ids of the failing agents, at most MAX_NAMED_AGENTS.
+    - `agent`: the species and id of the first agent that failed, for a condition about each agent.
+    - `other_count`: the number of other agents that failed in the same frame.
+    - `agents`: the ids of agents that failed, at most MAX_NAMED_AGENTS.
     - `wait_start_frame`: the frame in which the agent's expired waiting time began.
     - `states_and_position`: names and texts that describe the agent's states and position."""
 
@@ -48,7 +48,8 @@ class SpecFailure:
 
 @dataclass(frozen=True, slots=True)
 class GoalValue:
-    """The value of a goal at the end of a run. `text`: the goal's line in the source. `tolerance`: a fraction of the target."""
+    """The value of a goal at the end of a run. `text`: the goal's source line. `tolerance`: the allowed difference, as a
+    fraction of the target."""
 
     text: str
     value: float
@@ -58,10 +59,10 @@ class GoalValue:
 
 @dataclass(frozen=True, slots=True)
 class SavedFrames:
-    """A cache with the frames from `first_frame` to the failure in `frame`.
+    """A cache with the frames from `first_frame` to `frame`, in which the failure occurred.
 
-    - `folder`: the folder of the cache; None if it could not be written. `note`: the problem, as text; "" without one.
-    - `view_command`: the command that shows the frames. `resume_command`: the command that continues the run from them."""
+    - `folder`: the folder of the cache; None if it could not be written. `note`: the reason for this; "" without one.
+    - `view_command`: a command that displays the frames. `resume_command`: a command that continues the run from them."""
 
     folder: Path | None
     note: str = ""
@@ -73,7 +74,7 @@ class SavedFrames:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparisonShot:
-    """The reference run of a spec: its shot, and the plan of the spec for that shot."""
+    """The reference run of a spec that compares two runs: its shot, and the plan of the spec for that shot."""
 
     shot: Shot
     plan: SpecPlan
@@ -86,7 +87,7 @@ class SpecCase:
     - `outcome`: passed, failed, allowed or waiting. An allowed case has failed, but enough other seeds have passed. A waiting
       case has not run to its end.
     - `goals`: the values of its goals, after the last frame.
-    - `frames`, `seconds`: the number of judged frames, and the time that the run took."""
+    - `frames`: the number of judged frames. `seconds`: the duration of the run."""
 
     spec: Spec
     plan: SpecPlan
@@ -108,7 +109,7 @@ class SpecCase:
 
 @dataclass(slots=True, eq=False)
 class SpecRun:
-    """Cases that are judged in one simulation."""
+    """One simulation, and the cases that are judged in it."""
 
     shot: Shot
     seed: int
@@ -120,8 +121,8 @@ def collect_cases(
 ) -> tuple[list[SpecRun], Report]:
     """Return the runs for programs, scenes and folders, and a report on files, scenes and specs.
 
-    Folders are searched for programs; scenes are used only if they are named. `seeds`: run seeds 1 to this number instead of
-    each spec's own. `name_filter`: run only specs with this text in their name."""
+    Folders are searched for programs, but not for scenes. `seeds`: run the seeds 1 to this number instead of each spec's own.
+    `name_filter`: run only specs with this text in their name."""
     paths = list(paths)
     files, report = find_files(paths)
     parsed = SharedParsedFiles()
@@ -150,16 +151,16 @@ class CaseFinder:
         self.scene_and_spec_by_key: dict[tuple[Path, Span], tuple[Path, Spec]] = {}
 
     def add_spec(self, file: Path, spec: Spec) -> None:
-        """Add a spec with its scene; a spec that several paths contain is added once. `file`: if it is a scene, only specs that
-        run on it are added."""
+        """Add a spec with its scene. A spec that several paths contain is added only once. `file`: the path that the user named.
+        If it is a scene, only specs that run on this scene are added."""
         program_path = Path(spec.span.source.path)
         scene = self._find_scene(program_path, spec, file)
         if scene is not None and (file.suffix == ".ant" or scene.resolve() == file.resolve()):
             self.scene_and_spec_by_key.setdefault((scene.resolve(), spec.span), (scene, spec))
 
     def _find_scene(self, program_path: Path, spec: Spec, file: Path) -> Path | None:
-        """Return the scene of a spec. If the spec has no `on`, return the scene of the path, or `scene.yaml` next to the
-        program."""
+        """Return the scene of a spec, or None. A spec without `on` runs on the scene that the user named, or on `scene.yaml`
+        next to the program."""
         folder = program_path.resolve().parent
         if spec.scene is None:
             if file.suffix != ".ant":
@@ -174,7 +175,7 @@ class CaseFinder:
         return self._find_named_scene(program_path, spec.scene)
 
     def _find_named_scene(self, program_path: Path, name: Text) -> Path | None:
-        """Return the named scene next to a program, or in a granted root."""
+        """Return the path of a scene that a spec names, next to the program or in a granted root; None if there is none."""
         roots = Roots(program_path.resolve().parent, self.grants)
         try:
             roots.measure_file_size(name.text)
@@ -185,7 +186,7 @@ class CaseFinder:
         return program_path.parent / name.text if (program_path.parent / name.text).resolve() == path.resolve() else path
 
     def make_runs(self, seeds: Sequence[int] | None) -> list[SpecRun]:
-        """Return the runs of all added specs. `seeds`: run each spec with these seeds, not with its listed seeds."""
+        """Return the runs of all added specs. `seeds`: the seeds to use instead of those that each spec lists."""
         made: dict[tuple[int, int], SpecRun] = {}
         for scene, spec in self.scene_and_spec_by_key.values():
             shot = self._open_shot(scene, spec.changes)
@@ -200,9 +201,9 @@ class CaseFinder:
         return list(made.values())
 
     def _find_comparison_shot(self, scene: Path, spec: Spec) -> ComparisonShot | None:
-        """Return the reference run of a spec; None if the spec has none, or if it has errors.
+        """Return the reference run of a spec; None if the spec has none, or if its scene has errors.
 
-        The spec's changed params also apply to the reference run, except those that its `against` block changes."""
+        The params that the spec changes also apply to the reference run, except those that its `against` block changes."""
         assert spec.reference_run is not None
         if spec.reference_run.scene is not None:
             scene_path = self._find_named_scene(Path(spec.span.source.path), spec.reference_run.scene)
@@ -215,7 +216,7 @@ class CaseFinder:
         return None if shot is None or plan is None else ComparisonShot(shot, plan)
 
     def _open_shot(self, scene: Path, changes: tuple[SpecChange, ...]) -> Shot | None:
-        """Return the shot of a scene with changed params. It is opened only once. None if it has errors."""
+        """Return the shot of a scene with changed params, or None if it has errors. Each shot is opened only once."""
         key = (scene.resolve(), tuple(sorted(f"{c.name} = {' '.join(c.value.span.text.split())}" for c in changes)))
         if key not in self.shots:
             shot, report = open_scene(scene, RunChoices(self.grants, params=self.params, changes=changes), parsed=self.parsed)
@@ -224,7 +225,7 @@ class CaseFinder:
         return self.shots[key]
 
     def _find_plan(self, shot: Shot, spec: Spec, scene: Path) -> SpecPlan | None:
-        """Return the plan of a spec, lowered for the program of a scene."""
+        """Return the plan of a spec, lowered for the program of a scene, or None if there are errors."""
         same_spec = _find_same_spec(shot.program, spec)
         if same_spec is None:
             message = f"`{scene.name}` has no crowd from `{Path(spec.span.source.path).name}`"
@@ -237,13 +238,13 @@ class CaseFinder:
 
 
 def _find_same_spec(program: Program, spec: Spec) -> Spec | None:
-    """Return the spec in another program that has the same source and position, or None."""
+    """Return the spec in another compiled program that comes from the same source location, or None."""
     place = (spec.span.source, spec.span.start)
     return next((each for each in program.specs if (each.span.source, each.span.start) == place), None)
 
 
 def _find_first_line(spec: Spec) -> Span:
-    """Return the span of a spec's first line."""
+    """Return the location of a spec's first line."""
     source, start = spec.span.source, spec.span.start
     end = source.text.find("\n", start)
     return Span(source, start, min(spec.span.end, end if end >= 0 else spec.span.end))
@@ -254,7 +255,7 @@ class SpecVerdict:
     """The verdict on a spec that must pass with a required fraction of its seeds.
 
     `passed_count`: the number of seeds that passed. `case_count`: the number of all seeds. `has_passed`: whether enough seeds
-    passed; None if cases are still waiting."""
+    passed; None while cases are waiting."""
 
     spec: Spec
     passed_count: int
@@ -265,7 +266,7 @@ class SpecVerdict:
 def resolve_verdicts(cases: Sequence[SpecCase]) -> list[SpecVerdict]:
     """Return the verdicts on all specs that must pass with a required fraction of their seeds. Call this after all runs.
 
-    If enough seeds of a spec have passed, its failed cases get the outcome `allowed`."""
+    If enough seeds of a spec have passed, the outcome of its failed cases is changed to `allowed`."""
     groups: dict[tuple[str, int, str], list[SpecCase]] = {}
     for case in cases:
         if case.spec.pass_share < 1:

@@ -1,5 +1,6 @@
-"""The reference run of a spec that compares two runs. It runs first, with the same seed. In each frame, it stores the values
-that the comparison needs."""
+"""The reference run of a spec that compares two runs.
+
+It runs first, with the same seed, and records in each frame the values that the comparison needs."""
 
 from __future__ import annotations
 
@@ -18,10 +19,10 @@ JudgementKey = tuple[str, int]
 
 
 class ReferenceRunRecord:
-    """The values of the reference run of a spec. Call `record_frame` at each frame of that run, from the first on.
+    """A record of the values in a spec's reference run. Call `record_frame` at each frame of that run, from the first on.
 
-    Frames are counted from the first frame of each run, so the two scenes may have different frame numbers. `dt`: seconds per
-    frame."""
+    Frames are counted from the first frame of each run, because the two scenes may have different frame numbers. `dt`: seconds
+    per frame."""
 
     def __init__(self, plan: SpecPlan, world: World) -> None:
         self.evaluator = RunEvaluator(plan, world)
@@ -36,7 +37,7 @@ class ReferenceRunRecord:
         self.blank_values = {each.name: np.float32(np.nan) for each in plan.reference_values}
 
     def record_frame(self, world: World) -> None:
-        """Store the numbers of this frame. Also store whether the condition of a `sooner` holds for the first time."""
+        """Record the numbers of this frame, and whether the condition of a `sooner` holds for the first time."""
         self.evaluator.evaluate_frame(world, self.blank_values)
         self.values_by_frame.append(
             {each.name: self.evaluator.evaluate_node(world, each.value) for each in self.plan.reference_values}
@@ -48,15 +49,16 @@ class ReferenceRunRecord:
                 self.steps_by_line.setdefault(place, world.frame - self.first)
 
     def get_reference_values(self, frame: int) -> Mapping[str, Any]:
-        """Return the values of the reference run in a frame, counted from its first frame. After its last frame, the values stay
-        constant."""
+        """Return the values of the reference run in a frame, counted from its first frame. Beyond its last frame, the last
+        values are returned."""
         return self.values_by_frame[min(frame, len(self.values_by_frame) - 1)]
 
     def find_steps_until_held(self, line: JudgementPlan) -> int | None:
-        """Return after how many steps the condition of a `sooner` held in the reference run. None if it never held."""
+        """Return the number of steps after which the condition of a `sooner` held in the reference run, or None if it never
+        held."""
         return self.steps_by_line.get(_make_line_key(line))
 
 
 def _make_line_key(line: JudgementPlan) -> JudgementKey:
-    """Return the key of a spec's line: its location in the source, which is equal in both runs."""
+    """Return a key for a line of a spec: its location in the source, which is the same in both runs."""
     return line.span.source.path, line.span.start

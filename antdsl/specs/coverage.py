@@ -1,4 +1,4 @@
-"""Records which states agents were in and which transitions they took, over all runs together."""
+"""Coverage: a record of the states that agents were in and the transitions that they took, over all runs."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ CoverageKey = tuple[str, int, str]  # source, offset in it, name
 class CoverageEntry:
     """A state or a transition, and how often it occurred.
 
-    `name`: such as `forager.main.search` for a state, `forager.main.search->approach#1` for a transition. `count`: for a state,
-    the agents in it, summed over all frames; for a transition, how many agents took it."""
+    `name`: such as `forager.main.search` for a state, and `forager.main.search->approach#1` for a transition. `count`: for a
+    state, the number of agents in it, summed over all frames; for a transition, how many times agents took it."""
 
     name: str
     span: Span
@@ -28,7 +28,7 @@ class CoverageEntry:
 
 @dataclass(frozen=True, slots=True)
 class _MachineCoverageTable:
-    """The entries of one machine's states and transitions, in the order in which the plan numbers them.
+    """The coverage entries of one machine's states and transitions, in the order of their numbers in the plan.
 
     `claim_changes`: the numbers of the transitions that depend on a claim."""
 
@@ -41,7 +41,7 @@ class _MachineCoverageTable:
 
 @dataclass(slots=True)
 class SpecCoverage:
-    """The states and transitions that all runs together have reached."""
+    """A record of the states and transitions that occurred in any run."""
 
     states: dict[CoverageKey, CoverageEntry] = field(default_factory=dict)
     changes: dict[CoverageKey, CoverageEntry] = field(default_factory=dict)
@@ -53,7 +53,7 @@ class SpecCoverage:
         return sum(each.count > 0 for each in all) / len(all) if all else 1.0
 
     def watch_world(self, world: World, program: Program) -> None:
-        """Count the states in this world from its current frame on."""
+        """Count the states in this world and the transitions of its later steps, from the current frame on."""
         machines = [self._make_machine_coverage(s.name, m) for s in program.species.values() for m in s.machines]
         for machine in machines:
             states = world.populations[machine.species].now.get(f"{machine.name}.state")
@@ -62,7 +62,7 @@ class SpecCoverage:
         world.watchers.append(partial(_count_all_changes, machines=machines))
 
     def _make_machine_coverage(self, species: str, machine: Machine) -> _MachineCoverageTable:
-        """Return the coverage entries of a machine. If they do not exist yet, add them with count 0."""
+        """Return the coverage entries of a machine. Missing entries are added with count 0."""
         pairs = [change for state in machine.states for change in state.transitions]
         return _MachineCoverageTable(
             species,
@@ -88,7 +88,7 @@ def _count_all_changes(world: World, machines: list[_MachineCoverageTable]) -> N
 
 
 def _count_changes(world: World, machine: _MachineCoverageTable) -> None:
-    """Count the transitions of a machine in a step. Call this after all agents have acted, before dead agents are removed.
+    """Count the transitions of a machine in a step. Call this after all agents have acted, but before dead agents are removed.
 
     Transitions are numbered as in `plan.machines`."""
     population = world.populations[machine.species]

@@ -1,8 +1,7 @@
-"""Stores the frames before a failure in a cache. It has a checkpoint of every frame, so that the run can be inspected and
-continued.
+"""Caches of the frames before a failure. They have a checkpoint of every frame, so that the run can be inspected and continued.
 
 While a spec is judged, only periodic copies of the state are stored. After a failure, the frames since the last copy are
-simulated once more and written to the cache."""
+simulated again and written to the cache."""
 
 from __future__ import annotations
 
@@ -36,9 +35,9 @@ MAX_STORED_CASES = 5  # maximum number of stored cases of one `antdsl test`
 
 @dataclass(frozen=True, slots=True)
 class FailureSnapshot:
-    """The frame in which a case failed, and the data needed to simulate it again.
+    """The frame in which a case failed, and the data for simulating it again.
 
-    `hash`: the hash of the state in this frame; None if the step to it failed. `arrays`: the stored state of an earlier frame."""
+    `hash`: the state hash of this frame; None if the step to it failed. `arrays`: the stored state of an earlier frame."""
 
     frame: int
     hash: str | None
@@ -46,32 +45,32 @@ class FailureSnapshot:
 
     @property
     def first_frame(self) -> int:
-        """Return the frame of the stored state."""
+        """Return the frame of the stored state, from which the simulation starts."""
         return int(self.arrays["frame"])
 
 
 class StateSnapshots:
     """Stores the most recent periodic copy of a run's state.
 
-    If the scene animates anything over its frames, the first copy is stored instead. A run can continue only from there."""
+    If the scene has animation, the first copy is stored instead, because such a run can continue only from its first frame."""
 
     def __init__(self, setting: WorldSetting) -> None:
         self.keeps_first_copy = bool(setting.motion) or any(camera.is_moving for camera in setting.cameras.values())
         self.last: Arrays | None = None
 
     def store_copy(self, world: World) -> None:
-        """Store a copy of the state if one is due. Call this for each frame after judging it."""
+        """Store a copy of the state if one is due. Call this at each frame, after judging it."""
         if self.last is None or (not self.keeps_first_copy and world.frame >= int(self.last["frame"]) + COPY_INTERVAL_FRAMES):
             self.last = take_checkpoint(world)
 
     def make_failure_point(self, world: World) -> FailureSnapshot:
-        """Return the data needed to simulate this frame again."""
+        """Return the data for simulating up to the current frame again."""
         return FailureSnapshot(world.frame, state_hash(world), take_checkpoint(world) if self.last is None else self.last)
 
 
 @dataclass(slots=True)
 class FailureSaver:
-    """Saves the frames of failed cases in `folder`, or in `out/failed` next to their scenes."""
+    """Saves the frames before failures, in `folder` or in `out/failed` next to the scene."""
 
     folder: Path | None
     grants: Mapping[str, Path]
@@ -81,8 +80,8 @@ class FailureSaver:
     def save_failure(
         self, run: SpecRun, case: SpecCase, failure_point: FailureSnapshot, binding_cache: BindingCache
     ) -> SavedFrames:
-        """Simulate the frames before a failure again, and write them to a cache. If this fails, the `note` of the result gives
-        the problem."""
+        """Simulate the frames before a failure again, and write them to a cache. If this fails, the `note` of the result says
+        why."""
         self.count += 1
         if self.count > MAX_STORED_CASES:
             return SavedFrames(None, f"not saved: only the first {MAX_STORED_CASES} are")
@@ -117,7 +116,7 @@ class FailureSaver:
         )
 
     def _record_frames(self, shot: Shot, folder: Path, failure_point: FailureSnapshot, binding_cache: BindingCache) -> str:
-        """Write the frames from the copy to the failure. Return the state hash of the last frame."""
+        """Write the frames from the stored state to the failure. Return the state hash of the last frame."""
         model = shot.scene.model
         output = model.output.model_copy(update={"checkpoint": 1})
         short = FrameRange(failure_point.first_frame, failure_point.frame)
@@ -138,13 +137,12 @@ class FailureSaver:
 
 
 def make_folder_name(name: str) -> str:
-    """Convert a name to a folder name that has only letters, digits and hyphens."""
+    """Return a name converted to a folder name that contains only letters, digits and hyphens."""
     return "-".join(re.findall("[a-z0-9]+", name.lower()))[:60].strip("-") or "spec"
 
 
 def _format_flag_value(shot: Shot, value: Expr) -> str:
-    """Return a changed value in the form that `--set` accepts. It is written as in the source, or as a computed number with its
-    unit."""
+    """Return a changed value in the form that `--set` accepts: as in the source, or as a computed number with its unit."""
     text = "".join(value.span.text.split())
     try:
         parse_quantity(text)

@@ -1,4 +1,4 @@
-"""Judges one spec during a run. It evaluates the world frame by frame, stores what the spec needs, and reports failures."""
+"""The judge of a spec. It evaluates the world frame by frame, records what the spec needs, and reports failures."""
 
 from __future__ import annotations
 
@@ -23,10 +23,9 @@ _NUMBER_PATTERN = re.compile(NUMBER_REGEX)
 
 
 class SpecJudge:
-    """Judges one spec over a run. Call `judge_frame` for each frame, from the first on, until `is_over` is true.
-
-    `failures`: the failures in the order of detection. `fulfilled_at_start`: lines with `within` or `eventually` that already
-    hold in the first frame, and so test nothing. For a spec that compares runs, the record of the reference run is required."""
+    """Judges one spec over a run. Call `judge_frame` at each frame, from the first on, until `is_over` is true. `failures`: the
+    failures in the order of detection. `fulfilled_at_start`: the lines with `within` or `eventually` that already hold in the
+    first frame, and therefore test nothing. A spec that compares two runs also needs the record of its reference run."""
 
     def __init__(self, plan: SpecPlan, world: World, last: int, compared_run: ReferenceRunRecord | None = None) -> None:
         self.plan, self.first, self.reference_run = plan, world.frame, compared_run
@@ -76,7 +75,7 @@ class SpecJudge:
         return GoalValue(" ".join(plan.span.text.split()), value, target, plan.goal.tolerance)
 
     def _observe_line(self, world: World, spec_world: World, line: JudgementLine, final: bool) -> FrameObservation:
-        """Evaluate the condition of a line in this frame."""
+        """Evaluate the condition of a line in this frame, and return the observation."""
         plan = line.plan
         if plan.species is None:
             start_holds = None if plan.start_condition is None else self._evaluate_condition(world, plan.start_condition)
@@ -91,12 +90,12 @@ class SpecJudge:
         )
 
     def _evaluate_condition(self, world: World, node: ir.PlanNode | str) -> bool:
-        """Return whether a condition on aggregates holds. A condition with NaN does not hold."""
+        """Return whether a condition on aggregates holds. If a value in it is NaN, it does not hold."""
         assert isinstance(node, ir.PlanNode)
         return bool(self.evaluator.evaluate_node(world, node))
 
     def _find_released(self, line: JudgementLine, ids: AgentIds) -> NDArray[np.bool_]:
-        """Return the agents for which an `until` of the same block held in an earlier frame."""
+        """Return, for each agent, whether an `until` of the same block has held in an earlier frame, bool[n]."""
         free = np.zeros(len(ids), np.bool_)
         for other in self.lines:
             if other.plan.kind == "until" and other.plan.block_number == line.plan.block_number:
@@ -104,8 +103,8 @@ class SpecJudge:
         return free
 
     def _judge_sooner(self, line: JudgementLine, observation: FrameObservation) -> AgentIds:
-        """Judge a `sooner` line. Its condition must hold in an earlier frame of this run than of the reference run. Frames are
-        counted from the first frame of each run."""
+        """Return the ids that fail a `sooner` line. Its condition must hold earlier in this run than in the reference run.
+        Frames are counted from the first frame of each run."""
         assert self.reference_run is not None
         holds = bool(len(line.find_failed(observation)))
         reference_steps = self.reference_run.find_steps_until_held(line.plan)
@@ -126,8 +125,8 @@ class SpecJudge:
     def _format_values(
         self, world: World, spec_world: World, plan: JudgementPlan, row: int | None
     ) -> tuple[tuple[str, str], ...]:
-        """Return the text and the formatted value of each value that a line reads. `row`: the failed agent's row; None for a
-        line about an aggregate."""
+        """Return the source text and the formatted value of each value that a line reads. `row`: the row of the agent that
+        failed; None for a line about an aggregate."""
         reading_values: list[tuple[ReadingPlan, Any]] = []
         for reading in plan.readings:
             if reading.node is not None:
@@ -137,9 +136,9 @@ class SpecJudge:
         return _format_readings(world, reading_values, plan.span.text)
 
     def _record_failure(self, world: World, spec_world: World, line: JudgementLine, agents: AgentIds) -> None:
-        """Store the failure of a line, and stop judging the line.
+        """Record the failure of a line, and stop judging the line.
 
-        The failure has the values of aggregates, or of the failed agent with the least id."""
+        The recorded values are the aggregates, or those of the agent with the smallest id that failed."""
         line.is_undecided = False
         plan, fps = line.plan, float(world.setting.fps)
         first_agent = int(agents.min())
@@ -164,7 +163,8 @@ class SpecJudge:
 
 
 def find_last_frame(plan: SpecPlan, world: World, last_scene_frame: int) -> int:
-    """Return the last frame of a spec that begins in this frame: the last frame of the scene, or the end of the spec's `for`."""
+    """Return the last frame of a spec that begins at the world's current frame. It is the last frame of the scene, or the end of
+    the spec's `for`."""
     steps = count_duration_steps(world, plan.duration)
     return last_scene_frame if steps is None else world.frame + steps
 
@@ -172,7 +172,7 @@ def find_last_frame(plan: SpecPlan, world: World, last_scene_frame: int) -> int:
 def _format_readings(world: World, reading_values: list[tuple[ReadingPlan, Any]], line: str) -> tuple[tuple[str, str], ...]:
     """Return, for each reading, its text in the program and its formatted value.
 
-    Values have all digits if two different values, or a value and a number in the line, would otherwise look equal."""
+    All digits are shown if two different values, or a value and a number in the line, would otherwise look equal."""
     texts = [" ".join(reading.span.text.split()) for reading, _ in reading_values]
     values = [format_value(world, value, reading.type, reading.unit) for reading, value in reading_values]
     written_numbers = {float(number) for number in _NUMBER_PATTERN.findall(line)}

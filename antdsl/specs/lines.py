@@ -1,7 +1,7 @@
-"""The kinds of spec lines. Each decides which agents fail a line in a frame, and why. In names, `since` refers to the condition
-of a `when`.
+"""The kinds of lines in a spec. Each kind decides which agents fail a line in a frame, and why.
 
-A line about aggregates is judged like a line about a single agent. This agent has the id 0 and exists from the first frame on."""
+In names, `since` refers to the condition of a `when`. A line about aggregates is judged like a line about a single agent, which
+has the id 0 and exists from the first frame on."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _NO_FRAME_NUMBER = -(2**62)
 
 @dataclass(slots=True, eq=False)
 class FrameObservation:
-    """What a line of a spec observes in one frame. The arrays have one row for each agent that the line concerns.
+    """The input for judging a line in one frame. The arrays have one row for each agent that the line concerns.
 
     - `first_frames`: the first frame of each agent.
     - `condition_holds`: whether the condition of the line holds.
@@ -46,7 +46,7 @@ class FrameObservation:
 def observe_aggregate(
     frame: int, is_final: bool, first_frame: int, is_fulfilled: bool, start_holds: bool | None
 ) -> FrameObservation:
-    """Return one frame of a line about aggregates."""
+    """Return the observation of one frame for a line about aggregates."""
     since_flags = None if start_holds is None else np.array([start_holds])
     return FrameObservation(
         frame,
@@ -60,7 +60,8 @@ def observe_aggregate(
 
 
 def count_duration_steps(world: World, time: ir.PlanNode | None) -> int | None:
-    """Return a duration as a number of whole steps, rounded up. The float32 value of the duration may be slightly too large."""
+    """Return a duration as a whole number of steps, rounded up. The float32 value of the duration may be slightly too large,
+    which is taken into account."""
     if time is None:
         return None
     return max(1, ceil(float(evaluate_uniform_node(world, time, {})) * float(world.setting.fps) * (1 - 1e-6)))
@@ -68,15 +69,15 @@ def count_duration_steps(world: World, time: ir.PlanNode | None) -> int | None:
 
 @dataclass(slots=True, eq=False)
 class JudgementLine:
-    """The state of judging one line of a spec over a run. Arrays are indexed by the agent's id.
+    """The state of judging one line of a spec over a run. Arrays are indexed by agent id.
 
     - `steps`, `held_steps`: the durations of the line and of its `held`, in steps; None without one.
-    - `is_undecided`: whether the line is still judged. `failure_reason`: the reason of the last failure, as text.
-    - `is_fulfilled`: whether the agent has fulfilled the line.
-    - `count`: the number of successive frames in which the condition has held.
+    - `is_undecided`: whether the line is still being judged. `failure_reason`: the reason of the last failure, as text.
+    - `is_fulfilled`: whether each agent has fulfilled the line.
+    - `count`: the number of consecutive frames in which the condition has held.
     - `previous_start_condition`: whether the condition of the `when` held in the previous frame.
-    - `pending_since_frames`: the frame in which the agent's current waiting time began; _NO_FRAME_NUMBER without one.
-    - `waiting_ids`: the ids of the agents that waited in the previous frame."""
+    - `pending_since_frames`: the frame in which each agent's current waiting time began; _NO_FRAME_NUMBER without one.
+    - `waiting_ids`: the ids of the agents that were waiting in the previous frame."""
 
     plan: JudgementPlan
     steps: int | None
@@ -92,7 +93,7 @@ class JudgementLine:
     def find_failed(self, observation: FrameObservation) -> AgentIds:
         """Return the ids of the agents that fail in this frame.
 
-        Sets `failure_reason` to a text; it is "" if the false condition is the only reason."""
+        This sets `failure_reason` to a text; it is "" if the only reason is that the condition is false."""
         self.failure_reason = ""
         if self.held_steps is not None:
             self.held_step_counts = extend_table_for_ids(self.held_step_counts, observation.ids, 0)
@@ -105,22 +106,22 @@ class JudgementLine:
         return _JUDGE_BY_KIND[self.plan.kind](self, observation)
 
     def is_fulfilled_at_start(self, observation: FrameObservation) -> bool:
-        """Return whether a line that waits for its condition is already fulfilled in the first frame, for all its agents."""
+        """Return whether a line that waits for its condition is already fulfilled for all its agents in the first frame."""
         waits = (
             self.plan.kind in ("within", "eventually") and observation.start_condition_holds is None and self.held_steps is None
         )
         return waits and len(observation.ids) > 0 and bool(observation.condition_holds.all())
 
     def find_start_frame(self, agent: int) -> int | None:
-        """Return the frame in which an agent's expired waiting time began. Return None if the line has no `when`."""
+        """Return the frame in which an agent's expired waiting time began, or None if the line has no `when`."""
         is_pending = self.plan.start_condition is not None and agent < len(self.pending_since_frames)
         return (
             int(self.pending_since_frames[agent]) if is_pending and self.pending_since_frames[agent] != _NO_FRAME_NUMBER else None
         )
 
     def _find_removed(self, observation: FrameObservation, is_waiting: BoolArray) -> AgentIds:
-        """Return the agents that waited in the previous frame and no longer exist. `is_waiting`: for each row, whether the agent
-        waits now."""
+        """Return the ids of agents that were waiting in the previous frame and no longer exist. `is_waiting`: for each row,
+        whether the agent is waiting now."""
         is_present = np.zeros(max(int(observation.ids.max(initial=-1)), int(self.waiting_ids.max(initial=-1))) + 1, np.bool_)
         is_present[observation.ids] = True
         removed_ids = self.waiting_ids[~is_present[self.waiting_ids]]
@@ -129,23 +130,23 @@ class JudgementLine:
 
 
 def _judge_always(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Return the agents for which the condition does not hold."""
+    """Return the ids of the agents for which the condition does not hold."""
     failing_agents: AgentIds = observation.ids[~observation.condition_holds & ~observation.is_released]
     return failing_agents
 
 
 def _judge_never(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Return the agents for which the condition holds."""
+    """Return the ids of the agents for which the condition holds."""
     return observation.ids[observation.condition_holds & ~observation.is_released]
 
 
 def _judge_finally(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Return the agents for which the condition does not hold in the last frame."""
+    """Return the ids of the agents for which the condition does not hold in the last frame."""
     return _judge_always(line, observation) if observation.is_final else _NO_IDS
 
 
 def _judge_for(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Return the agents for which the condition does not hold. An agent counts only within the duration from its first frame."""
+    """Return the ids of the agents for which the condition does not hold within the duration after their first frame."""
     assert line.steps is not None
     last = observation.first_frames + line.steps
     if line.plan.species is None and (observation.frame >= last).all() and observation.condition_holds.all():
@@ -180,8 +181,8 @@ def _judge_eventually(line: JudgementLine, observation: FrameObservation) -> Age
 
 
 def _update_waiting_agents(line: JudgementLine, observation: FrameObservation) -> BoolArray:
-    """Return whether the `when` of each agent holds in this frame but did not in the previous one, bool[n]. Store the current
-    values for the next frame."""
+    """Return whether the condition of the `when` has become true for each agent in this frame, bool[n]. The current values are
+    stored for the next frame."""
     assert observation.start_condition_holds is not None
     line.previous_start_condition, line.pending_since_frames = (
         extend_table_for_ids(line.previous_start_condition, observation.ids, False),
@@ -193,7 +194,8 @@ def _update_waiting_agents(line: JudgementLine, observation: FrameObservation) -
 
 
 def _judge_since_within(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Judge a `when` with `within` or `eventually`. If waiting times overlap, only the first counts, and all end with it."""
+    """Return the ids that fail a `when` with `within` or `eventually`. If waiting times overlap, only the first counts, and all
+    end with it."""
     comes = _update_waiting_agents(line, observation)
     pending: AgentIds = line.pending_since_frames[observation.ids]
     pending = np.where(comes & (pending == _NO_FRAME_NUMBER), observation.frame, pending)
@@ -217,7 +219,7 @@ def _judge_since_within(line: JudgementLine, observation: FrameObservation) -> A
 
 
 def _judge_since_for(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Judge a `when` with `for`. If several times overlap, the last one counts, because it ends after the others."""
+    """Return the ids that fail a `when` with `for`. If several durations overlap, only the last counts, because it ends last."""
     assert line.steps is not None
     comes = _update_waiting_agents(line, observation)
     line.pending_since_frames[observation.ids[comes]] = observation.frame
@@ -226,7 +228,7 @@ def _judge_since_for(line: JudgementLine, observation: FrameObservation) -> Agen
 
 
 def _find_ids_where_condition_holds(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Return the ids for which `until` or `sooner` holds. The caller decides whether an agent fails."""
+    """Return the ids for which the condition of an `until` or `sooner` holds. The caller decides whether these agents fail."""
     return observation.ids[observation.condition_holds]
 
 

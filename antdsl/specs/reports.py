@@ -22,7 +22,7 @@ from antdsl.specs.text_report import describe_failure, describe_golden
 def format_json_report(
     cases: Sequence[SpecCase], coverage: SpecCoverage, report: Report, goldens: Sequence[GoldenResult] = ()
 ) -> str:
-    """Return a JSON document with all cases and golden runs, the coverage, and the reasons why some specs did not run."""
+    """Return a JSON document with all cases and golden runs, the coverage, and the reasons why specs did not run."""
     document = {
         "passed": sum(case.outcome == "passed" for case in cases),
         "failed": sum(case.outcome == "failed" for case in cases),
@@ -115,8 +115,8 @@ def _make_location_entry(span: Span | None) -> dict[str, Any] | None:
 def format_junit_report(cases: Sequence[SpecCase], report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
     """Return the results as JUnit XML, with one suite for each program.
 
-    Waiting and allowed cases count as skipped. Golden runs have a separate suite. So do errors in files that prevented specs
-    from running."""
+    Waiting and allowed cases count as skipped. Golden runs have a separate suite, and so have errors in files that prevented
+    specs from running."""
     errors = [d for d in report.sort_by_place() if d.severity == "error"]
     differ = [result for result in goldens if result.outcome == "differs"]
     root = ElementTree.Element(

@@ -1,5 +1,6 @@
-"""Runs cases without a display. One simulation serves all specs of a scene, seed and set of params. It ends when all of them
-have a result."""
+"""Simulation of cases without a display.
+
+One simulation serves all specs with the same scene, seed and params. It ends when all of these have a result."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ class RunContext:
       skip this.
     - `report_case`: called after each case. `report_frame`: called with a run, the number of the current frame, and the number
       of the last frame.
-    - `messages`: sentences for the user about deviations of a run from the request, without duplicates. They change no verdict.
+    - `messages`: sentences for the user about how runs deviate from the request, without duplicates. They change no verdict.
     - `worlds`: the worlds of the current run."""
 
     options: Options
@@ -44,7 +45,8 @@ class RunContext:
 
 
 def run_cases(runs: Iterable[SpecRun], context: RunContext) -> None:
-    """Simulate all runs and set the outcome of each case. A problem in a run, even a fault, fails only the cases of this run."""
+    """Simulate all runs and set the outcome of each case. Problems in a run, including faults, fail only the cases of this
+    run."""
     for run in runs:
         started = perf_counter()
         moments: dict[int, FailureSnapshot] = {}
@@ -69,13 +71,14 @@ def run_cases(runs: Iterable[SpecRun], context: RunContext) -> None:
 
 
 def _fail_cases(run: SpecRun, failure: SpecFailure) -> None:
-    """Add a failure to all cases of a run."""
+    """Add the same failure to all cases of a run."""
     for case in run.cases:
         case.failures.append(failure)
 
 
 def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, FailureSnapshot]) -> None:
-    """Simulate a run and judge its cases. `failure_points` receives the first failure of each case, by the `id()` of the case."""
+    """Simulate a run and judge its cases. `failure_points`: receives the first failure of each case, by the `id()` of the
+    case."""
     rivals = _run_compared(run, work)
     try:
         world = _make_world(run.shot, run.seed, work)
@@ -119,7 +122,7 @@ def _describe_vacuous_line(line: JudgementPlan) -> str:
 
 
 def _make_world(shot: Shot, seed: int, work: RunContext) -> World:
-    """Return the world at the first frame."""
+    """Return the world of a shot at the first frame."""
     world = bind(shot.plan, replace(shot.setting, seed=seed), work.options, binding_cache=work.binding_cache)
     work.worlds.append(world)
     if world.faults.reported_faults:
@@ -136,7 +139,7 @@ def _fail_with_fault(run: SpecRun, stop: FaultStop) -> None:
 
 
 def _describe_fault(stop: FaultStop, prefix: str) -> SpecFailure:
-    """Return a failure that describes a fault. `prefix`: text in front of its message."""
+    """Return the failure that describes a fault. `prefix`: text to put before the message of the fault."""
     fault = stop.fault
     culprit = (fault.species, fault.agent)
     words = f"{prefix}`{fault.value_name}` {fault.reason}"
@@ -144,8 +147,8 @@ def _describe_fault(stop: FaultStop, prefix: str) -> SpecFailure:
 
 
 def _run_compared(run: SpecRun, work: RunContext) -> dict[int, ReferenceRunRecord]:
-    """Return the records of the reference runs, by the `id()` of the case. Cases with the same shot share one run. A fault in a
-    run fails its cases."""
+    """Simulate the reference runs of a run's cases, and return their records by the `id()` of the case. Cases with the same
+    reference shot share one simulation. A fault in it fails these cases."""
     compared_runs: dict[int, ReferenceRunRecord] = {}
     for shot in {
         id(case.comparison_shot.shot): case.comparison_shot.shot for case in run.cases if case.comparison_shot is not None
@@ -160,7 +163,7 @@ def _run_compared(run: SpecRun, work: RunContext) -> dict[int, ReferenceRunRecor
 
 
 def _simulate_compared(run: SpecRun, work: RunContext, shot: Shot, cases: list[SpecCase]) -> dict[int, ReferenceRunRecord]:
-    """Simulate one reference run for some cases, up to the last frame that any of them needs."""
+    """Simulate one reference run for several cases, up to the last frame that any of them needs. Return their records."""
     world = _make_world(shot, run.seed, work)
     first = world.frame
     rivals = {

@@ -1,5 +1,7 @@
-"""Formats results as text: a line for each spec and seed; the location, frame, agents and values of failures; golden runs;
-coverage."""
+"""Results as text.
+
+There is a line for each spec and seed. Failures have their location, frame, agents and values. Golden runs and coverage
+follow."""
 
 from __future__ import annotations
 
@@ -16,12 +18,12 @@ _MAX_LISTED_DIFFERENCES = 6
 
 
 def format_case_line(case: SpecCase) -> str:
-    """Return a case as one line: `passed  "no crumb is lost", seed 3: 240 frames, 1.2 s`."""
+    """Return one line about a case: `passed  "no crumb is lost", seed 3: 240 frames, 1.2 s`."""
     return f'{case.outcome:<7} "{escape_text(case.name)}", seed {case.seed}: {case.frames} frames, {case.seconds:.1f} s'
 
 
 def describe_failed_case(case: SpecCase) -> str:
-    """Return the line of a case, then its failures with location, frame, agent and values, then the command to view it."""
+    """Return the line of a case, its failures with location, frame, agent and values, and the command to view it."""
     lines = [format_case_line(case), *(f"  {line}" for failure in case.failures for line in describe_failure(failure))]
     return "\n".join(lines + ([] if case.saved_frames is None else [f"  {line}" for line in _describe_saved(case.saved_frames)]))
 
@@ -69,14 +71,14 @@ def _describe_saved(saved_frames: SavedFrames) -> list[str]:
 
 
 def describe_verdict(verdict: SpecVerdict) -> str:
-    """Return the verdict over seeds: `"ants come home": 4 of 5 seeds passed, enough for 80 %`."""
+    """Return one line about the verdict on a spec: `"ants come home": 4 of 5 seeds passed, enough for 80 %`."""
     ends = {True: "enough for", False: "too few for", None: "not all seeds ran, of"}[verdict.has_passed]
     share = f"{verdict.spec.pass_share * 100:.6g} %"
     return f'"{escape_text(verdict.spec.name)}": {verdict.passed_count} of {verdict.case_count} seeds passed, {ends} {share}'
 
 
 def describe_golden(result: GoldenResult) -> str:
-    """Return a golden run's result as text: what differs first, and for which agents."""
+    """Return the result of a golden run as text: the first difference, and the agents concerned."""
     words = {"same": "same", "differs": "differs", "written": "written"}.get(result.outcome, "waiting")
     line = f"{words:<7} {escape_text(result.name)}, seed {result.seed}: "
     if result.outcome != "differs":
@@ -93,7 +95,7 @@ def describe_golden(result: GoldenResult) -> str:
 
 
 def describe_counts(cases: Sequence[SpecCase], error_count: int, goldens: Sequence[GoldenResult] = ()) -> str:
-    """Return the counts: `5 passed, 1 failed, 2 mistakes in files`."""
+    """Return one line with the counts: `5 passed, 1 failed, 2 mistakes in files`."""
     numbers = {word: sum(case.outcome == word for case in cases) for word in ("passed", "failed", "allowed", "waiting")}
     phrases = [f"{numbers['passed']} passed"]
     phrases += [f"{numbers['failed']} failed"] if numbers["failed"] else []
@@ -106,8 +108,8 @@ def describe_counts(cases: Sequence[SpecCase], error_count: int, goldens: Sequen
 
 
 def describe_coverage(coverage: SpecCoverage) -> str:
-    """Return every state and transition with its count, in the order of the program. For states, the count is the agents per
-    frame; for transitions, the agents that took it."""
+    """Return a line for each state and transition, with its count, in the order of the program. The count of a state is the
+    number of agents per frame; that of a transition is the number of agents that took it."""
     both = [(each, "state") for each in coverage.states.values()] + [(each, "change") for each in coverage.changes.values()]
     both.sort(key=lambda pair: (pair[0].span.source.path, pair[0].span.start, pair[1] == "change"))
     wide = max((len(f"{each.count:,}") for each, _ in both), default=0)
@@ -116,7 +118,7 @@ def describe_coverage(coverage: SpecCoverage) -> str:
 
 
 def describe_uncovered(coverage: SpecCoverage) -> str:
-    """Return how many states and transitions occurred, and the names of those that never occurred."""
+    """Return a text with the number of states and transitions that occurred, and the names of those that never occurred."""
     lines = []
     for noun, verb, table in (("states", "entered", coverage.states), ("changes", "made", coverage.changes)):
         if table:
@@ -130,7 +132,7 @@ def describe_uncovered(coverage: SpecCoverage) -> str:
 
 
 def _shorten_name(name: str) -> str:
-    """Return a name without internal parts, which are the machine `main` and the number of a first transition."""
+    """Return a name without its internal parts: the machine `main`, and the number of a first transition."""
     return name.replace(".main.", ".").removesuffix("#1").replace("->", " -> ")
 
 

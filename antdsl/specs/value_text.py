@@ -1,4 +1,4 @@
-"""Formats values as an author would write them: numbers with a unit, and states and items by name."""
+"""Values as text, in the form that authors write: numbers with a unit, and states and items by name."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _COORDINATE_DECIMALS = 6  # digits after the point
 
 
 def format_value(world: World, value: Any, type: ValueType, unit: str, is_exact: bool = False) -> str:
-    """Format a value: `41.3 mm/s`, `12 %`, `move_world`, `yes`, `apple`. `is_exact`: whether a number has all digits instead of
-    six."""
+    """Return a value as text, such as `41.3 mm/s`, `12 %`, `move_world`, `yes` or `apple`. `is_exact`: whether to write all
+    digits of a number instead of six."""
     match type.kind:
         case TypeKind.BOOL:
             return "yes" if value else "no"
@@ -32,7 +32,7 @@ def format_value(world: World, value: Any, type: ValueType, unit: str, is_exact:
 
 
 def describe_states_and_position(world: World, species: str, row: int) -> tuple[tuple[str, str], ...]:
-    """Return the agent's states, the time since it entered each, and its position in the scene's units."""
+    """Return names and texts for the agent's states, the time spent in each, and its position in the scene's units."""
     population = world.populations[species]
     entries = []
     for machine in population.plan.machines:
@@ -43,8 +43,8 @@ def describe_states_and_position(world: World, species: str, row: int) -> tuple[
 
 
 def format_position(position: Iterable[float], origin: Iterable[float], unit_mm: float) -> str:
-    """Format a position as coordinates in a unit. `position`: in mm, relative to `origin`. Coordinates have four significant
-    digits of the relative value, and at least one digit after the point."""
+    """Return a position as text: coordinates in a unit of `unit_mm` mm. `position`: in mm, relative to `origin`. Coordinates
+    have four significant digits of this relative value, and at least one digit after the point."""
     return ", ".join(_format_coordinate(float(x) / unit_mm, float(o) / unit_mm) for x, o in zip(position, origin, strict=True))
 
 

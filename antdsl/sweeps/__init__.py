@@ -1,5 +1,6 @@
-"""Many runs of scenes with varied values and seeds, and one resulting table. Runs are executed by other processes (`executors`).
-Finished runs are stored."""
+"""Sweeps: many runs of scenes with varied values and seeds, with one table of results.
+
+Other processes simulate the runs (`executors`). The results of finished runs are stored."""
 
 from antdsl.sweeps.finished_runs import FinishedRunStore
 from antdsl.sweeps.jobs import SceneVariation, SweepJob, build_jobs, make_variations

@@ -1,7 +1,7 @@
-"""Designs of experiments. A design chooses which points to run from the space of all values of a sweep's factors.
+"""Designs of experiments. A design chooses the points to run from all combinations of a sweep's factor values.
 
-For each point and factor, a design returns a position from 0 to 1 in the factor's range. Factors convert positions to values.
-All random draws come from one seed, so equal arguments choose equal points.
+For each point and factor, a design returns a position from 0 to 1 in the factor's range, which the factor converts to a value.
+All random draws come from one seed, so equal arguments always choose the same points.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class SamplingDesign:
     None for a grid.
     `description`: a short text for help texts.
     `count_meaning`: the meaning of `count`, for help texts; empty if the design takes no count.
-    `points_per_unit`: the design has `count` × (factors + `points_per_unit`) points; None for `count` points.
+    `points_per_unit`: if given, the design has `count` × (factors + `points_per_unit`) points; if None, `count` points.
     `needs_power_of_two`: whether the count must be a power of two.
     `needs_ranges`: whether each factor must be a range of values.
     `analysis`: computes the importance of each factor from the results; None if the design does not allow it."""
@@ -48,8 +48,8 @@ class SamplingDesign:
 
 @dataclass(frozen=True, slots=True)
 class ChosenPoints:
-    """The points that a design has chosen, in order, possibly with duplicates. `shares`: for each point and factor, the
-    position in the factor's range, 0 to 1; None for a grid."""
+    """The points that a design has chosen, in order, possibly with duplicates. `shares`: for each point and factor, the position
+    in the factor's range, 0 to 1; None for a grid."""
 
     design: SamplingDesign
     factors: tuple[Factor, ...]
@@ -64,17 +64,17 @@ class ChosenPoints:
 
 
 def _sample_latin_hypercube(factors: int, count: int, seed: int) -> RangeShares:
-    """Return `count` points of a Latin hypercube, as positions from 0 to 1. M. D. McKay, R. J. Beckman, W. J. Conover: A
-    comparison of three methods for selecting values of input variables in the analysis of output from a computer code,
-    Technometrics 21 (1979)."""
+    """Return `count` points of a Latin hypercube, as positions from 0 to 1 with shape (count, factors). Source: M. D. McKay, R.
+    J. Beckman, W. J. Conover: A comparison of three methods for selecting values of input variables in the analysis of output
+    from a computer code, Technometrics 21 (1979)."""
     from scipy.stats import qmc
 
     return np.asarray(qmc.LatinHypercube(factors, seed=np.random.default_rng(seed)).random(count))
 
 
 def _sample_sobol(factors: int, count: int, seed: int) -> RangeShares:
-    """Return `count` points of a scrambled Sobol sequence, as positions from 0 to 1. I. M. Sobol': On the distribution of
-    points in a cube, USSR Comp. Math. Math. Phys. 7 (1967), scrambled after A. B. Owen: Scrambling Sobol' and
+    """Return `count` points of a scrambled Sobol sequence, as positions from 0 to 1 with shape (count, factors). Sources: I. M.
+    Sobol': On the distribution of points in a cube, USSR Comp. Math. Math. Phys. 7 (1967); A. B. Owen: Scrambling Sobol' and
     Niederreiter-Xing points, J. Complexity 14 (1998)."""
     from scipy.stats import qmc
 
@@ -116,8 +116,7 @@ _DESIGN_BY_NAME = {design.name: design for design in DESIGNS}
 
 
 def choose_design(name: str, factors: Sequence[Factor], point_count: int | None, seed: int) -> tuple[ChosenPoints | None, Report]:
-    """Return the points of the named design, or None if the arguments conflict. Also return a report with the conflicts and
-    corrections."""
+    """Return the points that a design chooses, and a report. The points are None if the arguments conflict."""
     report, design = Report(), _DESIGN_BY_NAME[name]
     _check_design_fit(design, factors, point_count, report)
     if not report.ok:
@@ -134,7 +133,7 @@ def choose_design(name: str, factors: Sequence[Factor], point_count: int | None,
 
 
 def _check_design_fit(design: SamplingDesign, factors: Sequence[Factor], point_count: int | None, report: Report) -> None:
-    """Report a point count or a number of factors that does not suit the design."""
+    """Report a number of points or of factors that the design does not support."""
     ranges = [factor for factor in factors if not factor.levels]
     flag = f"`--design {design.name}`"
     if design.sample_shares is None:

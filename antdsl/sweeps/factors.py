@@ -1,4 +1,4 @@
-"""The factors of a sweep. Each is a list of single values (`30mm,60mm`) or all values between two ends (`30mm..90mm`)."""
+"""The factors of a sweep. A factor has a list of single values (`30mm,60mm`), or a range of values (`30mm..90mm`)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Factor:
     """A setting that a sweep varies, with its values.
 
     `levels`: the single values; empty for a range.
-    `low`, `high`, `unit`: the ends of a range, as numbers in `unit`."""
+    `low`, `high`: the ends of a range, as numbers in `unit`."""
 
     name: str
     levels: tuple[str, ...] = ()
@@ -29,23 +29,23 @@ class Factor:
 
     @property
     def short_name(self) -> str:
-        """Return the name without its species or field."""
+        """Return the factor's name without the name of its species or field."""
         return self.name.rpartition(".")[2]
 
     def format_value_at(self, share: float) -> str:
-        """Return, as text, the value at a position in the range or in the list of levels. `share`: the position, from 0
-        (first) to 1 (last). Each level covers an equal part of 0 to 1."""
+        """Return the value at a position in the range or in the list of levels, as text. `share`: the position, from 0 (first)
+        to 1 (last). In a list, each level covers an equal part of 0 to 1."""
         if self.levels:
             return self.levels[min(floor(share * len(self.levels)), len(self.levels) - 1)]
         return self._format_value(self.low + share * (self.high - self.low))
 
     def find_end_values(self) -> tuple[str, ...]:
-        """Return the values to check: each level, or the two ends of the range. If they are allowed, so are all values
-        between them."""
+        """Return the values that must be checked: each level, or the two ends of the range. If both ends are allowed, so are all
+        values between them."""
         return self.levels or (self._format_value(self.low), self._format_value(self.high))
 
     def parse_number(self, text: str) -> float:
-        """Return a value of a range as a number in `unit`."""
+        """Return a value in the range as a number in `unit`. `text`: the value with its unit."""
         return float(text[: len(text) - len(self.unit)])
 
     def _format_value(self, value: float) -> str:
@@ -53,8 +53,8 @@ class Factor:
 
 
 def parse_factors(text_by_name: Mapping[str, str]) -> tuple[list[Factor], Report]:
-    """Return the factors of a sweep, and a report of the factors that cannot be read. `text_by_name`: for each name, its
-    values as `A,B,C` or `A..B`."""
+    """Return the factors of a sweep, and a report about factors that cannot be read. `text_by_name`: the values of each factor
+    as `A,B,C` or `A..B`, by factor name."""
     report = Report()
     parsed_factors = [
         _parse_range(name, text, report) if ".." in text else _parse_levels(name, text, report)
@@ -103,7 +103,7 @@ def _parse_range(name: str, text: str, report: Report) -> Factor | None:
 
 
 def build_end_points(factors: Iterable[Factor]) -> list[dict[str, str]]:
-    """Return the smallest set of points in which every end value of every factor occurs."""
+    """Return the smallest set of points in which each end value of each factor occurs. A point maps factor names to values."""
     chosen = list(factors)
     value_count = max((len(factor.find_end_values()) for factor in chosen), default=0)
     return [

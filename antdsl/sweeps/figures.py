@@ -1,8 +1,9 @@
-"""The only interface to matplotlib. Figures use its packaged defaults and ignore settings of the user or the working
+"""The only module that uses matplotlib. Figures have its packaged defaults, and ignore settings of the user and the working
 directory.
 
-Settings of matplotlib can start programs (`text.usetex` starts LaTeX). On import, it first looks for settings in the working
-directory. Therefore it is imported from a folder of antdsl, with environment variables that point to the installation.
+Settings of matplotlib can start programs (`text.usetex` starts LaTeX), and it looks for settings in the working directory first.
+So matplotlib is imported while the working directory is a folder of antdsl, with environment variables that point to the
+installation.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ PACKAGE_NAME = "matplotlib"
 
 
 def is_matplotlib_available() -> bool:
-    """Return whether matplotlib is installed, without importing anything."""
+    """Return whether matplotlib is installed, without importing it."""
     return find_spec(PACKAGE_NAME) is not None
 
 
 @contextmanager
 def open_figure(width: float, height: float, path: Path) -> Iterator[Figure]:
-    """Yield a figure with a width and height in inches. When the context ends, the figure is written to `path` as a PNG file.
-    Raises OSError if writing fails."""
+    """Yield a figure. When the context ends, the figure is written to `path` as a PNG file. `width`, `height`: its size in
+    inches. Raises OSError if writing fails."""
     matplotlib = _import_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -49,7 +50,7 @@ def open_figure(width: float, height: float, path: Path) -> Iterator[Figure]:
 
 @cache
 def _import_matplotlib() -> Any:
-    """Return matplotlib with every module loaded that reads settings or the font list on import. The font list is stored in a
+    """Return matplotlib, after importing all its modules that read settings or the font list. The font list is stored in a
     folder that only this user can write to."""
     import importlib
 

@@ -1,4 +1,4 @@
-"""Stores finished runs, one small file per run, so that a stopped sweep can continue."""
+"""Storage of finished runs in one small file per run, so that a stopped sweep can continue."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _MAX_RUN_FILE_BYTES = limits.MAX_TASK_ANSWER_BYTES + 64 * limits.KIB  # maximum 
 
 
 class NotASweepFolderError(Exception):
-    """Error for a folder that contains files that do not belong to a sweep."""
+    """Error for a folder that contains files which do not belong to a sweep."""
 
 
 class FinishedRunStore:
-    """The folder of a sweep. Its folder `runs/` has a file for each finished run."""
+    """The folder of a sweep. Its subfolder `runs/` has one file for each finished run."""
 
     def __init__(self, folder: Path) -> None:
         if folder.is_dir() and any(folder.iterdir()) and not (folder / "runs").is_dir():
@@ -37,8 +37,8 @@ class FinishedRunStore:
         return self.runs / f"{job.key}.json"
 
     def read_measures(self, job: SweepJob) -> dict[str, Any] | None:
-        """Return the measures of a run that finished earlier, or None if there is no file or it is damaged. Files of older
-        versions have no hash and are accepted."""
+        """Return the stored measures of a finished run; None if its file is missing or damaged. Files of older versions, which
+        have no hash, are accepted."""
         try:
             document = json.loads(read_size_limited(self.get_run_path(job), _MAX_RUN_FILE_BYTES))
         except (OSError, ValueError, RecursionError):
@@ -50,11 +50,11 @@ class FinishedRunStore:
         return measures
 
     def count_other_runs(self, jobs: Iterable[SweepJob]) -> int:
-        """Return the number of finished runs that belong to none of these jobs."""
+        """Return the number of finished runs in the folder that belong to none of these jobs."""
         return len({path.stem for path in self.runs.glob("*.json")} - {job.key for job in jobs})
 
     def write_measures(self, job: SweepJob, measures: Mapping[str, Any]) -> None:
-        """Write the measures of a run to its file, atomically."""
+        """Write the measures of a finished run to its file, atomically."""
         document = describe_job(job) | {"key": job.key, "antdsl": __version__, "measures": measures}
         document["hash"] = _hash_document(document)
         write_atomically(self.get_run_path(job), (json.dumps(document, indent=1) + "\n").encode(), sync=False)
@@ -66,5 +66,5 @@ def _hash_document(document: Mapping[str, Any]) -> str:
 
 
 def describe_job(job: SweepJob) -> dict[str, Any]:
-    """Return a description of a run as plain values."""
+    """Return a description of a run, as plain values by name."""
     return {"label": job.label, "scene": Path(job.scene).name, "set": dict(job.params), "seed": job.seed}

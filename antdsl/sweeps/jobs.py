@@ -1,4 +1,4 @@
-"""The jobs of a sweep: one for each scene, each combination of values and each seed. Each run has a key that identifies it."""
+"""The jobs of a sweep: one run for each scene, combination of values and seed. Each run has a key that identifies it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ from antdsl.source_hash import hash_sources
 
 @dataclass(frozen=True, slots=True)
 class SceneVariation:
-    """A scene with specific values, which is one line of the table. `params`: the values by name. `label`: its display name."""
+    """A scene with specific values, which is one line of the table of results. `params`: the values by name. `label`: the
+    display name."""
 
     scene: Path
     params: Mapping[str, str]
@@ -67,7 +68,7 @@ class SweepJob:
         return _JOB_ADAPTER.validate_python(document)
 
     def make_choices(self) -> RunChoices:
-        """Return the choices with which this run opens its scene."""
+        """Return the choices of the user with which this run opens its scene."""
         grants = {name: Path(folder) for name, folder in self.grants}
         return RunChoices(grants, FrameRange(*self.frames), self.seed, dict(self.params), until=self.until)
 
@@ -76,7 +77,7 @@ _JOB_ADAPTER = TypeAdapter(SweepJob)
 
 
 def make_variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]]) -> list[SceneVariation]:
-    """Return every combination of a scene and a point's values."""
+    """Return one variation for each combination of a scene and a point. A point maps names to values."""
     scenes, points = list(scenes), list(points)
     stems = [scene.stem for scene in scenes]
     combinations = []
@@ -99,8 +100,8 @@ def build_jobs(
     until: str | None,
     grants: Mapping[str, Path],
 ) -> tuple[list[SweepJob], Report]:
-    """Return all runs, ordered by seed, so that a stopped sweep has results of every variation. Also return a report that
-    lists each problem with a scene or value once."""
+    """Return all runs of a sweep, and a report that lists each problem with a scene or value once. Runs are ordered by seed, so
+    that a stopped sweep has results of every variation."""
     report = Report()
     shots: list[tuple[SceneVariation, FrameRange, Scene, Mapping[str, str]]] = []
     parsed = SharedParsedFiles()
@@ -127,10 +128,9 @@ def build_jobs(
 
 
 def find_start_hashes(shot: Shot) -> Mapping[str, str]:
-    """Return hashes, by name, of the start state that the scene takes from another cache. Empty if the scene does not use
-    one.
+    """Return hashes of the start state that a scene reads from another cache, by name; empty if it does not use one.
 
-    Also record that files of that cache are read (`scene.paths.record_requested_paths`)."""
+    This also records that files of that cache are read (`scene.paths.record_requested_paths`)."""
     folder = find_start_cache(shot)
     if folder is not None:
         record_request(folder / MANIFEST_FILE_NAME, shot.scene.roots.folder)
@@ -143,7 +143,7 @@ def compute_job_key(shot: Shot, seed: int, start: Mapping[str, str]) -> str:
 
 
 def _compute_key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, seed: int) -> str:
-    """Return a hash of all inputs of a run: 24 hexadecimal digits. `inputs`: hashes by name."""
+    """Return a hash of all inputs of a run, as 24 hexadecimal digits. `inputs`: hashes of further inputs by name."""
     hashes = {**inputs, "scene": scene.replace_values(seed=seed).compute_digest()}
     until = scene.model.until or ""
     key_fields = {"sources": hash_sources(), "inputs": hashes, "seed": seed, "frames": list(frames), "until": until}

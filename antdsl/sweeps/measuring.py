@@ -1,6 +1,7 @@
-"""Runs the jobs of a sweep as tasks, without caches. The measures are those that `antdsl run --summary` reports, and the
-frame at which each amount ran out. A run that fails or crashes its process is reported, and the others continue. How runs
-are distributed over processes does not change any result."""
+"""Execution of a sweep's jobs as tasks, without caches.
+
+The measures are those that `antdsl run --summary` reports, and the frame at which each amount ran out. A run that fails or
+crashes its process is reported, and the others continue. The distribution of runs over processes does not change any result."""
 
 from __future__ import annotations
 
@@ -42,8 +43,8 @@ def run_jobs(
 ) -> Iterator[JobOutcome]:
     """Run jobs and yield each outcome as soon as its run ends. The next job is taken from `jobs` only when a process is free.
 
-    `report_frame`: is called from time to time with the progress of a run.
-    `report_note`: is called with messages about deviations from the request: one sentence for each run and cause.
+    `report_frame`: called from time to time with a job and its current frame.
+    `report_note`: called with a sentence for each way in which a run deviates from the request.
     """
     tasks = (Task(job.key, measure_job, job.make_document()) for job in jobs)
     for outcome in run_tasks(
@@ -56,9 +57,9 @@ def run_jobs(
 
 def measure_job(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
     """Simulate the run of a job and return its measures by name. A measure is a number, or None if its event did not happen.
-    Data that is computed from meshes stays in the process and is used again by the next run.
 
-    Equal jobs with the same antdsl give equal measures, except `seconds`, `fps` and `processor`.
+    Data that is computed from meshes stays in the process for its next run. Equal jobs with the same antdsl give equal measures,
+    except `seconds`, `fps` and `processor`.
     """
     built: BindingCache = worker.cached_values.setdefault("built", BindingCache())
     job = SweepJob.from_document(document)
@@ -110,7 +111,7 @@ def _simulate_job(job: SweepJob, worker: WorkerContext, binding_cache: BindingCa
 
 
 def _record_frame(measures: RunMeasures, world: World, series: MeasureSeries, empty_frames: dict[str, int | None]) -> None:
-    """Store the measures of a frame, and the amounts that became 0 in it."""
+    """Record the measures of the world's current frame, and the amounts that became 0 in it."""
     measures.record_frame(world)
     series.add_frame(world.frame, measures.values)
     _record_empty(world, empty_frames)
@@ -124,7 +125,7 @@ def _read_amounts(world: World) -> Iterator[tuple[str, float]]:
 
 
 def _record_empty(world: World, empty_frames: dict[str, int | None]) -> None:
-    """Store the frame at which an amount becomes 0 for the first time."""
+    """Record the current frame for each amount that is 0 for the first time."""
     for name, amount in _read_amounts(world):
         if amount > 0:
             empty_frames.setdefault(name, None)

@@ -1,5 +1,7 @@
-"""Plots of a sweep's table, with one panel per measure. Each run is a dot; a bar marks the median and the quartiles. A design
-over ranges has one panel for each measure and range. Needs matplotlib."""
+"""Plots of a sweep's table, made with matplotlib.
+
+There is one panel per measure, in which each run is a dot and a bar marks the median and the quartiles. A design over ranges has
+one panel for each measure and range."""
 
 from __future__ import annotations
 
@@ -22,8 +24,7 @@ INSTALL_HINT = "plots need matplotlib: pip install 'antdsl[plots]'"
 
 
 def draw_measures(results: Sequence[RunResult], measures: Sequence[str], path: Path) -> None:
-    """Write one PNG with a panel per measure. Runs in which the measured event did not happen are above the panel's dashed
-    line."""
+    """Write one PNG with a panel per measure. Runs in which the measured event did not happen are drawn above a dashed line."""
     labels = list(dict.fromkeys(job.label for job, _ in results))
     height = max(2.0, 0.45 * len(labels) + 1.0)
     with open_figure(9.0, height * len(measures), path) as figure:
@@ -57,8 +58,8 @@ def _draw_panel(panel: Axes, results: Sequence[RunResult], labels: Sequence[str]
 def draw_factors(
     study: SweepStudy, results: Sequence[RunResult], measures: Sequence[str], effects: Sequence[FactorEffect], path: Path
 ) -> None:
-    """Write one PNG with a row per measure and a column per range. If the design provides the importance of factors, a last
-    column displays it.
+    """Write one PNG with a row per measure and a column per range. If the importance of factors is known, a last column displays
+    it.
 
     Each dot is the median over a point's seeds, with the quartiles. The line and the band are the median and the quartiles of
     all points in a part of the range.
@@ -118,7 +119,7 @@ def _draw_over_range(
 
 
 def _draw_trend(panel: Any, factor: Factor, medians: Sequence[tuple[float, float]], colour: str) -> None:
-    """Divide a range into parts, and draw the median and the quartiles of the points in each part."""
+    """Divide a factor's range into parts, and draw the median and the quartiles of the points in each part."""
     parts: dict[int, list[float]] = {}
     for value, median in medians:
         share = (value - factor.low) / (factor.high - factor.low)

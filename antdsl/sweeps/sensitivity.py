@@ -1,7 +1,6 @@
-"""The importance of each factor of a sweep: Sobol indices and elementary effects, computed by SALib (the extra
-`[sensitivity]`).
+"""The importance of each factor of a sweep: Sobol indices and elementary effects. SALib computes them (extra `[sensitivity]`).
 
-The analysis takes the median of a measure over the seeds of each point. All points use the same seeds.
+The input is the median of a measure over the seeds of each point. All points use the same seeds.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ EffectColumns = Mapping[str, Numbers]
 
 @dataclass(frozen=True, slots=True)
 class SensitivityAnalysis:
-    """A method to compute the importance of each factor.
+    """A method that computes the importance of each factor.
 
     `title`: the title of its table.
     `importance_column`: the column with the importance of a factor.
@@ -43,7 +42,7 @@ class SensitivityAnalysis:
 
 @dataclass(frozen=True, slots=True)
 class FactorEffect:
-    """The effect of one factor on one measure of one scene. `columns`: the numbers of the analysis, by name."""
+    """The effect of one factor on one measure in one scene. `columns`: the numbers that the analysis returns, by name."""
 
     scene: str
     measure: str
@@ -57,8 +56,8 @@ def is_salib_available() -> bool:
 
 
 def sample_saltelli(factors: int, count: int, seed: int) -> Numbers:
-    """Return `count` × (factors + 2) points for Sobol indices of first and total order, from a scrambled Sobol sequence. A.
-    Saltelli and others: Variance based sensitivity analysis of model output, Comp. Phys. Comm. 181 (2010)."""
+    """Return `count` × (factors + 2) points for Sobol indices of first and total order, from a scrambled Sobol sequence. Source:
+    A. Saltelli and others: Variance based sensitivity analysis of model output, Comp. Phys. Comm. 181 (2010)."""
     from SALib.sample import sobol
 
     return np.asarray(sobol.sample(_make_salib_problem(factors), count, calc_second_order=False, seed=seed))
@@ -66,7 +65,7 @@ def sample_saltelli(factors: int, count: int, seed: int) -> Numbers:
 
 def sample_morris(factors: int, count: int, seed: int) -> Numbers:
     """Return `count` trajectories of factors + 1 points. Each point differs from the previous one by one step along one factor.
-    M. D. Morris: Factorial sampling plans for preliminary computational experiments, Technometrics 33 (1991)."""
+    Source: M. D. Morris: Factorial sampling plans for preliminary computational experiments, Technometrics 33 (1991)."""
     from SALib.sample import morris
 
     return np.asarray(morris.sample(_make_salib_problem(factors), count, num_levels=_MORRIS_LEVELS, seed=seed))
@@ -87,8 +86,8 @@ def _compute_sobol_indices(shares: Numbers, values: Numbers) -> EffectColumns:
 
 
 def _compute_elementary_effects(shares: Numbers, values: Numbers) -> EffectColumns:
-    """Return the elementary effects of each factor. F. Campolongo, J. Cariboni, A. Saltelli: An effective screening design for
-    sensitivity analysis of large models, Environmental Modelling & Software 22 (2007)."""
+    """Return the elementary effects of each factor. Source: F. Campolongo, J. Cariboni, A. Saltelli: An effective screening
+    design for sensitivity analysis of large models, Environmental Modelling & Software 22 (2007)."""
     from SALib.analyze import morris
 
     problem = _make_salib_problem(shares.shape[1])
@@ -111,7 +110,7 @@ ELEMENTARY_EFFECTS = SensitivityAnalysis(
 
 
 def _make_salib_problem(factors: int) -> dict[str, Any]:
-    """Return the description of the factors that SALib needs. Every factor ranges from 0 to 1."""
+    """Return the description of the factors in SALib's form. Every factor ranges from 0 to 1."""
     return {"num_vars": factors, "names": [str(k) for k in range(factors)], "bounds": [[0.0, 1.0]] * factors}
 
 
@@ -123,7 +122,7 @@ def find_effects(
     medians: Mapping[tuple[str, str], float],
     measures: Sequence[str],
 ) -> tuple[list[FactorEffect], list[str]]:
-    """Return the effect of each factor on each measure, and the reasons why some measures have none.
+    """Return the effect of each factor on each measure, and a text for each measure of which the effects are unknown.
 
     `names`: the names of the factors.
     `shares`: the position in each factor's range, 0 to 1 (points, factors).
@@ -153,7 +152,7 @@ def find_effects(
 
 
 def format_effects(analysis: SensitivityAnalysis, effect_list: Sequence[FactorEffect]) -> str:
-    """Return lines of text, with one block per scene and measure. The most important factor comes first."""
+    """Return effects as text, with one block per scene and measure. The most important factor comes first."""
     lines: list[str] = [analysis.title]
     width = max(len(effect.factor) for effect in effect_list)
     several = len({effect.scene for effect in effect_list}) > 1
@@ -170,7 +169,7 @@ def format_effects(analysis: SensitivityAnalysis, effect_list: Sequence[FactorEf
 
 
 def format_effects_csv(effect_list: Sequence[FactorEffect]) -> str:
-    """Return CSV with one line per effect."""
+    """Return effects as CSV, with one line per effect."""
     head = ["scene", "measure", "factor", *effect_list[0].columns]
     lines = (
         [each.scene, each.measure, each.factor, *(f"{value:.9g}" for value in each.columns.values())] for each in effect_list

@@ -1,4 +1,4 @@
-"""The measures of each frame of a run of a sweep, and the table of all runs."""
+"""The measures of a sweep's runs in each frame, and the table of these measures for all runs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ _MAX_SERIES_NUMBERS = 400_000  # of one run; longer runs store every second fram
 
 
 class MeasureSeries:
-    """Collects the measures of a run. `document`: a list for each name, all of equal length; `frame` lists the frame numbers."""
+    """Collects the measures of a run, frame by frame. `document`: a list for each measure, all of equal length; the list `frame`
+    has the frame numbers."""
 
     def __init__(self, names: Sequence[str], frames: FrameRange) -> None:
         count = (frames.last - frames.first + 1) * (len(names) + 1)
@@ -20,7 +21,7 @@ class MeasureSeries:
         self.document: dict[str, list[Any]] = {"frame": [], **{name: [] for name in names}}
 
     def add_frame(self, frame: int, values: Mapping[str, float | int | None]) -> None:
-        """Add the measures of a frame. Long runs leave out some frames."""
+        """Add the measures of a frame. In long runs, some frames are left out."""
         if values and (frame - self.first) % self.stride == 0:
             self.document["frame"].append(frame)
             for name, value in values.items():
@@ -28,14 +29,14 @@ class MeasureSeries:
 
 
 def without_series(measures: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the measures of a run that are single values, without the series."""
+    """Return the measures of a run without the series, that is, only those that are single values."""
     return {name: value for name, value in measures.items() if name != SERIES_KEY}
 
 
 def collect_series(runs: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> dict[str, list[Any]]:
-    """Return the series of all runs as columns of one table; empty if no run has a series.
+    """Return the series of all runs as the columns of one table; {} if no run has a series.
 
-    `runs`: for each run, the cells that identify it, by column, and its measures."""
+    `runs`: for each run, the cells that identify it (by column), and its measures."""
     with_series = [(cells, measures[SERIES_KEY]) for cells, measures in runs if SERIES_KEY in measures]
     heads = list(dict.fromkeys(name for cells, _ in with_series for name in cells))
     names = list(dict.fromkeys(name for _, series in with_series for name in series))

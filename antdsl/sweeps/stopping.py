@@ -1,13 +1,13 @@
-"""Decides which runs of a sweep are still needed. A variation is complete once the intervals of its medians are as narrow as
+"""The choice of the runs that a sweep still needs. A variation is complete once the intervals of its medians are as narrow as
 requested.
 
-Each decision uses the first n seeds of a variation. So the order in which runs end changes neither when a variation is
-complete nor its row of the table.
+Each decision uses the first n seeds of a variation. So the order in which runs end changes neither when a variation is complete
+nor its row of the table.
 
 The interval of a median holds for any distribution of the measure. Sort n independent draws. The distribution's median lies
-between the l-th draw and the l-th from the end with a probability of at least 1 - 2 P(B < l). B is the number of heads of n
-fair coins. See W. J. Conover, Practical Nonparametric Statistics, 3rd ed. (1999), section 3.2; H. A. David, H. N. Nagaraja,
-Order Statistics, 3rd ed. (2003), section 7.1. The sums are exact."""
+between the l-th draw and the l-th from the end with a probability of at least 1 - 2 P(B < l). B is the number of heads of n fair
+coins. See W. J. Conover, Practical Nonparametric Statistics, 3rd ed. (1999), section 3.2; H. A. David, H. N. Nagaraja, Order
+Statistics, 3rd ed. (2003), section 7.1. The sums are exact."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _RUN_COUNT_GROWTH = Fraction(3, 2)  # growth of the number of runs from one chec
 
 
 def compute_interval_rank(count: int, error_probability: Fraction = 1 - CONFIDENCE_LEVEL) -> int:
-    """Return the rank l of the narrowest allowed interval, which is from the l-th to the l-th last draw. The interval may
-    miss the median with a probability of at most `error_probability`. Return 0 if `count` draws are too few."""
+    """Return the rank l of the narrowest allowed interval, which reaches from the l-th smallest to the l-th largest draw. The
+    interval misses the median with a probability of at most `error_probability`. Return 0 if `count` draws are too few."""
     rank, cumulative = 0, 0
     while 2 * (cumulative + math.comb(count, rank)) <= error_probability * 2**count:
         cumulative += math.comb(count, rank)
@@ -35,8 +35,8 @@ def compute_interval_rank(count: int, error_probability: Fraction = 1 - CONFIDEN
 
 
 def find_interval(values: Sequence[float], error_probability: Fraction = 1 - CONFIDENCE_LEVEL) -> tuple[float, float] | None:
-    """Return the lower and the upper end of the median's interval, or None for too few values. An infinite value means that the
-    event never happened."""
+    """Return the lower and the upper end of the median's interval, or None if there are too few values. An infinite value means
+    that the measured event did not happen."""
     place = compute_interval_rank(len(values), error_probability)
     if not place:
         return None
@@ -46,10 +46,10 @@ def find_interval(values: Sequence[float], error_probability: Fraction = 1 - CON
 
 @dataclass(frozen=True, slots=True)
 class CheckSchedule:
-    """The numbers of runs after which the interval is checked, and the error probability of each check.
+    """A schedule for checking an interval: the numbers of runs after which it is checked, and the error probability per check.
 
-    If the interval is checked repeatedly until it is narrow, it misses the median more often than with one check. So all checks
-    share the total error probability (Bonferroni).
+    An interval that is checked repeatedly until it is narrow misses the median more often than one that is checked once. So all
+    checks share the total error probability (Bonferroni).
     """
 
     run_counts: tuple[int, ...]
@@ -57,8 +57,8 @@ class CheckSchedule:
 
 
 def plan_checks(max_runs: int) -> CheckSchedule | None:
-    """Return a schedule of checks up to `max_runs` runs, or None if `max_runs` runs are too few. Each check has 1.5 times as
-    many runs as the one before."""
+    """Return a schedule of checks, or None if `max_runs` runs are too few. Each check has 1.5 times as many runs as the one
+    before."""
     for count in range(1, max_runs + 1):
         doubt = (1 - CONFIDENCE_LEVEL) / count
         min_runs = next((n for n in range(1, max_runs + 1) if compute_interval_rank(n, doubt)), None)
@@ -73,7 +73,7 @@ def plan_checks(max_runs: int) -> CheckSchedule | None:
 
 
 def find_min_runs() -> int:
-    """Return the smallest number of runs from which a sweep can estimate a median."""
+    """Return the smallest number of runs with which a sweep can estimate a median."""
     return next(n for n in range(1, 100) if plan_checks(n) is not None)
 
 
@@ -91,7 +91,7 @@ class WidthGoal:
     is_relative: bool = False
 
     def is_reached(self, interval: tuple[float, float], median: float) -> bool:
-        """Return whether an interval is as narrow as requested. `median`: the estimate inside the interval."""
+        """Return whether an interval is as narrow as requested. `median`: the estimated median inside the interval."""
         low, high = interval
         if low == high:
             return True  # all values are equal, or the event never occurs
@@ -100,8 +100,8 @@ class WidthGoal:
 
 @dataclass(frozen=True, slots=True)
 class MedianEstimate:
-    """An estimate of the median of one measure of one variation. After `runs` runs, the median is known to lie between `low`
-    and `high`. `median`: the estimate. `met`: whether the interval is as narrow as requested."""
+    """An estimate of the median of one measure of one variation. `median`: the estimate after `runs` runs. `low`, `high`: the
+    ends of the interval that contains the median. `met`: whether the interval is as narrow as requested."""
 
     label: str
     measure: str
@@ -116,8 +116,8 @@ class MedianEstimate:
 class SweepJobChooser:
     """Chooses the jobs that a sweep still needs.
 
-    `jobs`: all jobs that may run, ordered by seed. `width_goals`: the requested widths of intervals. Without goals, all jobs
-    are needed."""
+    `jobs`: all jobs that may run, ordered by seed. `width_goals`: the requested widths of intervals. Without goals, all jobs are
+    needed."""
 
     jobs: Sequence[SweepJob]
     width_goals: Sequence[WidthGoal] = ()
@@ -133,13 +133,13 @@ class SweepJobChooser:
             self._schedule = plan_checks(max(map(len, self._jobs_by_label.values())))
 
     def iterate_needed_jobs(self) -> Iterator[SweepJob]:
-        """Yield the next needed job until none is left. Request the next job only when a process is free."""
+        """Yield the next needed job until none is left. Ask for the next job only when a process is free."""
         for job in self.jobs:
             if job.key not in self._measures and job.label not in self._final_counts:
                 yield job
 
     def record_result(self, job: SweepJob, measures: Mapping[str, Any] | None) -> None:
-        """Record that a run has ended. `measures`: None if the run failed."""
+        """Record that a run has ended. `measures`: its measures, or None if it failed."""
         self._measures[job.key] = measures
         if self._schedule is None or job.label in self._final_counts:
             return
@@ -153,15 +153,15 @@ class SweepJobChooser:
 
     @property
     def counted_jobs(self) -> list[SweepJob]:
-        """Return the jobs that count in the table: all jobs that have measures. A complete variation counts only the jobs
-        that completed it."""
+        """Return the jobs that count in the table: all that have measures. Of a complete variation, only the jobs up to its
+        completion count."""
         counted_keys = {
             job.key for label, jobs in self._jobs_by_label.items() for job in jobs[: self._final_counts.get(label, len(jobs))]
         }
         return [job for job in self.jobs if job.key in counted_keys and self._measures.get(job.key) is not None]
 
     def list_known_medians(self) -> list[MedianEstimate]:
-        """Return the final interval of every measure that has a requested width."""
+        """Return an estimate for every measure with a requested width, from the final intervals."""
         if self._schedule is None:
             return []
         return [
@@ -171,20 +171,20 @@ class SweepJobChooser:
         ]
 
     def list_missing_measures(self) -> list[str]:
-        """Return the measures of the width goals that no run has reported. Empty until the first run has ended."""
+        """Return the measures of the width goals that no run has reported; [] until the first run has ended."""
         names = self._list_measure_names() if self.width_goals else ()
         return [w.measure for w in self.width_goals if names and not any(name.startswith(w.measure) for name in names)]
 
     def list_measure_prefixes(self) -> list[str]:
-        """Return the part before the first dot of each reported measure's name, without duplicates."""
+        """Return, without duplicates, the part before the first dot of each reported measure's name."""
         return list(dict.fromkeys(name.split(".")[0] for name in self._list_measure_names()))
 
     def _list_measure_names(self) -> dict[str, None]:
-        """Return the names of all reported measures, as the keys of a mapping."""
+        """Return the names of all reported measures, as the keys of an ordered dictionary."""
         return {name: None for measures in self._measures.values() if measures is not None for name in measures}
 
     def _find_medians_after(self, label: str, run_count: int) -> list[MedianEstimate]:
-        """Return the intervals of a variation's medians, computed from its first `run_count` runs."""
+        """Return an estimate for each measure of a variation with a requested width, from its first `run_count` runs."""
         assert self._schedule is not None
         ended = [each for job in self._jobs_by_label[label][:run_count] if (each := self._measures.get(job.key)) is not None]
         entries: list[MedianEstimate] = []

@@ -1,5 +1,6 @@
-"""The request of a sweep, its design and its variations. The sweep's folder stores the request as JSON, so that the sweep can be
-resumed without its original options."""
+"""The request that defines a sweep, with its design and its variations.
+
+The sweep's folder stores the request as JSON, so that the sweep can be resumed without repeating its options."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ REQUEST_FILE_NAME = "asked.json"
 
 @dataclass(frozen=True, slots=True)
 class SweepStudy:
-    """A sweep to run: its points, its scenes and its variations. A variation is a scene with the values of a point; none
+    """A sweep to run: its points, its scenes and its variations. A variation is a scene with the values of a point. No variation
     occurs twice."""
 
     chosen_points: ChosenPoints
@@ -43,8 +44,8 @@ class SweepStudy:
         return {factor.name: factor.unit for factor in self.range_factors}
 
     def find_effects(self, table: Sequence[MeasureStatistics], measures: Sequence[str]) -> tuple[list[FactorEffect], list[str]]:
-        """Return the effect of each factor on each measure, and a note for each measure without a known effect. Both are
-        empty if the design has no analysis."""
+        """Return the effect of each factor on each measure, and a note for each measure of which the effects are unknown. Both
+        are empty if the design has no analysis."""
         design, shares = self.chosen_points.design, self.chosen_points.shares
         if design.analysis is None or shares is None:
             return [], []
@@ -55,11 +56,11 @@ class SweepStudy:
 
 
 class NoStoredSweepError(Exception):
-    """Error for a folder that has no sweep to continue. The message gives the reason."""
+    """Error for a folder that contains no sweep to continue. The message gives the reason."""
 
 
 class SweepRequest(BaseModel):
-    """The command line arguments that decide which runs exist, which of them count in the table, and what the table shows."""
+    """The command-line arguments that define which runs exist, which of them count in the table, and what the table shows."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
@@ -90,7 +91,7 @@ class SweepRequest(BaseModel):
         return words
 
     def write_request(self, folder: Path) -> None:
-        """Write the request into a folder. Paths are relative to the folder, so that everything can be moved together."""
+        """Write the request into a folder. Paths are stored relative to the folder, so that everything can be moved together."""
         portable_request = self.model_copy(
             update={
                 "scenes": [_make_relative_path(path, folder) for path in self.scenes],
@@ -106,8 +107,8 @@ class SweepRequest(BaseModel):
 
 
 def read_request(folder: Path) -> SweepRequest:
-    """Return the request stored in a folder, with paths relative to the working directory. Raises NoStoredSweepError if there is
-    none."""
+    """Return the request that is stored in a folder, with paths relative to the working directory. Raises NoStoredSweepError if
+    there is none."""
     try:
         request = SweepRequest.model_validate_json(read_size_limited(folder / REQUEST_FILE_NAME, limits.MIB))
     except OSError:

@@ -1,4 +1,4 @@
-"""The table of a sweep: median and quartiles over seeds, for each variation and measure, as text, CSV and JSON."""
+"""The table of a sweep as text, CSV and JSON. It has the median and quartiles over seeds, for each variation and measure."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ MACHINE_DEPENDENT_MEASURES = ("seconds", "fps")  # they depend on the machine
 class MeasureStatistics:
     """The statistics of one measure over the runs of one variation. The field names are the columns of written files.
 
-    `runs`: the number of runs. `happened`: the number of runs in which the measured event happened. In other runs the value
-    is infinite, so quantiles may be infinite. `least`, `most`: the smallest and the largest value."""
+    `runs`: the number of runs. `happened`: the number of runs in which the measured event happened. The value is infinite in
+    other runs, so quantiles may be infinite. `least`, `most`: the smallest and the largest value."""
 
     label: str
     measure: str
@@ -42,8 +42,8 @@ class MeasureStatistics:
 
 
 def compute_quantile(values: Sequence[float], share: float) -> float:
-    """Return a quantile of sorted values, interpolated linearly. The result is infinite if one of the two neighbouring values
-    is. `share`: the position of the quantile, 0 to 1."""
+    """Return a quantile of sorted values by linear interpolation. The result is infinite if a value next to it is infinite.
+    `share`: the position of the quantile, 0 to 1."""
     place = share * (len(values) - 1)
     low, high = math.floor(place), math.ceil(place)
     if low == high or values[low] == values[high]:
@@ -52,7 +52,7 @@ def compute_quantile(values: Sequence[float], share: float) -> float:
 
 
 def build_rows(results: Iterable[RunResult]) -> list[MeasureStatistics]:
-    """Return a row for each measure that is a number, in the order in which runs report them."""
+    """Return one row for each variation and numeric measure, in the order in which runs report the measures."""
     values_by_key: dict[tuple[str, str], list[float]] = {}
     counts: dict[str, int] = {}
     for job, measures in results:
@@ -64,7 +64,8 @@ def build_rows(results: Iterable[RunResult]) -> list[MeasureStatistics]:
 
 
 def _make_row(label: str, name: str, values: list[float], runs: int) -> MeasureStatistics:
-    """Return the table row of a measure. A run without this measure counts as 0, for example without a certain transition."""
+    """Return the table row of one measure of one variation. A run that does not report the measure, for example because no agent
+    took a certain transition, counts as 0."""
     # a missing count, such as that of a transition that never occurred, is 0
     values = sorted(values + [0.0] * (runs - len(values)))
     median, lower, upper = (compute_quantile(values, share) for share in (0.5, 0.25, 0.75))
@@ -72,8 +73,8 @@ def _make_row(label: str, name: str, values: list[float], runs: int) -> MeasureS
 
 
 def choose_measures(table: Sequence[MeasureStatistics], prefixes: Sequence[str]) -> list[str]:
-    """Return the measures to display: those that begin with one of `prefixes`. Without prefixes, return the program's
-    measures. If it has none, return the frames at which amounts ran out, or else the motion measures."""
+    """Return the measures to display: those with names that begin with one of `prefixes`. Without prefixes, they are the
+    program's own measures, else the frames at which amounts ran out, else the motion measures."""
     names = list(dict.fromkeys(row.measure for row in table))
     if not prefixes:
         declared = [name for name in names if name.startswith(_DECLARED_PREFIX)]
@@ -115,7 +116,7 @@ def _format_number(value: float) -> str:
 
 
 def format_csv_table(table: Sequence[MeasureStatistics]) -> str:
-    """Return one CSV line per variation and measure. Values of events that never happened are empty."""
+    """Return the table as CSV, with one line per variation and measure. A value is empty if its event never happened."""
     lines: list[list[object]] = [[column.name for column in fields(MeasureStatistics)]]
     for row in table:
         lines.append(["" if v is None else f"{v:.9g}" if isinstance(v, float) else v for v in _make_finite_entry(row).values()])
@@ -123,9 +124,9 @@ def format_csv_table(table: Sequence[MeasureStatistics]) -> str:
 
 
 def collect_runs(results: Sequence[RunResult], units: Mapping[str, str] | None = None) -> dict[str, list[Any]]:
-    """Return the columns of the table of runs: label, scene, seed, varied values and all measures. Absent values are None.
+    """Return the columns of the table of runs: label, scene, seed, varied values and all measures. Missing values are None.
 
-    `units`: for each name with values that are plain numbers, their unit."""
+    `units`: the unit of each varied value that is written as a plain number, by name."""
     identities = [identify_run(job, units or {}) for job, _ in results]
     heads = list(dict.fromkeys(name for cells in identities for name in cells))
     names = dict.fromkeys(name for _, measures in results for name in without_series(measures))
@@ -137,12 +138,13 @@ def collect_runs(results: Sequence[RunResult], units: Mapping[str, str] | None =
 
 
 def collect_run_series(results: Sequence[RunResult], units: Mapping[str, str] | None = None) -> dict[str, list[Any]]:
-    """Return the columns of the frame table: label, scene, seed, varied values, frame and measures."""
+    """Return the columns of the table of frames: label, scene, seed, varied values, frame and measures."""
     return collect_series([(identify_run(job, units or {}), measures) for job, measures in results])
 
 
 def identify_run(job: SweepJob, units: Mapping[str, str]) -> dict[str, Any]:
-    """Return the cells that identify a run, by column. If a column's values are plain numbers, its name includes their unit."""
+    """Return the cells that identify a run, by column. If the values of a column are plain numbers, its name includes the
+    unit."""
     cells: dict[str, Any] = {"label": job.label, "scene": Path(job.scene).stem, "seed": job.seed}
     for name, text in job.params:
         unit = units.get(name)
@@ -151,7 +153,7 @@ def identify_run(job: SweepJob, units: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _unify_types(values: Sequence[Any]) -> list[Any]:
-    """Return a column's values as integers if all are integers, else as floats if all are numbers, else as texts."""
+    """Return the values of a column as one type: integers if all are integers, else floats if all are numbers, else texts."""
     if all(v is None or isinstance(v, int) for v in values):
         return list(values)
     is_numeric = all(v is None or isinstance(v, int | float) for v in values)
@@ -159,14 +161,13 @@ def _unify_types(values: Sequence[Any]) -> list[Any]:
 
 
 def format_columns(columns: Mapping[str, Sequence[Any]]) -> str:
-    """Return columns as CSV. Absent values are empty."""
+    """Return columns as CSV. Missing values are empty."""
     rows = zip(*columns.values(), strict=True)
     return format_csv([list(columns), *(["" if cell is None else cell for cell in row] for row in rows)])
 
 
 def format_known_medians(medians: Sequence[MedianEstimate]) -> str:
-    """Return one line per median. It gives the interval that contains the median, and says whether it is as narrow as
-    requested."""
+    """Return one line per median, with the interval that contains it and whether this is as narrow as requested."""
     lines = ["Medians, with 95 % between"]
     label_width, width = (max(map(len, words)) for words in zip(*((k.label, k.measure) for k in medians), strict=True))
     for each in medians:
@@ -186,7 +187,7 @@ def format_json_table(
     medians: Sequence[MedianEstimate] = (),
     effects: Sequence[FactorEffect] = (),
 ) -> str:
-    """Return all runs, the table, and known medians and effects as one JSON document."""
+    """Return one JSON document with all runs, the table, and known medians and effects."""
     document: dict[str, Any] = {
         "runs": [describe_job(job) | {"measures": without_series(measures)} for job, measures in results],
         "table": [_make_finite_entry(row) for row in table],
@@ -199,5 +200,5 @@ def format_json_table(
 
 
 def _make_finite_entry(record: MeasureStatistics | MedianEstimate) -> dict[str, Any]:
-    """Return the fields of a record by name, for JSON. Infinite or unknown numbers become None."""
+    """Return the fields of a record by name, for JSON. Infinite and unknown numbers become None."""
     return {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in asdict(record).items()}

@@ -1,9 +1,9 @@
-"""Compact fingerprints of a state. For each attribute, a fingerprint has a sum and a weighted sum of the values' bits, and a
-summary such as the mean.
+"""Compact fingerprints of a state. For each attribute, they store a sum and a weighted sum of the values' bits, and a summary
+such as the mean.
 
-If only one agent differs, these two sums identify the agent and its former value. With bits b and ids k, the sums of b and (k +
-1) b change by d and (k + 1) d. These are the checksums of J. Fletcher, IEEE Trans. Comm. 30, 1982, modulo 2^64. If several
-agents differ, the sums show only that they do. A digest of a few agents then identifies some of them."""
+If only one agent differs, the two sums identify the agent and its former value. With bits b and ids k, the sums of b and (k + 1)
+b change by d and (k + 1) d. These are the checksums of J. Fletcher, IEEE Trans. Comm. 30, 1982, modulo 2^64. If several agents
+differ, the sums show only that they do. A digest of a few agents then identifies some of them."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ _HASH_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingerprintColumn:
-    """One attribute of all agents of a species, all items of a name or all cells of a field. Agents are sorted by id.
+    """One attribute, with the values of all agents of a species, all items of a name, or all cells of a field.
 
-    `report_rank`: the position in reports. `is_opaque`: whether the values are meaningless to a reader. `item_names`: the names
-    of items by number."""
+    Agents are sorted by id. `report_rank`: the position in reports. `is_opaque`: whether the values mean nothing to a reader.
+    `item_names`: the names of items by number."""
 
     owner: str
     attribute: str
@@ -66,8 +66,7 @@ class FingerprintColumn:
         return int(bits.sum(dtype=np.uint64)), int(((self.ids + 1).astype(np.uint64) * bits).sum(dtype=np.uint64))
 
     def find_only_change(self, old_sums: tuple[int, int]) -> tuple[int, Any] | None:
-        """If exactly one value differs from the recorded run, return its row and its recorded value. Return None if several
-        differ.
+        """Return the row and the recorded value of the only value that differs, or None if several differ.
 
         `old_sums`: the sum and the weighted sum of the recorded values."""
         new_sums = self.compute_sums()
@@ -83,12 +82,12 @@ class FingerprintColumn:
         return row, np.frombuffer(previous_bits.to_bytes(size, "little"), self.values.dtype.newbyteorder("<"))[0]
 
     def format_value(self, world: World, value: Any) -> str:
-        """Return a value of the column as an author would write it."""
+        """Return a value of the column as text, in the form that authors write."""
         return format_value(world, value, self.type, self.unit)
 
     def summarise_values(self, world: World) -> str:
-        """Return the values if there are few. Otherwise return the number of agents in each state, the number for which a
-        condition holds, or the mean."""
+        """Return a summary of the values as text. It lists the values if there are few. Otherwise it is the number of agents in
+        each state, the number for which a condition holds, or the mean."""
         if self.is_opaque or not len(self.values):
             return ""
         if len(self.values) <= _MAX_LISTED_VALUES:
@@ -104,7 +103,7 @@ class FingerprintColumn:
 
 
 def build_columns(world: World, program: Program) -> dict[str, FingerprintColumn]:
-    """Return all columns of a state, by key."""
+    """Return all fingerprint columns of a state, by key."""
     column_list: list[FingerprintColumn] = []
     for name in sorted(world.populations):
         column_list += _make_agent_columns(world, program, world.populations[name])
@@ -138,7 +137,7 @@ def _compute_part_digests(world: World) -> dict[str, bytes]:
 
 
 def _make_agent_columns(world: World, program: Program, population: Population) -> list[FingerprintColumn]:
-    """Return one column for each value that the author names. All memories and footings together are one column."""
+    """Return a column for each value that the author has named, and one column for all memories and footings together."""
     rows = population.rows_by_id()
     ids, name = population.ids[rows], population.name
     species = program.species[name]
@@ -190,7 +189,7 @@ def _make_column(
 
 
 def digest_agents(world: World, population: Population, program: Program) -> str:
-    """Return a digest with four hexadecimal digits for each agent that `choose_sample_indices` selects."""
+    """Return a text with four hexadecimal digits for each of the agents that `choose_sample_indices` selects."""
     mixed = np.zeros(len(population), np.uint64)
     for column in _make_agent_columns(world, program, population):
         mixed = (mixed ^ column.convert_to_bits()) * _HASH_MULTIPLIER
@@ -199,16 +198,16 @@ def digest_agents(world: World, population: Population, program: Program) -> str
 
 
 def choose_sample_indices(count: int) -> NDArray[np.int64]:
-    """Return the indices of the agents in a digest, in the order of ids. `count`: the number of all agents."""
+    """Return the indices of the agents that a digest covers, when agents are sorted by id. `count`: the number of all agents."""
     return np.unique(np.arange(MAX_SAMPLED_AGENTS) * count // MAX_SAMPLED_AGENTS) if count else np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
 class StateDifference:
-    """An attribute with values that differ from those of the golden run.
+    """An attribute of which values differ from those of the golden run.
 
-    `member`: the agent, item or cell that differs, or some of the differing agents; "" if unknown. `current_value`, `old_value`:
-    the value in this run and in the golden run, as an author would write it; "" if it is unknown."""
+    `member`: the agent, item or cell that differs, or some of the agents that differ; "" if unknown. `current_value`,
+    `old_value`: the value in this run and in the golden run, in the form that authors write; "" if unknown."""
 
     owner: str
     attribute: str
@@ -260,7 +259,7 @@ def find_differences(
 def _has_other_agents(
     current_columns: Mapping[str, FingerprintColumn], recorded_sums: Mapping[str, tuple[str, str, str]], species: str
 ) -> bool:
-    """Return whether a species has other agents than in the recording. If so, their values cannot be compared."""
+    """Return whether the agents of a species are not the same as in the recording, so that their values cannot be compared."""
     key = f"{species}.id"
     return (
         key in current_columns
@@ -299,7 +298,7 @@ def _find_member_name(column: FingerprintColumn, row: int) -> str:
 
 
 def _find_differing_agents(world: World, program: Program, name: str, recorded_digest: str) -> str:
-    """Return the names of the agents for which the digits in the digest differ. Return "" if the digest covers other agents."""
+    """Return the names of the agents that differ according to the digest. Return "" if the digest covers other agents."""
     population = world.populations[name]
     rows, digest = choose_sample_indices(len(population)), digest_agents(world, population, program)
     if len(digest) != len(recorded_digest):

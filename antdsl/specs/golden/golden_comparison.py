@@ -1,4 +1,4 @@
-"""Decides, for one call of `antdsl test`, which run is compared with which golden run, and what `--update` rewrites."""
+"""Comparison of the runs of one `antdsl test` with golden runs. `--update` records new golden runs instead."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ GoldenKey = tuple[Path, tuple[tuple[str, str], ...]]
 class GoldenComparison:
     """Compares the runs of one `antdsl test` with golden runs, or records new golden runs.
 
-    - `update`: whether runs are recorded instead of compared. This concerns the first seed of each scene and each set of changed
-      params.
-    - `report`: the problems of golden files. `files`: the contents of golden files, by path; None for a missing file."""
+    - `update`: whether to record runs instead of comparing them. Only the first seed of each scene and each set of changed
+      params is recorded.
+    - `report`: problems with golden files. `files`: the contents of golden files, by path; None for a missing file."""
 
     update: bool = False
     report: Report = field(default_factory=Report)
@@ -57,8 +57,8 @@ class GoldenComparison:
         return self.files[path]
 
     def write_golden_files(self) -> None:
-        """Write the recorded runs if `update` is set. A run that failed its specs does not become golden. Other runs in a file
-        are unchanged."""
+        """Write the recorded runs if `update` is set. Runs that failed their specs are not written. Other runs in a golden file
+        are not changed."""
         new: dict[Path, list[golden_runs.GoldenRun]] = {}
         for run, recorder in self.recorder_by_key.values():
             if any(case.outcome == "failed" for case in run.cases):

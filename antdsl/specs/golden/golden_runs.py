@@ -1,8 +1,8 @@
 """Golden runs: the results of a run, stored as text next to its scene. A later run is compared with them frame by frame.
 
 `scene.golden.json` has a hash for every frame. In at most MAX_RECORDED_FRAMES frames, at regular intervals, it also has the
-content of `fingerprints`. Thus the first frame that differs is always known. The next frame with fingerprints shows which
-attribute of which agent differs."""
+content of `fingerprints`. So the first frame that differs is always known. The next frame with fingerprints shows the attribute
+and the agent that differ."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class GoldenModel(BaseModel):
 class GoldenFrame(GoldenModel):
     """A frame of a golden run.
 
-    `parts`: for each column key, its sum, weighted sum and summary. Columns that have not changed since the last frame with
-    `parts` are left out. `agents`: the digests of agents, by species."""
+    `parts`: for each column key, its sum, weighted sum and summary. A column that has not changed since the last frame with
+    `parts` is omitted. `agents`: the digests of agents, by species."""
 
     frame: int
     hash: GoldenText
@@ -52,7 +52,7 @@ class GoldenFrame(GoldenModel):
 
 
 class GoldenRun(GoldenModel):
-    """A recorded run, identified by its changed params and its seed. `summary`: a readable summary of the last frame."""
+    """A recorded run, which is identified by its changed params and its seed. `summary`: a readable summary of the last frame."""
 
     set: dict[GoldenText, GoldenText]
     seed: int
@@ -61,7 +61,7 @@ class GoldenRun(GoldenModel):
 
 
 class GoldenFile(GoldenModel):
-    """The contents of a golden file. `made`: the environment in which it was written."""
+    """The contents of a golden file. `made`: the environment in which the file was written."""
 
     golden: Literal[2]
     made: dict[GoldenText, GoldenText]
@@ -69,7 +69,7 @@ class GoldenFile(GoldenModel):
 
 
 class GoldenError(Exception):
-    """Error for a file that is not a golden file. The message is understandable without context."""
+    """Error for a file that is not a golden file. The message can be understood without context."""
 
 
 @dataclass(slots=True)
@@ -77,8 +77,8 @@ class GoldenResult:
     """The result of comparing a run with its golden run, or of recording it.
 
     - `outcome`: "same", "differs", "written" or "waiting". `message`: the reason as text, if there is one.
-    - `frame`: the first frame that differs. `detail_frame`: the frame in which `differences` were determined.
-    - `origin`: the environment in which the golden run was recorded, if it is not the current one.
+    - `frame`: the first frame that differs. `detail_frame`: the frame in which `differences` were found.
+    - `origin`: the environment in which the golden run was recorded, unless it is the current one.
     - `frames`: the number of compared frames."""
 
     scene: Path
@@ -94,12 +94,12 @@ class GoldenResult:
 
     @property
     def name(self) -> str:
-        """Return the display name: the scene and the changed params."""
+        """Return the display name, which consists of the scene and the changed params."""
         return "golden run of " + ", ".join([self.scene.name, *(f"{name} = {text}" for name, text in self.changes.items())])
 
 
 class GoldenFrameObserver(Protocol):
-    """Receives each frame of a run. The run continues at least until `is_over` is true for this observer."""
+    """The interface of objects that receive each frame of a run. The run continues at least until `is_over` is true."""
 
     @property
     def is_over(self) -> bool: ...
@@ -108,12 +108,12 @@ class GoldenFrameObserver(Protocol):
 
 
 def find_golden_path(scene: Path) -> Path:
-    """Return the path of the file with a scene's golden runs."""
+    """Return the path of the file that stores a scene's golden runs."""
     return scene.with_name(f"{scene.stem}.golden.json")
 
 
 def describe_environment() -> dict[str, str]:
-    """Return the versions and the system that results depend on."""
+    """Return the versions and the system on which results depend, by name."""
     return {
         "antdsl": __version__, "python": platform.python_version(), "numpy": np.__version__,
         "system": f"{platform.system()} {platform.machine()}",
@@ -121,7 +121,7 @@ def describe_environment() -> dict[str, str]:
 
 
 def read_golden(path: Path) -> GoldenFile | None:
-    """Return the golden runs of a file, or None if there is no file. Raises GoldenError if the file is not valid."""
+    """Return the contents of a golden file, or None if it does not exist. Raises GoldenError if the file is not valid."""
     try:
         data = read_size_limited(path, _MAX_FILE_BYTES)
         if _FIRST_FORMAT_PATTERN.match(data):
@@ -152,7 +152,7 @@ def write_golden(path: Path, runs: Iterable[GoldenRun]) -> None:
 
 
 class GoldenRecorder:
-    """Records a golden run while a run of about `frames` frames is simulated. It does not prolong the run."""
+    """Records a golden run while a run is simulated. It does not prolong the run. `frames`: the approximate number of frames."""
 
     is_over = True
 
@@ -184,7 +184,7 @@ class GoldenRecorder:
 
 
 class GoldenComparer:
-    """Compares a run with a golden run. `result`: the outcome."""
+    """Compares a run with a golden run, frame by frame. `result`: the outcome."""
 
     def __init__(self, run: SpecRun, result: GoldenResult, golden: GoldenRun, environment: Mapping[str, str]) -> None:
         self.program, self.result, self.golden = run.shot.program, result, golden
@@ -222,7 +222,7 @@ class GoldenComparer:
                 self.result.message = "no later frame is stored in detail"
 
     def finish(self, world: World) -> None:
-        """Do nothing: the result is complete."""
+        """Do nothing: the result is already complete."""
 
     def _record_difference(self, frame: int, words: str) -> None:
         self.result.outcome, self.result.frame, self.result.message, self.result.origin = (
