@@ -1,7 +1,7 @@
 """antdsl: text that describes how animals behave, compiled to array passes over all agents at once.
 
-Public names are loaded on first use, so that `import antdsl` costs nothing. This file imports nothing at all. The reason: with
-`python -m antdsl` the working directory is still the first folder of the search path when these lines run.
+Public names are loaded on first use, so that `import antdsl` costs nothing. This module imports nothing at all, because `python
+-m antdsl` runs it while the working directory is still first in the search path.
 """
 
 TYPE_CHECKING = False  # a name that type checkers know; `typing` would be searched for in the working directory

@@ -1,11 +1,11 @@
-"""`python -m antdsl` is the command `antdsl`."""
+"""The entry point of `python -m antdsl`, which is the same as the command `antdsl`."""
 
 import os
 import sys
 
 
 def _working_directory() -> str:
-    """Return the working directory, or "" if it was removed."""
+    """Return the working directory, or "" if it no longer exists."""
     try:
         return os.getcwd()
     except OSError:  # it was removed

@@ -1,10 +1,9 @@
-"""Atomic writes: a file gets its name only after it has been written completely. All files are written, synced and moved by this
-module.
+"""Atomic writes: a file gets its name only after it has been written completely. This module writes, syncs and moves all files.
 
-`sync=True`, the default, writes a file to the disk before it gets its name. So a power loss leaves the old file or the new one.
-`sync=False` is for files that need not wait for the disk one by one. Some of them are checked against a hash on every read,
-so a damaged one is detected and created again. Others are the many files of one command, which creates them again when it is
-repeated. For these, `sync_files` writes all of them to the disk before the command ends.
+With `sync=True`, the default, a file is on the disk before it gets its name. So a power loss leaves the old file or the new one.
+`sync=False` is for files that need not wait for the disk one by one. Some are checked against a hash on every read, so a damaged
+one is detected and created again. Others are the many files of one command, which a repeated command creates again. For these,
+`sync_files` writes all of them to the disk before the command ends.
 """
 
 from __future__ import annotations
@@ -32,11 +31,12 @@ _APPEND_FLAGS = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW
 
 
 def write_atomically(path: Path, data: bytes | BytesParts, *, sync: bool = True, mode: int = 0o666) -> None:
-    """Write a file atomically. `data`: its bytes, or parts to be joined. `mode`: its permissions, minus those that the system
-    withholds from new files.
+    """Write a file atomically.
 
-    A reader, even after a crash, sees the old file or the complete new one. An OSError names `path`, and the old file then
-    remains.
+    `data`: its bytes, or parts to be joined. `mode`: its permissions, before the system applies the umask.
+
+    A reader, even after a crash, sees either the old file or the complete new one. Raises OSError that names `path`; the old
+    file then remains.
     """
     with _open_atomic(path, sync, mode) as handle:
         write_parts(handle, [data] if isinstance(data, bytes) else data)
@@ -44,7 +44,7 @@ def write_atomically(path: Path, data: bytes | BytesParts, *, sync: bool = True,
 
 @contextmanager
 def atomic_file(path: Path, *, sync: bool = True) -> Iterator[IO[bytes]]:
-    """Yield a binary file to write piece by piece; it replaces `path` at the end of the context. Otherwise as
+    """Yield a binary file to write piece by piece. It replaces `path` when the context ends. Other rules are as for
     `write_atomically`."""
     with _open_atomic(path, sync, 0o666) as handle, FileIO(handle, "wb", closefd=False) as raw, BufferedWriter(raw) as file:
         yield cast(IO[bytes], file)
@@ -52,8 +52,8 @@ def atomic_file(path: Path, *, sync: bool = True) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def atomic_path(path: Path, suffix: str = PART_SUFFIX, *, sync: bool = True) -> Iterator[Path]:
-    """Yield a path for libraries and programs that open files by name; the file replaces `path` at the end of the context.
-    `suffix`: the suffix of the temporary file, for programs that depend on it."""
+    """Yield a path for libraries and programs that open files by name. The file at this path replaces `path` when the context
+    ends. `suffix`: the suffix of the temporary file, for programs that depend on it."""
     part = create_sibling_file(path, suffix)
     with _move_into_place(str(part), path, sync):
         yield part
@@ -62,15 +62,15 @@ def atomic_path(path: Path, suffix: str = PART_SUFFIX, *, sync: bool = True) -> 
 
 
 def create_sibling_file(path: Path, suffix: str = PART_SUFFIX) -> Path:
-    """Create an empty new file next to a path. Existing files, links or pipes are neither opened, written nor removed. Raises
-    OSError if no file can be created."""
+    """Create a new empty file next to `path`, and return its path. Raises OSError if no file can be created. Existing files,
+    links or pipes are neither opened, written nor removed."""
     new, handle = _open_new_file(path, suffix, 0o666)
     os.close(handle)
     return Path(new)
 
 
 def _open_new_file(path: Path, suffix: str, mode: int) -> tuple[str, int]:
-    """Create an empty new file as `create_sibling_file` does, open for writing. Return its path and its handle."""
+    """Create a new empty file as `create_sibling_file` does, and open it for writing. Return its path and its handle."""
     place, name = os.path.split(path)
     remove_stale_parts(place)
     for left in reversed(range(_MAX_NAME_ATTEMPTS)):
@@ -94,10 +94,10 @@ _cleaned_folders: set[tuple[int, str]] = set()
 
 
 def remove_stale_parts(folder: str) -> None:
-    """Remove unfinished files of killed processes from a folder. Runs at most once per folder and process.
+    """Remove the unfinished files that killed processes have left in a folder. Runs at most once per folder and process.
 
-    Removes only regular files of this user with antdsl's name pattern for unfinished files. Their process must have run on this
-    machine and in this container, and must have ended. Does not rely on clocks. Does nothing on Windows, where testing for a
+    Only regular files of this user are removed, with the name pattern of antdsl's unfinished files. Their process must have run
+    on this machine and in this container, and must have ended. Clocks are not used. Does nothing on Windows, where testing for a
     process is not safe.
     """
     key = (os.getpid(), os.path.abspath(folder or "."))
@@ -115,7 +115,7 @@ def remove_stale_parts(folder: str) -> None:
 
 
 def _is_process_running(process: int) -> bool:
-    """Return whether a process with this id exists."""
+    """Return whether a process with this id is running."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -134,7 +134,7 @@ def _compute_machine_id() -> str:
 
 @lru_cache(1)
 def _cached_machine_id(process: int) -> str:
-    """Return the result of `_compute_machine_id`, computed once per process. `process`: the id of this process."""
+    """Return the result of `_compute_machine_id`, cached for this process. `process`: the id of this process."""
     from hashlib import blake2b
 
     space = ""
@@ -146,7 +146,7 @@ def _cached_machine_id(process: int) -> str:
 
 @contextmanager
 def _open_atomic(path: Path, sync: bool, mode: int) -> Iterator[int]:
-    """Yield the handle of a temporary file that replaces `path` at the end of the context."""
+    """Yield the handle of a temporary file that replaces `path` when the context ends."""
     part, handle = _open_new_file(path, PART_SUFFIX, mode)
     with _move_into_place(part, path, sync):
         try:
@@ -175,8 +175,7 @@ def create_file_atomically(path: Path, data: bytes, mode: int = 0o666) -> None:
 
 @contextmanager
 def _move_into_place(part: str, path: Path, sync: bool) -> Iterator[None]:
-    """Move the file `part` to `path` at the end of the context. If anything fails, remove `part`, and make an OSError name
-    `path`."""
+    """Move the file `part` to `path` when the context ends. If anything fails, remove `part`; an OSError then names `path`."""
     try:
         yield
         _replace_file(part, path)
@@ -195,7 +194,7 @@ def _move_into_place(part: str, path: Path, sync: bool) -> Iterator[None]:
 
 
 def _replace_file(part: str, path: Path) -> None:
-    """Call `os.replace`. Retry a few times, because on Windows a reader may hold the old file open."""
+    """Rename `part` to `path` as `os.replace` does. Retry a few times, because on Windows a reader may hold the old file open."""
     for attempt in range(5):
         try:
             os.replace(part, path)
@@ -210,7 +209,7 @@ def _replace_file(part: str, path: Path) -> None:
 
 @contextmanager
 def name_path_in_errors(path: Path) -> Iterator[None]:
-    """Make an OSError that names no file name `path` instead."""
+    """While the context is active, make each OSError that names no file name `path`."""
     try:
         yield
     except OSError as problem:
@@ -220,14 +219,14 @@ def name_path_in_errors(path: Path) -> Iterator[None]:
 
 
 class AppendOnlyFile:
-    """A file that grows at its end. Errors are OSErrors that name the file. The caller must close it."""
+    """A file that grows at its end. Its errors are OSErrors that name the file. The caller must close it."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._handle = os.open(path, _APPEND_FLAGS, 0o666)
 
     def write(self, parts: BytesParts) -> None:
-        """Append parts. They are on the disk after the next `sync`; before it, possibly only their beginning."""
+        """Append data. It is on the disk after the next `sync`; until then, possibly only its beginning is."""
         with name_path_in_errors(self._path):
             write_parts(self._handle, parts)
 
@@ -242,8 +241,8 @@ class AppendOnlyFile:
 
 
 def write_parts(handle: int, parts: BytesParts) -> None:
-    """Write parts into an open file, one after the other. If the system supports it, one call writes all parts: allocating one
-    large piece takes half the time of many small ones."""
+    """Write parts into an open file, one after the other. If the system supports it, one call writes all parts, because
+    allocating one large piece takes half the time of many small ones."""
     left = deque(parts)
     while left:
         batch = list(islice(left, _PARTS_PER_WRITE))
@@ -255,7 +254,7 @@ def write_parts(handle: int, parts: BytesParts) -> None:
 
 
 def sync_file(path: Path) -> None:
-    """Write a file's existing data to the disk."""
+    """Make sure that the data already written to a file is on the disk."""
     handle = os.open(path, os.O_RDWR)
     try:
         with name_path_in_errors(path):
@@ -265,7 +264,7 @@ def sync_file(path: Path) -> None:
 
 
 def sync_files(paths: Iterable[Path]) -> None:
-    """Write the data and the names of existing files to the disk. Raises OSError."""
+    """Make sure that the data and the names of existing files are on the disk. Raises OSError if this fails."""
     folders: dict[Path, None] = {}
     for path in paths:
         sync_file(path)
@@ -275,7 +274,7 @@ def sync_files(paths: Iterable[Path]) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Write the file names of a folder to the disk, where the system supports it."""
+    """Make sure that the names of files in a folder are on the disk, if the system supports this."""
     if os.name == "nt":
         return
     try:
@@ -293,7 +292,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def create_folder_durably(folder: Path) -> None:
-    """Create a folder and its missing parents durably. Raises OSError."""
+    """Create a folder and its missing parents, and make sure that they are on the disk. Raises OSError if this fails."""
     missing = [each for each in (folder, *folder.parents) if not each.exists()]
     for each in reversed(missing):
         each.mkdir(exist_ok=True)
@@ -303,7 +302,7 @@ def create_folder_durably(folder: Path) -> None:
 
 
 def is_link(path: Path) -> bool:
-    """Return whether a path is itself a link (on Windows, also a junction). Return False if nothing exists at the path."""
+    """Return whether a path itself is a link (on Windows, also a junction); False if nothing exists at the path."""
     try:
         status = os.lstat(path)
     except OSError:
@@ -312,8 +311,8 @@ def is_link(path: Path) -> bool:
 
 
 def find_first_link(base: Path, *names: str) -> Path | None:
-    """Return the first of `base/NAME`, `base/NAME/NAME`, … that is a link, or None. Links in the path `base` itself are not
-    checked: they are the caller's choice."""
+    """Return the first of `base/NAME`, `base/NAME/NAME`, … that is a link, or None. Links in `base` itself are not checked,
+    because the caller has chosen this path."""
     path = base
     for name in names:
         path /= name

@@ -44,7 +44,8 @@ VENV_PACKAGE = "python3-venv"
 
 
 def find_missing_packages(libraries: Mapping[str, str]) -> list[str]:
-    """Return the Debian packages of the shared libraries that this machine cannot load (Linux only)."""
+    """Return the Debian packages of the shared libraries that this machine cannot load (on Linux). `libraries`: the package of
+    each library."""
     if not sys.platform.startswith("linux"):
         return []
     missing = []
@@ -57,8 +58,7 @@ def find_missing_packages(libraries: Mapping[str, str]) -> list[str]:
 
 
 def install_system_packages() -> None:
-    """Install the system packages that Open3D needs, if this user has the right to. Otherwise print the command for it and
-    stop."""
+    """Install the system packages that Open3D needs. If this user may not, print the command for it and stop."""
     packages = find_missing_packages(SYSTEM_LIBRARIES)
     if not packages:
         return
@@ -72,8 +72,7 @@ def install_system_packages() -> None:
 
 
 def install_browser() -> None:
-    """Install Chromium for the tests of the preview's page, on Debian, if this user has the right to. Elsewhere these tests are
-    skipped."""
+    """Install Chromium for the tests of the preview page, on Debian and if this user may. Elsewhere, these tests are skipped."""
     packages = find_missing_packages(DRIVER_LIBRARIES)
     if not any(shutil.which(name) for name in BROWSERS):
         packages.insert(0, BROWSERS[0])
@@ -91,8 +90,8 @@ def install_browser() -> None:
 
 
 def install_test_programs() -> None:
-    """Install the programs that tests start, if this user has the right to. Without these programs, the tests fail. They are not
-    skipped, because users rely on what they check."""
+    """Install the programs that tests start, if this user may. Without these programs, the tests fail instead of being skipped,
+    because users rely on what they check."""
     packages = [package for name, package in TEST_PROGRAMS.items() if not shutil.which(name)]
     if not packages or not sys.platform.startswith("linux"):
         return
@@ -104,7 +103,7 @@ def install_test_programs() -> None:
 
 
 def is_debian() -> bool:
-    """Return whether this system is Debian itself. On derived systems, packages of the same name only point to another
+    """Return whether this system is Debian itself. On derived systems, packages with the same names may only point to another
     installer."""
     try:
         return "ID=debian" in Path("/etc/os-release").read_text(encoding="utf-8").split()
@@ -129,7 +128,8 @@ def install_packages(packages: list[str]) -> None:
 
 
 def ensure_environment(folder: Path, requirements: list[str]) -> Path:
-    """Create the virtual environment and return the path of its Python. Create it again only if pyproject.toml changed."""
+    """Create the virtual environment and return the path of its Python. An existing one is replaced only if pyproject.toml has
+    changed."""
     python = folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     fingerprint = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + repr(requirements).encode()).hexdigest()
     stamp = folder / "antdsl-installed"
@@ -155,7 +155,7 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
 
 
 def run_example(python: Path, folder: Path) -> int:
-    """Run the main task on an example: simulate foraging, then make a still and a contact sheet."""
+    """Run the main task on an example: simulate foraging, then draw a still and a contact sheet. Return the exit code."""
     scene = ROOT / "examples" / "foraging" / "scene.yaml"
     antdsl = [str(python), "-P", "-m", "antdsl"]
     for command in ([*antdsl, "run", str(scene), "--out", str(folder)], [*antdsl, "render", str(folder), "--sheet"]):
@@ -167,8 +167,8 @@ def run_example(python: Path, folder: Path) -> int:
 
 
 def run_tests(python: Path, is_quick: bool, arguments: list[str]) -> int:
-    """Run the tests. `is_quick`: only the quick part, in one process. Otherwise run the full suite as in CI, with one process per
-    core; each test file runs in one process."""
+    """Run the tests and return the exit code. `is_quick`: whether to run only the quick tests, in one process. Otherwise run the
+    full suite as in CI, with one process per core; the tests of a file stay in one process."""
     files = (
         [path.relative_to(ROOT).as_posix() for pattern in QUICK_TEST_PATTERNS for path in sorted(ROOT.glob(pattern))]
         if is_quick
@@ -180,8 +180,8 @@ def run_tests(python: Path, is_quick: bool, arguments: list[str]) -> int:
 
 
 def run_gate(python: Path) -> int:
-    """Run linter and formatter on all Python files and type checks on the package. If node and its packages are installed, also
-    run the checks of the preview's page."""
+    """Run the linter and formatter on all Python files, and type checks on the package. Return the exit code. If node and its
+    packages are installed, also run the checks of the preview page."""
     tools = [[str(python), "-m", *words.split()] for words in ("ruff check .", "ruff format --check .", "mypy")]
     codes = [subprocess.run(tool, cwd=ROOT).returncode for tool in tools]
     page = ROOT / "antdsl" / "preview" / "web"

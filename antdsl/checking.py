@@ -1,5 +1,6 @@
-"""Checks many files, on all cores where the system can fork processes that share loaded modules. Results equal those of checking
-one file after the other."""
+"""Checks of many files, on all cores if the system can fork processes that share loaded modules.
+
+The results equal those of checking one file after the other."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ MAX_FILE_GROUPS = 256  # that a byte can name; what is beyond is checked in the 
 
 @dataclass(slots=True)
 class CheckResult:
-    """Results of checking files.
+    """The results of checking files.
 
     `reports`: the report of each file, in the order of the files.
     `sources`: the texts that were read.
@@ -65,9 +66,9 @@ def check_files(
 ) -> CheckResult:
     """Check each file as `check_path` does, on `cores` cores.
 
-    `strict`: add the findings of `check --strict`.
-    `programs`: also return the programs; this requires `cores` = 1.
-    `cpu_seconds`: limit of processor time per file; a file that exceeds it is reported. 0 means no limit."""
+    `strict`: whether to add the findings of `check --strict`.
+    `programs`: whether to return the programs too; this requires `cores` = 1.
+    `cpu_seconds`: the limit of processor time per file; a file that exceeds it is reported. 0 means no limit."""
     result = CheckResult(cpu_seconds=cpu_seconds)
     groups = _group_files(files)
     parsed = SharedParsedFiles()
@@ -83,7 +84,7 @@ def check_files(
 
 
 def check_text(data: bytes, choices: RunChoices, *, strict: bool = False, cpu_seconds: float = 0.0) -> CheckResult:
-    """Check one program that does not come from a file. Its imports are resolved from the working directory."""
+    """Check the text of one program that is not in a file. Files that it uses are looked up from the working directory."""
     path, parsed, result = Path("<stdin>.ant"), SharedParsedFiles(), CheckResult(cpu_seconds=cpu_seconds)
     source, report = syntax.decode_program("<stdin>", data)
     if source is None:
@@ -100,7 +101,7 @@ def check_text(data: bytes, choices: RunChoices, *, strict: bool = False, cpu_se
 def _check_in_processes(
     groups: list[list[Path]], choices: RunChoices, strict: bool, cores: int, parsed_files: SharedParsedFiles, result: CheckResult
 ) -> None:
-    """Check groups of files in parallel processes. Each process takes the next unchecked group from a pipe."""
+    """Check groups of files in parallel processes. Each process takes the number of the next unchecked group from a pipe."""
     # The first is checked before the others are shared out: all that is imported and the library are then there once.
     _check_sequentially(groups[0], choices, strict, parsed_files, result)
     gc.freeze()  # so that no process copies what it has not changed, only to look for garbage in it
@@ -133,7 +134,7 @@ def _check_claimed_groups(
     parsed_files: SharedParsedFiles,
     result: CheckResult,
 ) -> None:
-    """Check groups until none is left. `claim_pipe`: the pipe that yields the number of the next group."""
+    """Check groups of files until none is left. `claim_pipe`: a pipe from which the number of the next group is read."""
     while claim := os.read(claim_pipe, 1):
         _check_sequentially(groups[claim[0]], choices, strict, parsed_files, result)
 
@@ -158,8 +159,7 @@ def _check_sequentially(
 
 
 def _make_overdue_report(file: Path, seconds: float, budget_error: CpuBudgetSpentError) -> Report:
-    """Return the report of a file that exceeded its processor time. It names the file and the stage of the check that was
-    running."""
+    """Return the report on a file that exceeded its processor time. It names the file and the stage of the check at this time."""
     modules = [each.f_globals.get("__name__", "") for each, _ in traceback.walk_tb(budget_error.__traceback__)]
     stages = [name.split(".")[1] for name in modules if name.startswith("antdsl.") and name != __name__]
     stage = next((each for each in reversed(stages) if each in _STAGE_PHRASES), "")
@@ -183,7 +183,8 @@ _STAGE_PHRASES = {
 
 
 def _group_files(files: Sequence[Path]) -> list[list[Path]]:
-    """Group files that may use each other: the files of a folder and of all folders below it. Small groups come first."""
+    """Return groups of files that may use each other: the files of a folder and of all folders below it. Small groups come
+    first."""
     groups: dict[Path, list[Path]] = {}
     tops: list[Path] = []
     for folder in sorted({resolve_path(file).parent for file in files}):
@@ -197,7 +198,7 @@ def _group_files(files: Sequence[Path]) -> list[list[Path]]:
 
 
 def _estimate_check_cost(files: Iterable[Path]) -> int:
-    """Return an estimate of the time to check files, comparable only with other estimates."""
+    """Return an estimate of the time for checking files, in arbitrary units."""
     weight = 0
     for file in files:
         with suppress(OSError):
@@ -206,13 +207,13 @@ def _estimate_check_cost(files: Iterable[Path]) -> int:
 
 
 def _can_fork() -> bool:
-    """Return whether this process can fork safely: only on Linux, and only if no ray library with threads is loaded."""
+    """Return whether this process can fork safely: only on Linux, and only if no ray-tracing library with threads is loaded."""
     return sys.platform == "linux" and "open3d" not in sys.modules
 
 
 def _start_child(check: Callable[[int], None]) -> tuple[int, int]:
-    """Start a child process that runs `check` and passes it the pipe for the result. Return its process id, and the handle of
-    that pipe."""
+    """Start a child process that runs `check`, with the pipe for its result as argument. Return the id of the process, and a
+    handle from which the result can be read."""
     ours, theirs = os.pipe()
     process = os.fork()
     if process == 0:
@@ -249,7 +250,7 @@ def _check_in_child(
 
 
 def _collect_child_result(process: int, result_pipe: int) -> CheckResult:
-    """Return the result of a child process. It is empty if the child ended before or during its answer."""
+    """Return the result of a child process. It is empty if the child ended before its answer was complete."""
     results = CheckResult()
     with os.fdopen(result_pipe, "rb") as file, suppress(ValueError):
         results.reports, results.sources = decode_reports(file.read())

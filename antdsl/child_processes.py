@@ -1,7 +1,8 @@
-"""Starts child processes with search paths that never contain the working directory.
+"""Child processes with search paths that never contain the working directory.
 
-Started with `-c` or `-m`, Python first looks for modules in the working directory. All children that the standard library or Dask
-start do the same. `isolate_search_paths` disables this for the current process and all its children, whatever code starts them.
+If Python is started with `-c` or `-m`, it looks for modules in the working directory first. All child processes that the
+standard library or Dask start do the same. `isolate_search_paths` disables this for the current process and all its children,
+whatever code starts them.
 `build_module_command` and `build_module_environment` start a module of antdsl.
 
 An empty or relative entry of `PATH`, `PYTHONPATH` or a list of library folders means the working directory.
@@ -22,10 +23,11 @@ INSTALLATION_FOLDER = os.path.dirname(os.path.dirname(os.path.abspath(__file__))
 
 
 def isolate_search_paths() -> None:
-    """Remove the working directory from all search paths of this process and of its children. A second call changes nothing.
+    """Remove the working directory from all search paths of this process and of its child processes. A second call changes
+    nothing.
 
-    The change lasts for the life of the process. It cannot be limited to one call: a pool starts its children when tasks arrive,
-    and libraries start theirs in separate threads.
+    The change lasts as long as the process. It cannot be limited to one call: a pool starts its processes when tasks arrive, and
+    libraries start theirs in separate threads.
     """
     relative = _find_relative_entries(os.environ.get("PYTHONPATH", ""))
     for name in SEARCH_PATH_VARIABLES:
@@ -44,12 +46,12 @@ def isolate_search_paths() -> None:
 
 
 def build_module_command(module: str, *arguments: str) -> list[str]:
-    """Return the command that runs a module of antdsl in a new interpreter. The command needs `build_module_environment`."""
+    """Return the command that runs a module of antdsl in a new interpreter, for use with `build_module_environment`."""
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
 def build_module_environment() -> dict[str, str]:
-    """Return the environment of a child process, so that it imports the same antdsl."""
+    """Return the environment variables with which a child process imports the same antdsl."""
     isolate_search_paths()
     path = [entry for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
     if os.path.basename(INSTALLATION_FOLDER) not in ("site-packages", "dist-packages") and INSTALLATION_FOLDER not in path:
@@ -58,15 +60,15 @@ def build_module_environment() -> dict[str, str]:
 
 
 def _find_relative_entries(value: str) -> list[str]:
-    """Return the empty and relative entries of a list of folders, such as that of `PATH`."""
+    """Return the empty and relative entries in a list of folders, such as the value of `PATH`."""
     return [entry for entry in value.split(os.pathsep) if not os.path.isabs(entry)] if value else []
 
 
 @contextmanager
 def hide_main_module() -> Iterator[None]:
-    """Within the context, start child processes that do not run the user's script again.
+    """While the context is active, start child processes that do not run the user's script again.
 
-    The tasks of antdsl need nothing of that script. A script without a guard by its `__name__` would start further children in
+    The tasks of antdsl need nothing from that script. A script that does not test its `__name__` would start further children in
     each child."""
     main = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")

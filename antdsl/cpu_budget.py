@@ -1,4 +1,4 @@
-"""Limits the processor time of a piece of work. The budget also covers time that other processes spend on this work."""
+"""A limit of the processor time for a piece of work. The budget also covers the time that other processes spend on this work."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class CpuBudgetSpentError(BaseException):
 
 @contextmanager
 def limit_cpu_seconds(seconds: float) -> Iterator[None]:
-    """Raise CpuBudgetSpentError inside the context once this process and charged time exceed `seconds` of processor time. 0 is no
-    limit.
+    """Raise CpuBudgetSpentError inside the context once more than `seconds` of processor time have been used.
 
-    For the main thread only. Does nothing on Windows, which has no such timer. A library call that is running finishes first.
+    The time of this process and charged time count; 0 means no limit. Use this in the main thread only. On Windows, which has no
+    such timer, it does nothing. A library call that is running finishes first.
     """
     global _budget_process, _budget_end_seconds
     if not seconds or not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
@@ -48,13 +48,13 @@ def limit_cpu_seconds(seconds: float) -> Iterator[None]:
 
 
 def compute_remaining_cpu_seconds() -> float:
-    """Return the processor time, in seconds, that the current budget still has; infinity without a budget."""
+    """Return the processor time (s) that is left in the current budget; infinity if there is no budget."""
     return max(_budget_end_seconds - time.process_time(), 0.0) if _budget_process == os.getpid() else math.inf
 
 
 def charge_cpu_seconds(seconds: float) -> None:
-    """Subtract processor time of another process from the budget. Raises CpuBudgetSpentError in the main thread if nothing is
-    left."""
+    """Subtract the processor time of another process from the budget. Raises CpuBudgetSpentError in the main thread if nothing
+    is left."""
     global _budget_end_seconds
     if _budget_process != os.getpid():
         return

@@ -1,8 +1,8 @@
-"""A shot as a job for any render farm. The input is a scene, the output is steps with dependencies.
+"""A shot as a job for any render farm. The input is a scene; the output is a list of steps with dependencies.
 
-`build_shot_job` defines the commands of a shot and their dependencies. `build_job_template` writes them as a template of Open Job
-Description, `format_json_lines` as one line per command for any script. Every command may be stopped and restarted: it continues
-from existing results.
+`build_shot_job` defines the commands of a shot and their dependencies. `build_job_template` writes them as an Open Job
+Description template, `format_json_lines` as one line per command for any script. Every command may be stopped and restarted, and
+then continues from existing results.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _PLACEHOLDER_PATTERN = re.compile("\0(\\w+)\0")  # no word of a command line has
 
 @dataclass(frozen=True, slots=True)
 class JobPath:
-    """A path that may differ on another machine. `data_flow`: whether it is read (IN), written (OUT), or both (INOUT)."""
+    """A path that may be different on another machine. `data_flow`: whether it is read (IN), written (OUT), or both (INOUT)."""
 
     name: str
     path: Path
@@ -33,10 +33,10 @@ class JobPath:
 class JobStep:
     """A step of a job: one command, or one command per chunk of frames.
 
-    `command`: the words; each text of `_make_placeholder` represents a path or the chunk.
-    `dependencies`: the steps that must finish first.
-    `chunk_ranges`: ranges of frames, one task each; empty for a step of one task.
-    `grace_seconds`: seconds from SIGTERM to SIGKILL."""
+    `command`: its words. Placeholders (`_make_placeholder`) stand for paths and the chunk.
+    `dependencies`: the names of the steps that must finish first.
+    `chunk_ranges`: one range of frames per task; empty for a step with a single task.
+    `grace_seconds`: the seconds between SIGTERM and SIGKILL when a task is stopped."""
 
     name: str
     description: str
@@ -46,14 +46,14 @@ class JobStep:
     grace_seconds: int = 120
 
     def find_fixed_texts(self) -> list[str]:
-        """Return the parts of the command that are equal on all machines and for all chunks."""
+        """Return the parts of the command that are the same on all machines and for all chunks."""
         return [text for word in self.command for text in _PLACEHOLDER_PATTERN.split(word)[::2]]
 
 
 @dataclass(frozen=True, slots=True)
 class FarmJob:
-    """A shot as a job for a render farm. `paths`: the paths in its commands. `steps`: its steps, each after the steps that it
-    needs."""
+    """A shot as a job for a render farm. `paths`: the paths that its commands use. `steps`: its steps, each after the steps on
+    which it depends."""
 
     name: str
     paths: tuple[JobPath, ...]
@@ -62,12 +62,12 @@ class FarmJob:
 
 @dataclass(frozen=True, slots=True)
 class ShotRequest:
-    """The requested output: frames `first` to `last` of a scene.
+    """A request for frames `first` to `last` of a scene, simulated and drawn.
 
     `frame_step`: every `frame_step`-th frame is drawn.
     `pictures_per_task`: the number of pictures that one task draws.
     `run_arguments`, `render_arguments`: extra arguments of `antdsl run` and `antdsl render`.
-    `granted_roots`: name and folder of each root that the scene may read."""
+    `granted_roots`: the name and folder of each root that the scene may read."""
 
     scene: Path
     cache: Path
@@ -83,7 +83,7 @@ class ShotRequest:
 
 
 def build_shot_job(shot: ShotRequest, name: str) -> FarmJob:
-    """Return the job that simulates and draws a shot."""
+    """Return the job that simulates a shot and draws its frames. `name`: the name of the job."""
     project = JobPath("Project", shot.scene.parent, "IN", "The folder of the scene with everything below it")
     cache = JobPath("Cache", shot.cache, "INOUT", "The folder of the cache")
     pictures = JobPath("Pictures", shot.pictures, "INOUT", "The folder of the pictures")
@@ -117,28 +117,28 @@ def build_shot_job(shot: ShotRequest, name: str) -> FarmJob:
 
 
 def split_frames(first: int, last: int, frame_step: int, count: int) -> tuple[str, ...]:
-    """Return ranges of frames as texts `A..B`, with `count` pictures each; the last may have fewer. Each range begins with a
-    frame that is drawn.
+    """Return ranges of frames as texts `A..B`, with `count` pictures each; the last may have fewer.
 
-    `frame_step`: the number of frames from one picture to the next."""
+    Each range begins with a frame that is drawn. `frame_step`: the number of frames from one picture to the next."""
     starts = range(first, last + 1, frame_step * count)
     return tuple(f"{start}..{min(start + frame_step * count - 1, last)}" for start in starts)
 
 
 def _make_placeholder(name: str) -> str:
-    """Return the text that represents a path or the chunk in the words of a command."""
+    """Return the placeholder that stands for a path or the chunk in the words of a command."""
     return f"\0{name}\0"
 
 
 def _fill_placeholders(command: Sequence[str], values: Mapping[str, str]) -> list[str]:
-    """Return the words of a command with the value of each placeholder inserted."""
+    """Return the words of a command with its placeholders replaced by `values`."""
     return [_PLACEHOLDER_PATTERN.sub(lambda match: values[match[1]], word) for word in command]
 
 
 def format_json_lines(job: FarmJob) -> str:
-    """Return one JSON line per command, each after the commands that it needs. Paths are absolute paths of this machine.
+    """Return one JSON line per command. Commands come after those on which they depend. Paths are absolute paths on this
+    machine.
 
-    `name` and `step`: names of the command and of its step.
+    `name` and `step`: the names of the command and of its step.
     `command`: the words.
     `needs`: the names of the commands that must finish first.
     """
@@ -159,11 +159,12 @@ def _format_command_name(step: JobStep, frames: str) -> str:
 
 
 def build_job_template(job: FarmJob, folder: Path) -> dict[str, Any]:
-    """Return a template of Open Job Description, revision 2023-09, as JSON values, without extensions of the format
-    (https://github.com/OpenJobDescription/openjd-specifications/wiki/2023-09-Template-Schemas).
+    """Return an Open Job Description template, revision 2023-09, as JSON values without extensions.
 
-    `folder`: the folder of the template file. Paths below it are written relative to it. All other paths must be named by the
-        submitter of the job, because the specification forbids paths that lead out of that folder.
+    Source: https://github.com/OpenJobDescription/openjd-specifications/wiki/2023-09-Template-Schemas
+
+    `folder`: the folder of the template file. Paths below it are written relative to it. The person who submits the job must
+    give all other paths, because the specification forbids paths that lead out of that folder.
     """
     return {
         "specificationVersion": "jobtemplate-2023-09",
@@ -174,18 +175,19 @@ def build_job_template(job: FarmJob, folder: Path) -> dict[str, Any]:
 
 
 def find_external_paths(job: FarmJob, folder: Path) -> list[JobPath]:
-    """Return the paths that the submitter of the job must name: those outside `folder`, the folder of the template file."""
+    """Return the paths outside `folder`, which the person who submits the job must give. `folder`: the folder of the template
+    file."""
     return [place for place in job.paths if _find_path_below(place, folder) is None]
 
 
 def _find_path_below(place: JobPath, folder: Path) -> str | None:
-    """Return a path relative to `folder`, or None if it is not below it."""
+    """Return a path relative to `folder`, or None if it is not below `folder`."""
     path, start = place.path.resolve(), folder.resolve()
     return path.relative_to(start).as_posix() if path.is_relative_to(start) else None
 
 
 def _build_path_parameter(place: JobPath, folder: Path) -> dict[str, Any]:
-    """Return the declaration of a path as a parameter of a job template."""
+    """Return the parameter of a job template that declares a path."""
     parameter = {
         "name": place.name,
         "type": "PATH",
@@ -198,7 +200,7 @@ def _build_path_parameter(place: JobPath, folder: Path) -> dict[str, Any]:
 
 
 def _build_step_template(job: FarmJob, step: JobStep) -> dict[str, Any]:
-    """Return one step of a job template."""
+    """Return a step of a job in the form of a job template."""
     expressions = {place.name: f"{{{{Param.{place.name}}}}}" for place in job.paths}
     command, *rest = _fill_placeholders(
         step.command, expressions | {_FRAMES_PARAMETER: f"{{{{Task.Param.{_FRAMES_PARAMETER}}}}}"}

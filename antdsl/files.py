@@ -1,4 +1,4 @@
-"""Resolves paths to files, and returns the texts of checked files."""
+"""Lists of the files that paths select, and the texts of checked files."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ SKIPPED_FOLDERS = frozenset(["node_modules", "__pycache__", "out", "build", "dis
 
 
 def find_files(paths: Iterable[Path], *, lists_outer_links: bool = False) -> tuple[list[Path], Report]:
-    """Return the programs and scenes that paths select, and a report. A path selects a file, the matches of a pattern such as
-    `shots/**/*.ant`, or all programs and scenes of a folder. Hidden folders, linked folders, and links to files outside the
-    folder are skipped.
+    """Return the programs and scenes that paths select, and a report.
 
-    `lists_outer_links`: return such links to files too, for a caller that reports them."""
+    A path selects a file, the matches of a pattern such as `shots/**/*.ant`, or all programs and scenes of a folder. Hidden
+    folders, linked folders, and links to files outside the folder are skipped.
+
+    `lists_outer_links`: whether to return links to files outside the folder, for a caller that reports them."""
     matches: dict[Path, None] = {}
     report = Report()
     for path in _expand_patterns(paths, report):
@@ -47,7 +48,7 @@ def find_files(paths: Iterable[Path], *, lists_outer_links: bool = False) -> tup
 
 
 def _expand_patterns(paths: Iterable[Path], report: Report) -> Iterator[Path]:
-    """Yield the paths, with patterns replaced by their matches. A path that exists is never treated as a pattern."""
+    """Yield the paths, with each pattern replaced by its matches. A path that exists is never treated as a pattern."""
     for path in paths:
         if path.exists() or not has_magic(str(path)):
             yield path
@@ -60,7 +61,7 @@ def _expand_patterns(paths: Iterable[Path], report: Report) -> Iterator[Path]:
 
 
 def load_sources(files: Iterable[Path], parsed_files: ParsedFileCache) -> list[Source]:
-    """Return the texts of the checked files that can be read: programs as they were parsed, and scenes."""
+    """Return the texts of all checked files that can be read: programs (as they were parsed) and scenes."""
     texts = [file.source for file, _ in parsed_files.values() if not file.source.path.startswith("<")]
     for path in files:
         if path.suffix != ".ant":
@@ -73,7 +74,7 @@ def load_sources(files: Iterable[Path], parsed_files: ParsedFileCache) -> list[S
 
 
 def _is_scene(path: Path) -> bool:
-    """Return whether a YAML file begins like a scene; folders may contain other YAML files."""
+    """Return whether a YAML file begins like a scene, because folders may also contain other YAML files."""
     try:
         lines = read_first_bytes(path, 4096).removeprefix(b"\xef\xbb\xbf").splitlines()
     except OSError:

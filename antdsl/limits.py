@@ -1,4 +1,4 @@
-"""All limits of sizes and counts. A user may raise some of them by flags of the command line; a program or a scene never can."""
+"""All limits of sizes and counts. Users may raise some of them by command-line flags; programs and scenes cannot raise any."""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""Loads the texts of programs: the named programs, and the files of their lines `use steering` and `use "./mine.ant"`. Each
-file is read and parsed once, and its hash is stored for the cache."""
+"""The loader of program texts: the named programs, and the files that their lines `use steering` and `use "./mine.ant"` name.
+
+Each file is read and parsed once, and its hash is stored for the cache."""
 
 from __future__ import annotations
 
@@ -24,11 +25,10 @@ ParsedFileCache = dict[str, tuple[nodes.File, Report]]
 
 
 class SharedParsedFiles(ParsedFileCache):
-    """A cache of parsed files for checking many files that do not change meanwhile.
+    """A cache of parsed files, for checking many files that do not change meanwhile.
 
-    `check_results`: results of checking programs, so that a program that several scenes name is checked once. Each result also
-    has the
-        names of the libraries that the program uses.
+    `check_results`: the results of checking programs, so that a program that several scenes name is checked once. Each result
+    also has the names of the libraries that the program uses.
     """
 
     def __init__(self) -> None:
@@ -37,14 +37,15 @@ class SharedParsedFiles(ParsedFileCache):
 
 
 def find_library(name: str) -> nodes.File | None:
-    """Return the file behind `use NAME`, or None if there is none. Returns the same object as long as the file's text is the
-    same."""
+    """Return the parsed library file behind `use NAME`, or None if there is none. The same object is returned as long as the
+    text of the file does not change."""
     return LoadedSources(Path()).find_library(name)
 
 
 @lru_cache(maxsize=64)
 def _parse_library(name: str, text: str) -> tuple[nodes.File, Report]:
-    """Return a parsed library file, cached: parsing takes longer than checking the parts that most programs use."""
+    """Return a parsed library file and its report. The result is cached, because parsing takes longer than checking the few
+    parts that most programs use."""
     return syntax.parse(Source(name, text))
 
 
@@ -52,8 +53,8 @@ def _parse_library(name: str, text: str) -> tuple[nodes.File, Report]:
 class LoadedSources:
     """Programs and the files that they use.
 
-    `module_by_path`: used files, by the path as written in `use`.
-    `text_by_name`: all sources, by their path below `folder`; library files as `<steering>`.
+    `module_by_path`: the used files, by the path that `use` names.
+    `text_by_name`: all texts, by their path below `folder`; a library file has a name like `<steering>`.
     `parse_cache`: a cache that several LoadedSources may share, so that each file is read once and findings have one location.
     """
 
@@ -68,18 +69,19 @@ class LoadedSources:
     _total_bytes: int = 0
 
     def find_library(self, name: str) -> nodes.File | None:
-        """Return the file behind `use NAME`, or None if there is none."""
+        """Return the parsed library file behind `use NAME`, or None if there is none."""
         if name not in self._library_files:
             path = find_library_file(name)
             self._library_files[name] = None if path is None else self._parse_file(path, f"<{name}>", is_library=True)
         return self._library_files[name]
 
     def list_library_names(self) -> tuple[str, ...]:
-        """Return the names of the library files that were requested."""
+        """Return the names of the library files that programs have requested."""
         return tuple(self._library_files)
 
     def add_file(self, path: Path) -> nodes.File | None:
-        """Add a program that the user named. The program may have any path, but files that it uses must be below its folder."""
+        """Add a program that the user has named, and return it; None if it cannot be read. The program may have any path, but
+        the files that it uses must be below its folder."""
         file = self._parse_file(path, str(path))
         if file is not None:
             self.files.append(file)
@@ -87,7 +89,8 @@ class LoadedSources:
         return file
 
     def add_scene_program(self, text: str, roots: Roots, span: Span) -> nodes.File | None:
-        """Add a program that a scene names. It has the scene's access to files. Return None if it cannot be read."""
+        """Add a program that a scene names, and return it; None if it cannot be read. It may access the same files as the
+        scene."""
         path = self._locate_program(text, roots, span)
         if path is None:
             return None
@@ -98,18 +101,19 @@ class LoadedSources:
         return file
 
     def hash_texts(self) -> dict[str, str]:
-        """Return a hash of each file's text, by the name under which the file was read."""
+        """Return a hash of the text of each file, by the name under which the file was read."""
         return {
             name: hashlib.blake2b(text.encode(), digest_size=16).hexdigest() for name, text in sorted(self.text_by_name.items())
         }
 
     def _make_text_key(self, path: Path) -> str:
-        """Return the key of a file's text: its path relative to `folder`, or its full path if it is not below `folder`."""
+        """Return the key of a file's text: the path relative to `folder`, or the full path if the file is not below `folder`."""
         full, folder = path.resolve(), self.folder.resolve()
         return full.relative_to(folder).as_posix() if full.is_relative_to(folder) else full.as_posix()
 
     def _locate_program(self, text: str, roots: Roots, span: Span) -> Path | None:
-        """Return the path of a program that a scene or a `use` line names, or None with the reason in the report."""
+        """Return the path of a program that a scene or a `use` line names. If it cannot be used, report the reason and return
+        None."""
         if not text.endswith(".ant"):
             self.report.error("bad-path", f"`{text[:80]}` is not an .ant file", span, "name a file that ends in `.ant`")
             return None
@@ -129,11 +133,10 @@ class LoadedSources:
         *,
         is_library: bool = False,
     ) -> nodes.File | None:
-        """Return a parsed file, or None with the reason in the report.
+        """Return a parsed file. If it cannot be read, report the reason and return None.
 
-        `name`: the display name of a library file. `span`: the location of findings about the file itself.
-        `origin`: the roots that may contain the file, and its path there. It is None for a file of the library, and for one that
-        the user named."""
+        `name`: the display name of a library file. `span`: the location of findings about the file itself. `origin`: the roots
+        that may contain the file, and its path there; None for library files and for files that the user has named."""
         place = os.path.realpath(path)
         if place in self.parse_cache:
             file, report = self.parse_cache[place]
@@ -160,7 +163,8 @@ class LoadedSources:
         return file
 
     def _load_used_files(self, file: nodes.File, roots: Roots, depth: int, using_files: tuple[Path, ...]) -> None:
-        """Load the files that a file uses. `depth`: the number of nested uses. `using_files`: the files that lead to this one."""
+        """Load the files that a file uses. `depth`: the number of nested uses. `using_files`: the chain of files that leads to
+        this file by `use` lines."""
         for use in find_use_lines(file):
             if use.path is None:
                 continue

@@ -1,7 +1,7 @@
 """The packages that antdsl requires, by the module that each provides, and the advice for one that is missing.
 
-The light installation (`docs/ci.md`) has only the packages of LIGHT_PACKAGES. It checks and formats programs, and answers
-editors; all other commands name the package that they need."""
+The light installation (`docs/ci.md`) has only the packages of LIGHT_PACKAGES. It can check and format programs, and serve
+editors. All other commands report the package that they need."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ INSTALL_ADVICE: Final = "install antdsl with everything it needs: `pip install a
 
 
 def find_missing_distribution(problem: BaseException) -> str | None:
-    """Return the distribution that an exception, or one of its causes, found missing. None for any other exception."""
+    """Return the name of the missing distribution that caused an exception, or None for any other exception."""
     cause: BaseException | None = problem
     while isinstance(cause, ImportError):
         module = (cause.name or "").split(".")[0]
@@ -32,9 +32,8 @@ def find_missing_distribution(problem: BaseException) -> str | None:
 
 
 def check_extra(purpose: str, extra: str, module: str, alternative: str = "") -> Report:
-    """Return an empty report if a module of an extra is installed. Otherwise return one error that names the extra.
-
-    `purpose`: what needs it, such as `the preview`. `alternative`: words after the advice, such as `or …`."""
+    """Return an empty report if a module of an extra is installed. Otherwise return a report with one error that names the
+    extra. `purpose`: what needs the module, such as `the preview`. `alternative`: words to add to the advice, such as `or …`."""
     from antdsl.diagnostics import Report
 
     report = Report()

@@ -1,4 +1,4 @@
-"""The steps from text to simulation: text → tree → program → plan; scene → setting; plan and setting → world.
+"""The stages from text to simulation: text → tree → program → plan; scene → setting; plan and setting → world.
 
 Every stage returns `(result, Report)`. The result is None if errors prevent it."""
 
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RunChoices:
-    """Choices of the user in addition to the scene.
+    """The choices of the user that override or extend a scene.
 
     `grants`: the folder of each granted root, by name.
-    `frames`, `seed`, `until`, `params`: values that override those of the scene. `params` also has values of keys of the scene
-        (`crowd.walker.count`).
-    `changes`: what a spec also sets: params and settings of fields.
+    `frames`, `seed`, `until`, `params`: values that override those of the scene. `params` may also have values of scene keys
+    (`crowd.walker.count`).
+    `changes`: further params and field settings, which a spec sets.
     `notes`: further notes, each a line such as `{hold: guards, frames: 10..20}`."""
 
     grants: Mapping[str, Path] = field(default_factory=dict)
@@ -57,9 +57,9 @@ class Shot:
 
     `inputs`: a hash, by name, of everything that the result depends on.
     `loaded`: the texts of the program.
-    `bodies`: the definition of each species with a body from a file, by species.
-    `proportions`: the proportions of each species that sets its height, by species.
-    `measures`, `until`: the plans of the program's measures and of the condition that ends the run; None without one."""
+    `bodies`: by species, the definition of a body that comes from a file.
+    `proportions`: by species, the proportions of species that set their height.
+    `measures`, `until`: the plans of the program's measures, and of the condition that ends the run; None if there is none."""
 
     scene: Scene
     program: Program
@@ -79,7 +79,7 @@ class Shot:
 
     @property
     def frames(self) -> FrameRange:
-        """Return the frames of the scene."""
+        """Return the range of frames of the scene."""
         return self.scene.model.frames
 
 
@@ -90,10 +90,11 @@ def compile_files(
     parsed: ParsedFileCache | None = None,
     memo: CheckResultCache | None = None,
 ) -> tuple[Program | None, Report]:
-    """Parse and check programs together, with the library and all files that they use.
+    """Parse and check programs together, with the library and all files that they use. Return the program, or None, and a
+    report.
 
-    `strict`: add the findings of `check --strict`.
-    `parsed` and `memo`: caches of parsed and checked parts, for the next call.
+    `strict`: whether to add the findings of `check --strict`.
+    `parsed` and `memo`: caches of parsed and checked parts, for reuse by the next call.
     """
     files = [Path(path) for path in paths]
     loaded = LoadedSources(resolve_path(files[0]).parent if files else Path.cwd(), parse_cache={} if parsed is None else parsed)
@@ -105,7 +106,7 @@ def compile_files(
 def _check_loaded_sources(
     loaded: LoadedSources, strict: bool, memo: CheckResultCache | None = None
 ) -> tuple[Program | None, Report]:
-    """Check loaded files as one program. `strict`: as in `compile_files`."""
+    """Check loaded files as one program. Return the program, or None, and a report. `strict`: as in `compile_files`."""
     from antdsl.program import check
 
     report = Report()
@@ -141,11 +142,11 @@ def open_scene(
     thorough: bool = True,
     raw: bool = False,
 ) -> tuple[Shot | None, Report]:
-    """Read a scene, compile its programs, and return the shot, or None, with the report.
+    """Read a scene and compile its programs. Return the shot, or None if there are errors, and a report.
 
     `parsed`: as in `compile_files`.
     `thorough`: as in `passes.optimise`.
-    `raw`: return the plan before any pass.
+    `raw`: whether to return the plan as it is before any pass.
     """
     path = Path(path)
     from antdsl import passes, plan
@@ -203,7 +204,7 @@ def open_scene(
 
 
 def _find_undrawn_things(scene: Scene) -> frozenset[str]:
-    """Return the names of things of the world that pictures leave out."""
+    """Return the names of those things of the world that pictures do not show."""
     return frozenset(name for name, thing in scene.model.world.items() if getattr(thing, "look", None) == "none")
 
 
@@ -215,10 +216,10 @@ def _read_scene(
     data: bytes | None = None,
     texts: Mapping[Path, bytes] | None = None,
 ) -> tuple[Scene | None, Program | None, LoadedSources, Report]:
-    """Return a scene, the program of all its files, their sources, and a report. The report also says how scene and program
-    match.
+    """Return a scene, the program of all its files, their sources, and a report.
 
-    `data`: the text of the scene in an editor; None to read the file. `texts`: texts that override files on disk."""
+    The report also covers how well the scene and the program match. `data`: the text of the scene in an editor; None to read the
+    file. `texts`: texts that override files on disk."""
     from antdsl.measures.scene_measures import check_until
     from antdsl.scene.checks.scene_checks import match_scene
     from antdsl.scene.load import load_scene, load_scene_text
@@ -257,8 +258,8 @@ def _read_scene(
 
 
 def _notify_format_reader(scene: Scene) -> None:
-    """Notify the reader of foreign formats of a new scene. If the scene has things from USD files, the USD library is loaded
-    while the programs are checked."""
+    """Tell the reader of foreign formats that a new scene starts. If the scene has things from USD files, the reader loads the
+    USD library while the programs are checked."""
     if "antdsl.reader.client" in sys.modules:
         from antdsl.reader import client
 
@@ -273,8 +274,8 @@ _MISSING_CROWD_HELP = "add `crowd:` and below it `  - {species: NAME, from: FILE
 
 
 def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
-    """Step through a shot. Yield the world at each frame from first to last, after the preroll. The yielded object is always the
-    same World."""
+    """Simulate a shot. Yield the world at each frame from first to last, after the preroll. Each time, this is the same World
+    object."""
     from antdsl.runtime import bind, step
 
     world = bind(shot.plan, shot.setting, options)
@@ -289,10 +290,10 @@ def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
 def check_scene_text(
     path: Path, texts: Mapping[Path, bytes], *, parsed: ParsedFileCache | None = None
 ) -> tuple[Scene | None, Program | None, Report]:
-    """Check a scene as in an editor, with its programs and bodies. The findings are those of `check_path`, except those about the
-    meshes of its world.
+    """Check a scene as in an editor, with its programs and bodies. Return the scene, the program and a report.
 
-    `texts`: texts that override scenes on disk: this scene, and the scenes that it extends.
+    The findings are those of `check_path`, except those about the meshes of the world. `texts`: texts that override scene files
+    on disk: this scene, and the scenes that it extends.
     """
     from antdsl.bodies.crowd_bodies import load_crowd_bodies
 
@@ -310,10 +311,9 @@ def check_path(
     parsed: ParsedFileCache | None = None,
     specs: bool = True,
 ) -> tuple[Program | None, Report]:
-    """Check a file without running it: a program alone, or a scene with its programs and meshes.
-
-    `parsed`: a cache for many files. With it, findings about a program have one location, whichever file names the program.
-    `specs`: also check that the scenes of the program's specs exist.
+    """Check a file without simulating it. It is a program, or a scene with its programs and meshes. Return the program and a
+    report. `parsed`: a cache for checking many files. With it, findings about a program have the same location, whichever
+    file names the program. `specs`: whether to check that the scenes of the program's specs exist.
     """
     from antdsl.scene.checks.existence_checks import check_spec_scenes
 
@@ -345,7 +345,7 @@ def check_path(
 
 
 def _find_far_targets(path: Path, choices: RunChoices, parsed: ParsedFileCache | None) -> Report:
-    """Return the warnings about targets of notes, for which the agents of a scene have to be placed."""
+    """Return the warnings about targets of notes that are far away. To find these, the agents of the scene are placed."""
     from antdsl.runtime import Options, bind
     from antdsl.runtime.notes.target_findings import find_far_targets
 
@@ -354,8 +354,8 @@ def _find_far_targets(path: Path, choices: RunChoices, parsed: ParsedFileCache |
 
 
 def read_mesh_imports(path: Path, choices: RunChoices) -> tuple[Mapping[str, MeshImport], str]:
-    """Return the import report of each readable mesh of a scene by name, and the scene's unit. Other errors of the scene do not
-    matter."""
+    """Return the import report of each readable mesh of a scene by name, and the scene's unit. Other errors in the scene are
+    ignored."""
     from antdsl.scene.staging.stage_scene import collect_import_reports
 
     scene, program, _, _ = _read_scene(path, choices)
@@ -365,10 +365,10 @@ def read_mesh_imports(path: Path, choices: RunChoices) -> tuple[Mapping[str, Mes
 def _find_stale_attribute_warnings(
     report: Report, scene: Scene, program: Program, setting: WorldSetting | None
 ) -> list[Diagnostic]:
-    """Return the warnings about attributes that are wrong for a scene.
+    """Return those warnings about attributes that do not apply to a scene.
 
-    A warning that an attribute is constant is wrong if the scene sets the attribute for some agents at the start. A warning that
-    an attribute is never read is wrong if the scene writes the attribute to the cache."""
+    The warning that an attribute is constant does not apply if the scene sets it for some agents at the start. The warning that
+    an attribute is never read does not apply if the scene writes it to the cache."""
     initial_attributes = setting.initial_attributes if setting is not None else {}
     initial_spans = [a.span for name, of in initial_attributes.items() for a in program.species[name].attributes if a.name in of]
     output = scene.model.output.attributes

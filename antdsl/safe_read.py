@@ -1,5 +1,6 @@
-"""Size-limited reads. Only this module opens files that a user names. It opens only regular files, never waits, and reads
-at most a given number of bytes."""
+"""Size-limited reads of files that a user names. Only this module opens such files.
+
+It opens only regular files, never waits, and reads at most a given number of bytes."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ PathName = str | os.PathLike[str]
 
 
 class NotRegularFileError(OSError):
-    """Error for a folder, a pipe, a socket or a device. The message is the kind of file, so that it can follow `FILE is`."""
+    """Error for a folder, a pipe, a socket or a device. The message names the kind of file, so that it can follow `FILE is`."""
 
     def __init__(self, kind: str) -> None:
         super().__init__(errno.EINVAL, f"it is {kind}")
@@ -29,7 +30,7 @@ class NotRegularFileError(OSError):
 
 
 class FileTooLargeError(OSError):
-    """Error for a file that is larger than allowed. `size`: the size of the file in bytes; `cap`: the largest allowed size."""
+    """Error for a file that is larger than allowed. `size`: the size of the file in bytes. `cap`: the largest allowed size."""
 
     def __init__(self, size: int, cap: int) -> None:
         super().__init__(errno.EFBIG, f"it has {size:,} bytes; the limit is {cap:,}")
@@ -37,18 +38,18 @@ class FileTooLargeError(OSError):
 
 
 def resolve_path(path: PathName) -> Path:
-    """Return a path with all links resolved. Never raises: a link that points to itself is resolved as far as possible."""
+    """Return a path with all links resolved. This never raises: a link that points to itself is resolved as far as possible."""
     return Path(os.path.realpath(path))
 
 
 def open_regular_file(path: PathName, *, follows_links: bool = True, folder: int | None = None) -> int:
-    """Return a handle on a regular file, to be closed by the caller. Raises NotRegularFileError or another OSError.
+    """Return a handle on a regular file. The caller must close it. Raises NotRegularFileError or another OSError.
 
-    `follows_links`: follow a link at the end of the path.
-    `folder`: the handle of an open folder that the path is relative to.
+    `follows_links`: whether to follow a link at the end of the path.
+    `folder`: the handle of an open folder, to which the path is relative.
 
-    A file that is not regular is not even opened, because opening alone can wake the writer of a pipe or start a device. If
-    another file replaces it in between, O_NONBLOCK prevents waiting, and the type of the handle is checked again."""
+    Other kinds of files are not even opened, because opening alone can wake the writer of a pipe or start a device. If the file
+    is replaced after the check, O_NONBLOCK prevents waiting, and the type of the opened file is checked again."""
     below = {"dir_fd": folder} if folder is not None and _SUPPORTS_FOLDER_HANDLE else {}
     try:
         _require_regular_file(os.stat(path, follow_symlinks=follows_links, **below))
@@ -71,7 +72,7 @@ def _require_regular_file(status: os.stat_result) -> None:
 
 
 def read_checked_size(file_handle: int, cap: int) -> int:
-    """Return the size of an open file in bytes. Raises FileTooLargeError above `cap` bytes."""
+    """Return the size of an open file in bytes. Raises FileTooLargeError if it exceeds `cap` bytes."""
     size = os.fstat(file_handle).st_size
     if size > cap:
         raise FileTooLargeError(size, cap)
@@ -81,7 +82,7 @@ def read_checked_size(file_handle: int, cap: int) -> int:
 def read_blocks(handle: int, cap: int) -> Iterator[bytes]:
     """Yield the contents of an open file in blocks. The handle stays open.
 
-    Raises FileTooLargeError for a file of more than `cap` bytes: before any read, or as soon as a growing file exceeds the
+    Raises FileTooLargeError if the file has more than `cap` bytes: before any read, or as soon as a growing file exceeds the
     limit."""
     read_checked_size(handle, cap)
     left = cap + 1
@@ -93,7 +94,7 @@ def read_blocks(handle: int, cap: int) -> Iterator[bytes]:
 
 
 def read_handle(handle: int, cap: int) -> bytes:
-    """Read an open file to its end, close it, and return its bytes. Raises FileTooLargeError above `cap` bytes."""
+    """Read an open file to its end, close it, and return its bytes. Raises FileTooLargeError if it has more than `cap` bytes."""
     try:
         return b"".join(read_blocks(handle, cap))
     finally:
@@ -101,14 +102,14 @@ def read_handle(handle: int, cap: int) -> bytes:
 
 
 def read_size_limited(path: PathName, cap: int, *, follows_links: bool = True) -> bytes:
-    """Return all bytes of a regular file. Raises NotRegularFileError, FileTooLargeError above `cap` bytes, or another OSError.
-
-    `follows_links`: as in `open_regular_file`."""
+    """Return all bytes of a regular file. Raises NotRegularFileError, FileTooLargeError if the file has more than `cap` bytes,
+    or another OSError. `follows_links`: as in `open_regular_file`."""
     return read_handle(open_regular_file(path, follows_links=follows_links), cap)
 
 
 def read_first_bytes(path: PathName, count: int) -> bytes:
-    """Return the first bytes of a regular file, at most `count`. Links are followed. Raises OSError if there is no such file."""
+    """Return the first `count` bytes of a regular file, or all if it has fewer. Links are followed. Raises OSError if there is
+    no such file."""
     handle = open_regular_file(path)
     try:
         return os.read(handle, count)

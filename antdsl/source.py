@@ -1,4 +1,4 @@
-"""Source text and locations in it: `Source` is one file's text, `Span` is a range of it."""
+"""Source texts and locations in them. `Source` is the text of one file, and `Span` is a range of this text."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 class Source:
     """The text of one file, with its display name.
 
-    `part_number`: the number of a part of a file, 0 for a complete file. Each part is a separate source, so that it can move
-    within the file without a change."""
+    `part_number`: the number of a part of a file; 0 for a complete file. Each part is a separate source, so that it does not
+    change when it moves within the file."""
 
     path: str
     text: str
@@ -27,13 +27,13 @@ class Source:
         object.__setattr__(self, "_line_starts", tuple(starts))
 
     def find_line_column(self, offset: int) -> tuple[int, int]:
-        """Return line and column of a character offset, both counted from 1."""
+        """Return the line and column of a character offset, both counted from 1."""
         offset = max(0, min(offset, len(self.text)))
         line = bisect_right(self._line_starts, offset)
         return line, offset - self._line_starts[line - 1] + 1
 
     def line_text(self, line: int) -> str:
-        """Return the text of a line, counted from 1, without its line end."""
+        """Return the text of a line without its line end. `line`: the number of the line, counted from 1."""
         if not 1 <= line <= len(self._line_starts):
             return ""
         start = self._line_starts[line - 1]
@@ -43,7 +43,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A range of a source's characters, from `start` to `end`; `end` is excluded."""
+    """A range of characters in a source, from `start` to `end`. The character at `end` is not included."""
 
     source: Source
     start: int

@@ -1,4 +1,4 @@
-"""A hash of antdsl's own files: it identifies the code that results and stored files depend on."""
+"""A hash of antdsl's own files. It identifies the code on which results and stored files depend."""
 
 from __future__ import annotations
 
@@ -17,15 +17,14 @@ _SKIPPED_FOLDERS = frozenset(["_data", "page", "web", "__pycache__"])
 
 
 def has_module_sources() -> bool:
-    """Return whether the installation has the sources of its modules. Without them, the result of `hash_sources` does not depend
-    on the code."""
+    """Return whether the installation contains the sources of its modules. Otherwise `hash_sources` cannot depend on the code."""
     return antdsl.__file__.endswith(".py")
 
 
 @cache
 def hash_sources() -> str:
-    """Return a hash of the names and contents of the package's files, the behaviour library and the grammar: 24 hexadecimal
-    digits."""
+    """Return a hash of the names and contents of the package's files, the behaviour library and the grammar. The hash has 24
+    hexadecimal digits."""
     hashed = blake2b(digest_size=12)
     for start in (Path(antdsl.__file__).parent, behaviours_folder(), grammar_folder()):
         for folder, inner, files in os.walk(start):

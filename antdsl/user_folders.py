@@ -1,7 +1,7 @@
-"""Folders of the user who runs this process, and private files in them.
+"""The folders of the user who runs this process, and private files in them.
 
-The home folder comes from the password database, on Windows from the system's known folders. `HOME` and `XDG_*` are not read,
-because they may point into an untrusted project, and antdsl trusts the contents of these folders.
+The home folder comes from the password database or, on Windows, from the system's known folders. `HOME` and `XDG_*` are not
+read, because they may point into an untrusted project, while antdsl trusts the contents of these folders.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ _LOCAL_APP_DATA_FOLDER_ID = "f1b32785-6fba-4fcf-9d55-7b8e7f157091"  # the known 
 
 
 class NotPrivateError(PermissionError):
-    """Error for a file or folder that another user could have read or written. The message is the reason."""
+    """Error for a file or folder that another user could have read or written. The message gives the reason."""
 
 
 def home_folder() -> Path:
-    """Return the home folder of the effective user. Raises OSError if the system knows none or it does not exist."""
+    """Return the home folder of the effective user. Raises OSError if the system knows none, or if it does not exist."""
     try:
         import pwd
 
@@ -53,16 +53,16 @@ def state_folder() -> Path:
 
 
 def make_private_folder(path: Path) -> None:
-    """Create a folder and its parents unless they exist. Raises OSError if that fails.
+    """Create a folder and its parents, unless they exist. Raises OSError if this fails.
 
-    Raises NotPrivateError if the folder is a link, belongs to another user, or is writable by others."""
+    Raises NotPrivateError if the folder is a link, belongs to another user, or can be written by others."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.mkdir(mode=0o700, exist_ok=True)
     _require_private(os.lstat(path), stat.S_IWGRP | stat.S_IWOTH)
 
 
 def read_private(path: Path, cap: int) -> bytes:
-    """Return the content of a file of at most `cap` bytes that only this user may read.
+    """Return the content of a file that only this user can read. `cap`: its largest allowed size in bytes.
 
     Raises OSError if there is no such file, or if it is a link or not a regular file. Raises NotPrivateError if the file has two
     names, belongs to another user, or is readable or writable by others."""
@@ -77,9 +77,8 @@ def read_private(path: Path, cap: int) -> bytes:
 
 
 def _require_private(status: os.stat_result, forbidden_mode_bits: int) -> None:
-    """Raise NotPrivateError for a file that others may access. `forbidden_mode_bits`: mode bits that no private file has.
-
-    On Windows, access lists control this; the lists of a user's own folders exclude others."""
+    """Raise NotPrivateError for a file that others may access. `forbidden_mode_bits`: permission bits that a private file must
+    not have. On Windows, access lists control this; those of a user's own folders exclude others."""
     if stat.S_ISLNK(status.st_mode) or getattr(status, "st_reparse_tag", False):
         raise NotPrivateError(0, "it is a link")
     if stat.S_ISREG(status.st_mode) and status.st_nlink > 1:

@@ -1,5 +1,5 @@
-"""All codes of findings, each with a one-line meaning. Codes never change. Each package has its own section, in alphabetical
-order."""
+"""All codes of findings, each with a one-line meaning. Codes never change. Each package has a section, and sections are in
+alphabetical order."""
 
 from __future__ import annotations
 

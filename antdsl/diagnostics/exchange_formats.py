@@ -1,4 +1,4 @@
-"""Formats findings for other programs: JSON, GitHub's workflow commands, SARIF and JUnit."""
+"""Formats of findings for other programs: JSON, GitHub's workflow commands, SARIF and JUnit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FORMAT_VERSION = "1.0"
 
 
 def format_json(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
-    """Return findings as one JSON document. `omitted_count`: the number of findings that are left out."""
+    """Return findings as one JSON document. `omitted_count`: the number of further findings that are left out."""
     errors = sum(diagnostic.severity == "error" for diagnostic in diagnostics)
     content = {
         "format_version": FORMAT_VERSION,
@@ -64,7 +64,7 @@ def _make_json_range(span: Span) -> dict[str, Any]:
 
 
 def _make_json_position(source: Source, offset: int) -> dict[str, int]:
-    """Return the line and column in characters, counted from 1. Also return the offset in UTF-8 bytes, counted from 0."""
+    """Return the line and column of an offset, counted from 1 in characters, and its position in UTF-8 bytes, counted from 0."""
     line, column = source.find_line_column(offset)
     byte = offset if source.text.isascii() else len(source.text[:offset].encode("utf-8", "surrogatepass"))
     return {"line": line, "column": column, "byte": byte}
@@ -125,8 +125,8 @@ def format_sarif(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
 
 
 def _make_sarif_rule(code: str) -> dict[str, Any]:
-    """Return what a code scanning service shows about a code: its meaning, and its documentation page if the pages are
-    installed."""
+    """Return what a code scanning service displays about a code: its meaning and, if pages are installed, its documentation
+    page."""
     rule: dict[str, Any] = {"id": code, "shortDescription": {"text": CODE_DESCRIPTIONS.get(code, code)}}
     page = find_code_page(code)
     if page is not None:
@@ -168,7 +168,8 @@ def _make_sarif_location(span: Span) -> dict[str, Any]:
 
 
 def _compute_fingerprint(diagnostic: Diagnostic, span: Span, fingerprint_counts: Counter[str]) -> str:
-    """Return a fingerprint of a finding. It does not change when lines are added above the finding."""
+    """Return a fingerprint of a finding that does not change when lines are added above it. `fingerprint_counts`: how often each
+    fingerprint has occurred so far, which makes equal findings distinct."""
     line = span.source.line_text(find_line_range(span).line).strip()
     digest = hashlib.sha256(f"{diagnostic.code}\0{span.source.path}\0{line}".encode("utf-8", "surrogatepass")).hexdigest()[:16]
     fingerprint_counts[digest] += 1

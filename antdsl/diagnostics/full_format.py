@@ -1,4 +1,4 @@
-"""Formats findings for people: the message, the source line with the location marked below it, and the text to write instead."""
+"""The format of findings for people: the message, the source line with its location marked, and the text to write instead."""
 
 from __future__ import annotations
 
@@ -34,10 +34,9 @@ def _format_diagnostic(diagnostic: Diagnostic) -> str:
 
 
 def _format_snippet(span: Span, margin: int, arrow: str, mark: str, text: str) -> list[str]:
-    """Return the lines that show the location of a span: file and position, then its first line with the span underlined.
-
-    `margin`: the width of line numbers. `arrow`: the characters before the file name. `mark`: the character that underlines.
-    `text`: the text after the underline."""
+    """Return lines of text that show the location of a span: the file and position, then its first line with the span
+    underlined. `margin`: the width of line numbers. `arrow`: the characters before the file name. `mark`: the underlining
+    character. `text`: the text after the underline."""
     place = find_line_range(span)
     bar = f"{' ' * margin} |"
     head = f"{' ' * margin}{arrow} {escape_text(place.path)}:{place.line}:{place.column}"
@@ -53,7 +52,7 @@ def _format_snippet(span: Span, margin: int, arrow: str, mark: str, text: str) -
 
 
 def _cut_line(line: str, start: int, end: int) -> tuple[str, str, str]:
-    """Return the part of a line around a range of characters, as three texts: before the range, in the range and after it."""
+    """Return the part of a line around a range of characters, as three texts: before, in and after the range."""
     if len(line) <= _MAX_LINE_WIDTH:
         return escape_line(line[:start]), escape_line(line[start:end]), escape_line(line[end:])
     low = max(0, start - _MAX_LINE_WIDTH // 3)

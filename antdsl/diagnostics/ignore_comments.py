@@ -1,5 +1,6 @@
-"""Comments that ignore a warning and give a reason: `# antdsl: ignore[flicker] it is meant to be nervous`. Such a comment is at
-the end of the line with the warning, or on a separate line above."""
+"""Comments that ignore a warning for a stated reason: `# antdsl: ignore[flicker] it is meant to be nervous`.
+
+Such a comment is at the end of the line with the warning, or on a separate line above it."""
 
 from __future__ import annotations
 
@@ -19,8 +20,8 @@ _IGNORE_COMMENT = re.compile(r"(?:^|[ \t;{}])(#[ \t]*antdsl:[ \t]*ignore\[([^\]\
 class IgnoreComment:
     """A comment that ignores warnings.
 
-    `span`: its location. `line`: the line with the ignored warnings, counted from 1. `codes`: each ignored code, with its
-    location in the comment. `reason`: the text after the bracket."""
+    `span`: its location. `line`: the number of the line with the ignored warnings, counted from 1. `codes`: the ignored codes,
+    each with its location in the comment. `reason`: the text after the bracket."""
 
     span: Span
     line: int
@@ -45,7 +46,7 @@ def find_ignore_comments(source: Source) -> Iterator[IgnoreComment]:
 
 
 def _find_next_code_line(source: Source, number: int) -> int:
-    """Return the number of the first line after line `number` that is not empty or only a comment."""
+    """Return the number of the first line after line `number` that is neither empty nor only a comment."""
     last = source.find_line_column(len(source.text))[0]
     while number < last:
         number += 1
@@ -85,14 +86,12 @@ def apply_ignore_comments(
     has_no_errors: bool | None = None,
     meshes_checked: bool = True,
 ) -> Report:
-    """Return the report without ignored warnings, and with new warnings about faulty comments. These have no reason or ignore
-    nothing.
+    """Return the report without ignored warnings, and with new warnings about comments that give no reason or ignore nothing.
 
     `sources`: all checked texts.
-    `strict`, `meshes_checked`: whether the checks of STRICT_CODES and MESH_CODES have run. Codes that were not checked are not
-    reported as unused, and neither are RUN_CODES.
-    `has_no_errors`: whether all stages were without errors, since errors suppress most warnings. None: use whether this report
-    has no errors."""
+    `strict`, `meshes_checked`: whether the checks of STRICT_CODES and MESH_CODES have run. An ignored code of a check that has
+    not run is not reported as unused; nor is one of RUN_CODES.
+    `has_no_errors`: whether no stage found errors, because errors suppress most warnings. None: whether this report has none."""
     has_no_errors = report.ok if has_no_errors is None else has_no_errors
     unknown = RUN_CODES | (frozenset() if strict else STRICT_CODES) | (frozenset() if meshes_checked else MESH_CODES)
     all_diagnostics = [*report.diagnostics, *report.dropped_warnings]

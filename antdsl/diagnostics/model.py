@@ -13,8 +13,8 @@ Severity = Literal["error", "warning"]
 
 
 def replace_unprintable(text: str, allowed_characters: str = "") -> str:
-    """Return the text with every non-printing character, such as NUL or ESC, replaced by U+FFFD, except those in
-    `allowed_characters`."""
+    """Return the text with every non-printing character, such as NUL or ESC, replaced by U+FFFD. `allowed_characters`:
+    characters that are not replaced."""
     return "".join(c if c.isprintable() or c in allowed_characters else "\ufffd" for c in text)
 
 
@@ -24,14 +24,14 @@ _LONG_VALUE_PATTERN = re.compile(f"`([^`]{{{_MAX_QUOTED_CHARACTERS}}})[^`]+`")
 
 
 def shorten_values(text: str) -> str:
-    """Return the text with long quoted values shortened. If that is not enough, the complete text is shortened too."""
+    """Return the text with long quoted values shortened. If the result is still too long, it is cut."""
     text = _LONG_VALUE_PATTERN.sub(r"`\1…`", text)
     return text if len(text) <= _MAX_LINE_CHARACTERS else text[: _MAX_LINE_CHARACTERS - 1] + "…"
 
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A further location of a finding, with a text that explains its role."""
+    """A further location that a finding refers to, with a text that explains its role."""
 
     span: Span
     text: str
@@ -39,7 +39,7 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class Fix:
-    """A correction that an editor can apply: it replaces a span by a text."""
+    """A correction that an editor can apply: a span, and the text that replaces it."""
 
     span: Span
     text: str
@@ -49,8 +49,8 @@ class Fix:
 class Diagnostic:
     """A finding.
 
-    `code`: its stable code. `message`: one line in lower case, understandable without context. `span`: its location. `help`:
-    what to write instead. `labels`: further locations. `fix`: a correction that an editor can apply."""
+    `code`: its stable code. `message`: one line in lower case that can be understood without context. `span`: its location.
+    `help`: what to write instead. `labels`: further locations. `fix`: a correction that an editor can apply."""
 
     code: str
     message: str
@@ -73,8 +73,8 @@ class Diagnostic:
 
 
 def _make_diagnostic_key(diagnostic: Diagnostic) -> tuple[str | int, ...]:
-    """Return a key that is equal for duplicate findings. It has the file's name and not its text, because a shared file is read
-    once per scene."""
+    """Return a key that is equal for duplicate findings. The key contains the file's name instead of its text, because a shared
+    file is read once per scene."""
     span = diagnostic.span
     if span is None:
         return (diagnostic.code, diagnostic.message)
@@ -85,15 +85,15 @@ _REPLACEMENT_PATTERN = re.compile("(?:did you mean|write) `([^`…]+)`\\??")
 
 
 def find_fix(message: str, span: Span | None, help: str | None) -> Fix | None:
-    """Return a fix if the help consists only of the replacement for the text that the message names. Return None if the help
-    says more, or if the span covers something else."""
+    """Return a fix if the help consists only of a replacement for the text that the message names. Return None if the help says
+    more, or if the span covers something else."""
     match = _REPLACEMENT_PATTERN.fullmatch(help or "")
     return Fix(span, match[1]) if match and span is not None and f"`{span.text}`" in message else None
 
 
 @dataclass(slots=True)
 class Report:
-    """A list of findings of one or more stages. Findings with the same code at the same location are stored once.
+    """A list of the findings of one or more stages. Findings with the same code at the same location are stored once.
 
     `dropped_warnings`: warnings about a program that do not apply to the scene. They appear in no output."""
 
@@ -105,14 +105,14 @@ class Report:
         self._known_keys.update(_make_diagnostic_key(d) for d in self.diagnostics)
 
     def add(self, diagnostic: Diagnostic) -> None:
-        """Add a finding, unless an equal one is in the report."""
+        """Add a finding, unless the report already has an equal one."""
         key = _make_diagnostic_key(diagnostic)
         if key not in self._known_keys:
             self._known_keys.add(key)
             self.diagnostics.append(diagnostic)
 
     def drop_warnings(self, diagnostics: Iterable[Diagnostic]) -> None:
-        """Remove warnings from the report, and ignore them if they are added later."""
+        """Remove warnings from the report. If they are added later, they are ignored."""
         warnings = list(diagnostics)
         keys = {_make_diagnostic_key(d) for d in warnings}
         self.dropped_warnings += warnings
@@ -135,7 +135,7 @@ class Report:
         self.add(Diagnostic(code, message, span, severity, help, **details))  # type: ignore[arg-type]
 
     def extend(self, others: Report | Iterable[Diagnostic]) -> None:
-        """Add the findings of other reports. Warnings that they have dropped are dropped here, too."""
+        """Add the findings of other reports. Warnings that those reports have dropped are dropped here, too."""
         if isinstance(others, Report) and others.dropped_warnings:
             self.drop_warnings(others.dropped_warnings)
         for diagnostic in others.diagnostics if isinstance(others, Report) else others:
@@ -143,7 +143,7 @@ class Report:
 
     @property
     def errors(self) -> list[Diagnostic]:
-        """Return the errors, without warnings."""
+        """Return all findings that are errors."""
         return [d for d in self.diagnostics if d.severity == "error"]
 
     @property

@@ -1,4 +1,4 @@
-"""Converts a report to text, in the format that a person or a program requested."""
+"""Formatting of reports as text, in the format that a user or a program has requested."""
 
 from __future__ import annotations
 
@@ -39,15 +39,14 @@ FORMATTERS: dict[str, Callable[[Sequence[Diagnostic], int], str]] = {
 
 
 def render(report: Report, format: str = "full") -> str:
-    """Return the report as text in one of `FORMATS`, ordered by location. Raises KeyError for another format.
-
-    The text has at most 50 findings. Errors take precedence over warnings. It states how many findings are left out."""
+    """Return the report as text in one of `FORMATS`, ordered by location. Raises KeyError for any other format. The text has at
+    most 50 findings, with errors before warnings if some must be omitted. It gives the number of omitted findings."""
     diagnostics = choose_visible_diagnostics(report)
     return FORMATTERS[format](diagnostics, len(report.diagnostics) - len(diagnostics))
 
 
 def choose_visible_diagnostics(report: Report) -> list[Diagnostic]:
-    """Return at most 50 findings, ordered by location. Errors take precedence over warnings."""
+    """Return at most 50 findings, ordered by location. If some must be omitted, warnings are omitted first."""
     ordered = report.sort_by_place()
     if len(ordered) <= limits.MAX_SHOWN_DIAGNOSTICS:
         return ordered

@@ -1,4 +1,4 @@
-"""Finds the known name that is most similar to an unknown one, for `did you mean …`."""
+"""A search for the known name that is most similar to an unknown one, for `did you mean …`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Functions that all output formats use: texts without control characters, and lines and columns of a span."""
+"""Functions that all output formats use: texts without control characters, and the lines and columns of a span."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def count_columns(text: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class LineRange:
-    """A span as lines and columns, counted from 1. The end column is the one after the last character."""
+    """The lines and columns of a span, counted from 1. The end column is the one after the last character."""
 
     path: str
     line: int

@@ -1,4 +1,5 @@
-"""Encodes reports as JSON for another process. Each text is stored once. A location is the index of its text and two offsets."""
+"""Encoding of reports as JSON for another process. Each source text is stored once; a location is the index of its text and two
+offsets."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from antdsl.source import Source, Span
 
 
 def encode_reports(reports: Mapping[Path, Report], sources: Iterable[Source]) -> bytes:
-    """Return the encoded reports of files, as JSON in UTF-8. `sources`: further texts to store after the reports."""
+    """Return reports encoded as JSON in UTF-8. `sources`: further source texts, which are stored after those of the reports."""
     numbers: dict[Source, int] = {}
     texts = [_index_source(source, numbers) for source in sources]
     entries = [
@@ -30,7 +31,8 @@ def encode_reports(reports: Mapping[Path, Report], sources: Iterable[Source]) ->
 
 
 def decode_reports(data: bytes) -> tuple[dict[Path, Report], list[Source]]:
-    """Return the reports and the texts from data that `encode_reports` wrote. Raises ValueError if the data is incomplete."""
+    """Return the reports and the source texts from data that `encode_reports` wrote. Raises ValueError if the data is
+    incomplete."""
     try:
         document = json.loads(data)
         table = [Source(*entry) for entry in document["table"]]
@@ -44,7 +46,7 @@ def decode_reports(data: bytes) -> tuple[dict[Path, Report], list[Source]]:
 
 
 def _index_source(source: Source, numbers: dict[Source, int]) -> int:
-    """Return the index of a text in the table of texts. A new text is added. `numbers`: the index of each text in the table."""
+    """Return the index of a source text in the table `numbers`. A new text is added to the table."""
     return numbers.setdefault(source, len(numbers))
 
 

@@ -1,4 +1,4 @@
-"""Runs a spec at points, each with one value per varied param. Each task runs one point, scene and seed."""
+"""Evaluation of a spec at points. A point has one value for each varied param. Each task runs one point, scene and seed."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ Values = Mapping[str, str]
 
 @dataclass(frozen=True, slots=True)
 class GoalResult:
-    """The values of one goal with all seeds. `text`: its line in the source. `targets`: the target with each seed; they differ
-    only if the target is a value of a reference run. `tolerance`: a fraction of the target."""
+    """The values of one goal, one per seed. `text`: the source line of the goal. `targets`: the target for each seed; targets
+    differ only if the target is a value of a reference run. `tolerance`: a fraction of the target."""
 
     text: str
     values: tuple[float, ...]
@@ -34,7 +34,7 @@ class GoalResult:
 
     @property
     def residual(self) -> float:
-        """Return the distance between the median value and the median target, as a multiple of the tolerance."""
+        """Return the distance of the median value from the median target, as a multiple of the tolerance."""
         value, target = median(self.values), median(self.targets)
         unit = self.tolerance * abs(target)
         distance = abs(value - target)
@@ -47,10 +47,10 @@ class GoalResult:
 
 @dataclass(frozen=True, slots=True)
 class PointResult:
-    """The results of one point with all seeds.
+    """The results at one point, over all seeds.
 
     - `values`: the varied values by name.
-    - `failed_lines`: for each seed, the number of failed lines that are not goals, over all scenes.
+    - `failed_lines`: for each seed, the number of failed lines that are not goals, summed over all scenes.
     - `pass_share`: the fraction of seeds that must pass."""
 
     values: Values
@@ -61,17 +61,17 @@ class PointResult:
 
     @property
     def passed_share(self) -> float:
-        """Return the fraction of seeds with which all lines that are not goals hold."""
+        """Return the fraction of seeds for which all lines that are not goals hold."""
         return sum(count == 0 for count in self.failed_lines) / len(self.failed_lines) if self.failed_lines else 0.0
 
     @property
     def holds(self) -> bool:
-        """Return whether the lines that are not goals hold with enough seeds."""
+        """Return whether the lines that are not goals hold for enough seeds."""
         return self.passed_share >= self.pass_share * (1 - 1e-9)
 
     @property
     def weighted_loss(self) -> float:
-        """Return the quantity that a fit minimises. It is the mean squared residual plus the mean number of failed lines."""
+        """Return the quantity that a fit minimises: the mean squared residual plus the mean number of failed lines."""
         if not self.failed_lines:
             return math.inf
         squares = [goal.residual**2 for goal in self.goals]
@@ -80,11 +80,11 @@ class PointResult:
 
 @dataclass(slots=True)
 class PointEvaluator:
-    """Evaluates points, and each only once.
+    """Evaluates points, and evaluates each point only once.
 
     - `scenes`, `spec`: the scenes to run, and the name of the spec.
-    - `on_result`: is called with each point that is evaluated.
-    - `results`: all points in the order of evaluation."""
+    - `on_result`: called with the result of each evaluated point.
+    - `results`: the results of all points, in the order of evaluation."""
 
     scenes: Sequence[Path]
     spec: str
@@ -96,7 +96,7 @@ class PointEvaluator:
     results: dict[tuple[str, ...], PointResult] = field(default_factory=dict)
 
     def evaluate(self, points: Iterable[Values]) -> list[PointResult]:
-        """Return the results at points, in order. The runs of all points and seeds are distributed over the same processes."""
+        """Return the results at points, in the order of `points`. The runs of all points and seeds share the same processes."""
         points = list(points)
         new_points = {tuple(point.values()): point for point in points if tuple(point.values()) not in self.results}
         answers: dict[tuple[str, ...], dict[int, list[dict[str, Any]]]] = {key: {} for key in new_points}
@@ -146,8 +146,8 @@ def _make_goal_result(entries: Sequence[Mapping[str, Any]]) -> GoalResult:
 def find_spec(
     scene: Path, name: str, grants: Mapping[str, Path], params: Values, report: Report, parsed: SharedParsedFiles
 ) -> CaseFinder:
-    """Return a case finder that contains the spec of a scene's program. Errors are added to `report`. `parsed`: files that are
-    already parsed."""
+    """Return a case finder that contains the spec called `name` of a scene's program. Errors are added to `report`. `parsed`: a
+    cache of parsed files."""
     finder = CaseFinder(dict(grants), parsed, report, params)
     program, findings = check_path(scene, RunChoices(grants, params=params), parsed=parsed, specs=False)
     report.extend(findings)

@@ -1,4 +1,4 @@
-"""Formats the results of a fit as text, `fit.json` and a table of all points."""
+"""The results of a fit as text, as JSON (`fit.json`), and as a table of all points."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from antdsl.outputs.csv_text import format_csv
 
 
 def describe_fit(result: FitResult) -> str:
-    """Return a result as lines of text: the fraction of sampled points that pass, the best values, and the goals with fitted and
-    other seeds."""
+    """Return the result as lines of text. They give the fraction of sampled points that pass, the best values, and the goals
+    with the seeds of the fit and with other seeds."""
     passed = sum(point.holds for point in result.sample)
     lines = [f"prior: all other lines hold at {passed} of {len(result.sample)} points ({100 * result.prior_share:.0f} %)"]
     problems = [point.problem for point in result.sample if point.problem]
@@ -80,9 +80,9 @@ def _make_finite(value: float) -> float | None:
 
 
 def format_points(result: FitResult, units: Mapping[str, str]) -> str:
-    """Return all points as CSV: values without units, the loss, the fraction of seeds that pass, and the medians of goals.
+    """Return all points as CSV: values without units, the loss, the fraction of seeds that pass, and the median of each goal.
 
-    `units`: the unit of each value by name."""
+    `units`: the unit of each value, by name."""
     goals = () if result.best is None else tuple(goal.text for goal in result.best.goals)
     heads = [f"{name} ({unit})" if unit else name for name, unit in units.items()]
     rows: list[list[object]] = [["part", *heads, "loss", "passed_share", *goals]]

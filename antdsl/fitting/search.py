@@ -28,8 +28,8 @@ class FitResult:
     """The result of a fit.
 
     - `sample`: the results at the points of the Sobol sequence. `searched`: the results at all later points.
-    - `best`: the point with the least loss; None if no point has results.
-    - `check`: the result at the best point with other seeds."""
+    - `best`: the result with the least loss; None if no point has a result.
+    - `check`: the result at the best point, evaluated with other seeds."""
 
     sample: tuple[PointResult, ...]
     searched: tuple[PointResult, ...]
@@ -48,7 +48,7 @@ def fit_goals(
     """Return the result of a fit, without checking it with other seeds.
 
     `chosen`: the Sobol sequence. `generations`: the largest number of generations of the evolution, each with max(8, 5 ×
-    factors) points. `report_generation`: is called with the number of a generation and the least loss so far."""
+    factors) points. `report_generation`: called with the number of a generation and the least loss so far."""
     sample = evaluator.evaluate(chosen.points)
     ranked = np.argsort([_bound_loss(point) for point in sample], kind="stable")
     if generations and chosen.shares is not None and _bound_loss(sample[ranked[0]]) > _SUFFICIENT_LOSS:
@@ -102,5 +102,5 @@ def _bound_loss(result: PointResult) -> float:
 
 
 def _make_values(factors: Sequence[Factor], shares: NDArray[np.float64]) -> Values:
-    """Return the values at a position in the ranges. `shares`: the position in each range, 0 to 1."""
+    """Return the values of all factors at a position in their ranges. `shares`: the position in each range, 0 to 1."""
     return {factor.name: factor.format_value_at(float(share)) for factor, share in zip(factors, shares, strict=True)}

@@ -1,6 +1,7 @@
-"""Draws the state machines of a Program as SVG, PNG, Mermaid or DOT. Only SVG and PNG need a layout.
+"""Pictures of a Program's state machines as SVG, PNG, Mermaid or DOT. Only SVG and PNG need a layout.
 
-`build_charts(program)`, `lay_out_charts(charts)` and the classes of `model` are for callers that draw live or in other formats.
+`build_charts(program)`, `lay_out_charts(charts)` and the classes of `model` are for callers that draw live or in other
+formats.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Makes charts from a program: one for each machine, as an author would draw it on paper.
+"""Construction of charts from a program: one chart for each machine, as an author would draw it on paper.
 
-A transition `from any` is a single arrow from a box `any`, not one arrow from each state. `previous` is a box next to the state
-that uses it."""
+A transition `from any` is a single arrow from a box `any`, instead of one arrow from each state. `previous` is a box next to the
+state that uses it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ _GREY = (0.45, 0.46, 0.48)
 
 
 def build_charts(program: Program) -> tuple[Chart, ...]:
-    """Return a chart for each machine of each species, in the order of the text. A species without states has no charts."""
+    """Return a chart for each machine of each species, in the order of the source text. A species without states has no
+    charts."""
     all_charts = []
     for species in program.species.values():
         for machine in species.machines:
@@ -45,7 +46,7 @@ def _is_from_any(change: Transition) -> bool:
 
 
 def _find_transitions_from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...]]]:
-    """Return each transition `from any`, without duplicates, with the names of the states that its `except` lists."""
+    """Return each transition `from any` once, with the names of the states that its `except` lists."""
     changes: dict[str, Transition] = {}
     where: dict[str, set[int]] = {}
     for state in machine.states:
@@ -60,7 +61,7 @@ def _find_transitions_from_any(machine: Machine) -> list[tuple[Transition, tuple
 
 
 class _ChartBuilder:
-    """Collects the boxes and arrows of a chart while it is built."""
+    """Collects the boxes and arrows of a chart while the chart is built."""
 
     def __init__(self, machine: Machine) -> None:
         self.boxes: dict[str, Box] = {}
@@ -72,21 +73,21 @@ class _ChartBuilder:
         self._add_arrow("start", f"s{machine.start}", False, "", "")
 
     def add_any_box(self, excepted_states: tuple[str, ...]) -> str:
-        """Add the box that is the source of transitions `from any`, and return its key. `excepted_states`: the states that do not
+        """Add the box from which transitions `from any` start, and return its key. `excepted_states`: the states that do not
         have these transitions."""
         name = "any state" if not excepted_states else "any but " + ", ".join(excepted_states)
         return self._add_extra_box("any", name, name)
 
     def _add_extra_box(self, kind: str, unique_text: str, name: str, details: str = "") -> str:
-        """Add a box that is not a state, unless it exists. Return its key. `unique_text`: a text that distinguishes it from
-        other boxes of its kind."""
+        """Add a box that is not a state, unless it exists already. Return its key. `unique_text`: a text that distinguishes it
+        from other boxes of its kind."""
         key = f"{kind} {unique_text}"
         self.boxes.setdefault(key, Box(key, kind, name, "", _GREY, details))  # type: ignore[arg-type]
         return key
 
     def add_transition(self, source: str, change: Transition, name: str, number: str) -> None:
         """Add a transition from the box `source`. `name`: the name of the source state. `number`: the transition's position in
-        the order of evaluation, as text; may be empty."""
+        the order of evaluation, as text; may be ""."""
         words, details = number + _format_condition(change), _make_tooltip(change.span)
         if change.choices:
             target = self._add_extra_box("choice", change.key, "", details)
@@ -99,7 +100,7 @@ class _ChartBuilder:
             self._add_arrow(target, f"s{state}", False, _format_source_text(weight.span), details)
 
     def _add_arrow(self, source: str, target: str, interrupt: bool, words: str, details: str) -> None:
-        """Add an arrow. All transitions between the same two boxes share an arrow, but interrupts have a separate one."""
+        """Add an arrow. All transitions between the same two boxes share one arrow, but interrupts have a separate arrow."""
         self._changes.setdefault((source, target, interrupt), []).append((words, details))
 
     def build_arrows(self) -> tuple[Arrow, ...]:
@@ -125,7 +126,7 @@ def _format_interrupt(change: Transition) -> str:
 
 
 def _format_condition(change: Transition) -> str:
-    """Return a transition's condition as in the source, with its required duration and its `take`."""
+    """Return the condition of a transition as in the source, with its required duration and its `take`."""
     parts = [
         _format_interrupt(change),
         _format_source_text(change.condition.span) if change.condition is not None else "",
@@ -142,7 +143,8 @@ def _format_source_text(span: Span) -> str:
 
 
 def _format_location(span: Span) -> str:
-    """Return the file name and the line. The folder is left out, so that equal programs give equal pictures in any folder."""
+    """Return the file name and line of a span. The folder is omitted, so that equal programs give equal pictures in any
+    folder."""
     return f"{PurePath(span.source.path).name}:{span.source.find_line_column(span.start)[0]}"
 
 

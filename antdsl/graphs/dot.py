@@ -1,5 +1,5 @@
-"""Formats charts as DOT, the text format of Graphviz and many other programs. DOT has no positions: the program that reads the
-text computes a layout."""
+"""Charts as DOT, the text format of Graphviz and many other programs. DOT contains no positions; the program that reads it
+computes a layout."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from antdsl.graphs.model import RGB, Arrow, Box, Chart
 
 
 def format_dot(charts: Sequence[Chart]) -> str:
-    """Return the complete text, with one cluster for each chart. The same charts give the same text."""
+    """Return the DOT text of charts, with one cluster for each chart. Equal charts give equal texts."""
     lines = [
         "digraph antdsl {",
         '  graph [rankdir=TB, fontname="Helvetica", nodesep=0.4, ranksep=0.5];',
@@ -35,7 +35,7 @@ def format_dot(charts: Sequence[Chart]) -> str:
 
 
 def _format_box(box: Box) -> str:
-    """Return the attributes of a box."""
+    """Return the DOT attributes of a box."""
     tip = f"tooltip={_quote_text(box.details or box.name)}"
     if box.kind == "start":
         return f'shape=circle, width=0.18, label="", fillcolor="{format_hex_colour(box.colour)}", {tip}'
@@ -50,7 +50,7 @@ def _format_box(box: Box) -> str:
 
 
 def _format_arrow(arrow: Arrow, colour: RGB) -> str:
-    """Return the attributes of an arrow."""
+    """Return the DOT attributes of an arrow."""
     words = f"label={_quote_text(chr(10).join(arrow.lines))}, " if arrow.lines else ""
     ink, thick = format_hex_colour(darken_colour(colour, 0.1)), INTERRUPT_LINE_WIDTH if arrow.interrupt else PLAIN_LINE_WIDTH
     tip = f", tooltip={_quote_text(arrow.details)}" if arrow.details else ""
@@ -58,5 +58,5 @@ def _format_arrow(arrow: Arrow, colour: RGB) -> str:
 
 
 def _quote_text(text: str) -> str:
-    """Return the text in quotes. Inside quotes, only backslashes have a special meaning to Graphviz."""
+    """Return the text in double quotes, with backslashes, double quotes and line ends escaped."""
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'

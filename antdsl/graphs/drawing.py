@@ -1,5 +1,4 @@
-"""Converts charts with positions to shapes: rectangles, lines and words in px. Shapes are in the order in which they are
-painted."""
+"""Conversion of charts with positions to shapes: rectangles, lines and words in px, in the order in which they are painted."""
 
 from __future__ import annotations
 
@@ -25,8 +24,8 @@ ARROW_HEAD_LENGTH = 8.0  # length of an arrow's head
 
 @dataclass(frozen=True, slots=True)
 class Rectangle:
-    """A rectangle. `corner_radius`: the radius of its corners, px. `fill_colour`, `edge_colour`: colours; None for no fill or no
-    edge."""
+    """A rectangle. `corner_radius`: the radius of its corners, px. `fill_colour`, `edge_colour`: its colours; None for no fill
+    or no edge."""
 
     left: float
     top: float
@@ -42,7 +41,7 @@ class Rectangle:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line through points; its corners are already rounded. A closed line is the filled head of an arrow."""
+    """A line through points. Its corners are already rounded. A closed line is the filled head of an arrow."""
 
     points: tuple[Point, ...]
     colour: RGB
@@ -53,8 +52,8 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class TextLine:
-    """One line of text. `centre`: its centre, px. `size`: its font size, px. `width`: the width into which the text is fitted,
-    px."""
+    """One line of text. `centre`: its centre, px. `size`: its font size, px. `width`: the width into which viewers must fit the
+    text, px."""
 
     text: str
     centre: Point
@@ -68,7 +67,7 @@ Shape = Rectangle | Line | TextLine
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """Shapes in the order in which they are painted, on a white background of `width` × `height` px."""
+    """A drawing: shapes in the order in which they are painted, on a white background of `width` × `height` px."""
 
     width: float
     height: float
@@ -76,7 +75,7 @@ class Drawing:
 
 
 def draw_charts(charts: Sequence[PlacedChart]) -> Drawing:
-    """Draw charts in rows, each in a frame under its title."""
+    """Return a drawing of charts in rows, each chart in a frame below its title."""
     shapes: list[Shape] = []
     right = down = high = broadest = 0.0
     for chart in charts:
@@ -104,7 +103,7 @@ def _draw_chart(chart: PlacedChart) -> Iterator[Shape]:
 
 
 def choose_line_colours(chart: Chart) -> tuple[RGB, ...]:
-    """Return the colour of each arrow: the colour of its source state, dark enough to be visible. Interrupts have a separate
+    """Return the colour of each arrow: that of its source state, darkened until it is visible. Interrupts have a separate
     colour."""
     colours = {box.key: darken_colour(box.colour) for box in chart.boxes}
     return tuple(INTERRUPT_COLOUR if arrow.interrupt else colours[arrow.source] for arrow in chart.arrows)
@@ -116,7 +115,7 @@ def format_hex_colour(colour: RGB) -> str:
 
 
 def _draw_line(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
-    """Yield the shapes of a line. A white line below it, slightly wider, separates it from lines that it crosses."""
+    """Yield the shapes of an arrow's line. A slightly wider white line below it separates it from lines that it crosses."""
     thick = INTERRUPT_LINE_WIDTH if arrow.arrow.interrupt else PLAIN_LINE_WIDTH
     head, end = _compute_arrow_head(arrow.points[-2], arrow.points[-1], ARROW_HEAD_LENGTH + thick)
     path = _round_corners((*arrow.points[:-1], end))
@@ -126,8 +125,7 @@ def _draw_line(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
 
 
 def _compute_arrow_head(previous_point: Point, tip: Point, head_length: float) -> tuple[tuple[Point, ...], Point]:
-    """Return the three corners of an arrow's head, and the point where its line must end. `head_length`: the length of the head,
-    px."""
+    """Return the three corners of an arrow's head, and the point at which its line must end. `head_length`: its length, px."""
     far = hypot(tip[0] - previous_point[0], tip[1] - previous_point[1]) or 1.0
     x, y = (tip[0] - previous_point[0]) / far, (tip[1] - previous_point[1]) / far
     back = (tip[0] - x * head_length, tip[1] - y * head_length)
@@ -150,7 +148,7 @@ def _round_corners(points: Sequence[Point]) -> tuple[Point, ...]:
 
 
 def _move_towards(corner: Point, other: Point) -> Point:
-    """Return the point where the rounding of a corner begins, on the line from the corner to `other`."""
+    """Return the point at which the rounding of a corner begins, on the line from the corner to `other`."""
     far = hypot(other[0] - corner[0], other[1] - corner[1])
     share = min(CORNER_RADIUS, far / 2) / far if far else 0.0
     return corner[0] + (other[0] - corner[0]) * share, corner[1] + (other[1] - corner[1]) * share
@@ -177,7 +175,7 @@ def _draw_box(box: Box, place: PlacedBox) -> Iterator[Shape]:
 
 
 def _draw_words(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
-    """Yield the shapes of an arrow's words: a white background, then one shape per line of text."""
+    """Yield the shapes of an arrow's words: a white background, then one shape for each line of text."""
     if arrow.words is None:
         return
     x, y = arrow.words.centre
@@ -194,19 +192,19 @@ def _make_centred_line(text: str, centre: Point, size: int, colour: RGB) -> Text
 
 
 def choose_text_colour(colour: RGB) -> RGB:
-    """Return black or white, whichever is easier to read on the colour."""
+    """Return black or white, whichever is easier to read on a background of this colour."""
     return TEXT_COLOUR if _compute_luminance(colour) > 0.3 else WHITE
 
 
 def _compute_luminance(colour: RGB) -> float:
-    """Return the relative luminance as defined by WCAG 2, from 0 to 1."""
+    """Return the relative luminance of a colour as defined by WCAG 2, from 0 to 1."""
     red, green, blue = ((c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4) for c in colour)
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
 def darken_colour(colour: RGB, max_luminance: float = 0.22) -> RGB:
-    """Return the colour, darkened to a luminance of at most `max_luminance`. With the default, a thin line is visible on white.
-    Words need 0.1, which gives a contrast of 7 : 1."""
+    """Return the colour, darkened until its luminance is at most `max_luminance`. The default makes a thin line visible on
+    white. Words need 0.1, which gives a contrast of 7 : 1."""
     while _compute_luminance(colour) > max_luminance:
         colour = (colour[0] * 0.92, colour[1] * 0.92, colour[2] * 0.92)
     return colour

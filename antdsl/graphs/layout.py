@@ -1,4 +1,4 @@
-"""Computes positions for charts: states in layers, arrows with right angles, and labels that cover no boxes.
+"""The layout of charts: states in layers, arrows with right angles, and labels that cover no boxes.
 
 The library graphlay computes a layered layout (Sugiyama, Tagawa, Toda 1981). It leaves space for labels and gives the same
 positions on every machine. A label is on its own arrow or next to it. It does not touch boxes or other labels and, if possible,
@@ -79,10 +79,10 @@ def lay_out_charts(charts: Sequence[Chart]) -> tuple[tuple[PlacedChart, ...], Re
 
 
 def _place_chart(chart: Chart) -> PlacedChart:
-    """Return the first layout in which no words touch or hide anything. Spacings are tried from narrow to wide.
+    """Return the first layout of a chart in which no words touch or hide anything. Spacings are tried from narrow to wide.
 
     If there is none, return the layout with the fewest touching words and, of these, the fewest hidden lines. Wide spacings are
-    tried only if words touch in all narrower ones."""
+    tried only if words touch something in all narrower ones."""
     best: tuple[int, int, int] | None = None
     best_chart: PlacedChart | None = None
     for number, spacing in enumerate(_SPACINGS):
@@ -131,7 +131,7 @@ def compute_box_size(box: Box) -> tuple[float, float]:
 
 
 def wrap_words(arrow: Arrow) -> tuple[str, ...]:
-    """Return the words of an arrow, wrapped into short lines."""
+    """Return the words of an arrow, wrapped into short lines of text."""
     short_lines: list[str] = []
     for line in arrow.lines:
         lines = textwrap.wrap(line, MAX_LINE_CHARACTERS, break_on_hyphens=False) or [""]
@@ -148,7 +148,7 @@ def _measure_text(lines: tuple[str, ...]) -> tuple[float, float]:
 
 
 def _shift_to_zero(chart: Chart, boxes: list[tuple[Box, PlacedBox]], arrows: list[PlacedArrow]) -> PlacedChart:
-    """Return the chart moved so that its top left corner is at (0, 0). The corner includes a margin."""
+    """Return the chart, moved so that its top left corner, including a margin, is at (0, 0)."""
     all_boxes = [place for _, place in boxes] + [arrow.words for arrow in arrows if arrow.words is not None]
     xs = [x for a in arrows for x, _ in a.points] + [p.left for p in all_boxes] + [p.left + p.width for p in all_boxes]
     ys = [y for a in arrows for _, y in a.points] + [p.top for p in all_boxes] + [p.top + p.height for p in all_boxes]
@@ -159,7 +159,7 @@ def _shift_to_zero(chart: Chart, boxes: list[tuple[Box, PlacedBox]], arrows: lis
 @dataclass(frozen=True, slots=True)
 class WordPlacement:
     """The positions of the words of all arrows.
-    - `word_boxes`: for each arrow, the box of its words; None for an arrow without words.
+    - `word_boxes`: for each arrow, the box around its words; None for an arrow without words.
     - `touching_count`: the number of words that touch boxes or other words.
     - `hidden_line_count`: the number of lines and arrow heads that words hide."""
 
@@ -172,7 +172,7 @@ class WordPlacement:
 class _LabelPositions:
     """Candidate positions for words of one size.
     - `centres`: positions [n, 2], px.
-    - `costs`: the cost of each position, independent of other words [n].
+    - `costs`: the cost of each position, without regard to other words [n].
     - `hidden_line_counts`: the number of lines that words at each position hide [n]."""
 
     size: SizePx
@@ -181,13 +181,13 @@ class _LabelPositions:
     hidden_line_counts: Array
 
     def make_box(self, number: int) -> PlacedBox:
-        """Return the words' box at a candidate position."""
+        """Return the box around the words at the candidate position `number`."""
         x, y = self.centres[number].tolist()
         return PlacedBox((x, y), *self.size)
 
 
 def place_words(boxes: Sequence[PlacedBox], routes: Sequence[Route], sizes: Sequence[SizePx | None]) -> WordPlacement:
-    """Return the positions of the words on arrows.
+    """Return positions for the words of all arrows.
 
     `boxes`: the boxes of the chart. `routes`: for each arrow, the corners of its path, mostly vertical and horizontal. `sizes`:
     for each arrow, the width and height of its words, px; None without words."""
@@ -212,7 +212,7 @@ def place_words(boxes: Sequence[PlacedBox], routes: Sequence[Route], sizes: Sequ
 
 
 def _find_label_positions(number: int, boxes: Sequence[PlacedBox], routes: Sequence[Route], size: SizePx) -> _LabelPositions:
-    """Return candidate positions for the words of arrow `number`: on the line of its path and next to it."""
+    """Return candidate positions for the words of the arrow `number`: on its path and next to it."""
     route = routes[number]
     centres, costs = _list_route_positions(route, size)
     others = [part for n, other in enumerate(routes) if n != number for part in pairwise(other)]
@@ -251,7 +251,8 @@ def _list_route_positions(route: Route, size: SizePx) -> tuple[Array, Array]:
 
 
 def _count_overlaps(centres: Array, size: SizePx, others: Sequence[PlacedBox]) -> Array:
-    """Return, for each candidate centre (n, 2), how many of the boxes `others` would touch words at this position, int (n,)."""
+    """Return, for each candidate centre (n, 2), the number of boxes in `others` that words at this position would touch, int
+    (n,)."""
     if not others:
         return np.zeros(len(centres), int)
     middles = np.array([other.centre for other in others])
@@ -260,7 +261,8 @@ def _count_overlaps(centres: Array, size: SizePx, others: Sequence[PlacedBox]) -
 
 
 def _count_crossings(centres: Array, size: SizePx, line_segments: Sequence[tuple[Point, Point]]) -> Array:
-    """Return, for each candidate centre (n, 2), how many segments of other lines cross words at this position, int (n,)."""
+    """Return, for each candidate centre (n, 2), the number of segments of other lines that cross words at this position, int
+    (n,)."""
     if not line_segments:
         return np.zeros(len(centres), int)
     ends, half = np.array(line_segments), np.array(size) / 2 + 1

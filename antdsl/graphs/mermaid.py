@@ -1,5 +1,4 @@
-"""Formats charts as Mermaid text, which GitHub, GitLab and many editors display as a picture inside Markdown. It needs no
-layout.
+"""Charts as Mermaid text, which GitHub, GitLab and many editors display as a picture inside Markdown. No layout is needed.
 
 The text is a flow chart, because Mermaid's state diagrams have no thick lines for interrupts and no coloured lines."""
 
@@ -23,7 +22,7 @@ _BRACKETS_BY_KIND = {
 
 
 def format_mermaid(charts: Sequence[Chart]) -> str:
-    """Return the complete text, with one subgraph for each chart. The same charts give the same text."""
+    """Return the Mermaid text of charts, with one subgraph for each chart. Equal charts give equal texts."""
     lines = ["flowchart TB"]
     styles: list[str] = []
     links = 0
@@ -40,21 +39,21 @@ def format_mermaid(charts: Sequence[Chart]) -> str:
 
 
 def _format_box(key: str, box: Box) -> str:
-    """Return the line that declares a box."""
+    """Return the line of text that declares a box."""
     prefix, suffix = _BRACKETS_BY_KIND[box.kind]
     words = [box.name, box.label] if box.kind in ("state", "any", "previous") else [" "]
     return key + prefix + "<br/>".join(_escape_text(word) for word in words if word) + suffix
 
 
 def _format_link(keys: dict[str, str], arrow: Arrow) -> str:
-    """Return the line that declares an arrow. `keys`: for each box, its key in the text."""
+    """Return the line of text that declares an arrow. `keys`: the key of each box in the text."""
     line = "==>" if arrow.interrupt else "-->"
     words = "<br/>".join(_escape_text(words) for words in arrow.lines)
     return f"{keys[arrow.source]} {line}" + (f'|"{words}"|' if words else "") + f" {keys[arrow.target]}"
 
 
 def _format_style(box: Box) -> str:
-    """Return the colours of a box as Mermaid styles."""
+    """Return the colours of a box as a Mermaid style."""
     if box.kind in ("state", "start"):
         fill, edge, ink = box.colour, darken_colour(box.colour), choose_text_colour(box.colour)
         return f"fill:{format_hex_colour(fill)},stroke:{format_hex_colour(edge)},color:{format_hex_colour(ink)}"
@@ -63,8 +62,8 @@ def _format_style(box: Box) -> str:
 
 
 def _format_link_styles(chart: Chart, first_link_number: int) -> Iterator[str]:
-    """Yield one line per arrow with its style. `first_link_number`: the position of the chart's first arrow among all arrows of
-    the text."""
+    """Yield one line of text per arrow, with its style. `first_link_number`: the position of the chart's first arrow among all
+    arrows of the text."""
     for k, (arrow, colour) in enumerate(zip(chart.arrows, choose_line_colours(chart), strict=True), first_link_number):
         thick = f",stroke-width:{INTERRUPT_LINE_WIDTH}px" if arrow.interrupt else ""
         yield f"  linkStyle {k} stroke:{format_hex_colour(colour)}{thick}"

@@ -1,4 +1,4 @@
-"""The classes that describe a picture of a state machine: boxes and arrows in a chart, and their positions in a layout.
+"""The classes that describe a picture of a state machine: boxes and arrows of a chart, and their positions in a layout.
 
 Charts do not depend on a picture format, and layouts do not depend on a library. Code that draws a picture, to a file or live,
 reads only these classes."""
@@ -18,7 +18,7 @@ class Box:
     """One box of a chart.
 
     - `kind`: `start` is the dot that points at the first state. `any` is the source of transitions `from any`. `previous` is the
-      return to the previous state. `choice` is the fork of a `choose`. Any other box is a state.
+      return to the previous state. `choice` is the fork of a `choose`. Any other kind is a state.
     - `key`: unique in its chart.
     - `name`: the name of the state.
     - `details`: the tooltip."""
@@ -33,7 +33,7 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Arrow:
-    """The transitions from one box to another. Either all of them are interrupts (`interrupt`) or none is.
+    """The transitions from one box to another. Either all of them are interrupts (`interrupt`), or none of them is.
 
     `source`, `target`: the keys of the boxes. `lines`: one condition per transition, in order of evaluation. `details`: the
     tooltip."""
@@ -47,7 +47,8 @@ class Arrow:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """One machine of a species. `title`: such as `forager`, or `forager.mood` if the species has several machines."""
+    """The chart of one machine of a species. `title`: such as `forager`, or `forager.mood` if the species has several
+    machines."""
 
     title: str
     boxes: tuple[Box, ...]
@@ -56,7 +57,7 @@ class Chart:
 
 @dataclass(frozen=True, slots=True)
 class PlacedBox:
-    """The position of a box or of words: its centre and its size, in px."""
+    """The position of a box or of words: centre and size in px."""
 
     centre: Point
     width: float
@@ -75,9 +76,9 @@ class PlacedBox:
 
 @dataclass(frozen=True, slots=True)
 class PlacedArrow:
-    """An arrow with its path, which is a chain of straight segments and ends at the tip.
+    """An arrow with its path: a chain of straight segments that ends at the tip.
 
-    `words`: the position of its words; None without words. `lines`: its words, wrapped."""
+    `words`: the position of its words; None without words. `lines`: its words, wrapped into lines."""
 
     arrow: Arrow
     points: tuple[Point, ...]
@@ -87,7 +88,7 @@ class PlacedArrow:
 
 @dataclass(frozen=True, slots=True)
 class PlacedChart:
-    """A chart in which all parts have positions, from (0, 0) to (width, height)."""
+    """A chart with positions for all its parts, which are between (0, 0) and (width, height)."""
 
     chart: Chart
     width: float
@@ -96,7 +97,7 @@ class PlacedChart:
     arrows: tuple[PlacedArrow, ...]
 
     def shift(self, horizontal_shift: float, vertical_shift: float) -> PlacedChart:
-        """Return the chart moved by `horizontal_shift` px to the right and `vertical_shift` px down."""
+        """Return the chart, moved by `horizontal_shift` px to the right and by `vertical_shift` px down."""
 
         def shift_box(place: PlacedBox) -> PlacedBox:
             return replace(place, centre=(place.centre[0] + horizontal_shift, place.centre[1] + vertical_shift))

@@ -1,4 +1,4 @@
-"""A drawing as a PNG at two pixels per px, for viewers without SVG. The library resvg renders the drawing's SVG."""
+"""A drawing as a PNG file with two pixels per px, for viewers without SVG. The library resvg renders the SVG of the drawing."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ MAX_PIXELS = 15_000_000  # maximum number of pixels; a larger drawing gets fewer
 
 
 def render_png(drawing: Drawing) -> bytes:
-    """Return the bytes of a PNG file. Raises ImportError without resvg.
+    """Return the bytes of a PNG file. Raises ImportError if resvg is not installed.
 
-    The same drawing gives the same bytes with the same versions of Pillow and resvg. Characters beyond ASCII also depend on the
-    machine's fonts."""
+    Equal drawings give equal bytes with the same versions of Pillow and resvg. Non-ASCII characters also depend on the machine's
+    fonts."""
     from resvg_py import svg_to_bytes
 
     font = load_built_in_font(16)

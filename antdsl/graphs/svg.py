@@ -1,4 +1,4 @@
-"""Formats a drawing as SVG text. Its words can be searched, and the tooltip of a line gives its location in the source."""
+"""A drawing as SVG text. Its words can be searched, and the tooltip of a line gives the location in the source."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from antdsl.graphs.model import RGB
 
 
 def format_svg(drawing: Drawing, fonts: str = "Helvetica, Arial, sans-serif") -> str:
-    """Return the text of an SVG file. `fonts`: the font families for its words. The same drawing gives the same text."""
+    """Return the text of an SVG file. `fonts`: the font families for its words. Equal drawings give equal texts."""
     wide, high = _format_number(drawing.width), _format_number(drawing.height)
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide}" height="{high}" viewBox="0 0 {wide} {high}"'

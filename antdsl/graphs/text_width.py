@@ -1,4 +1,4 @@
-"""Widths of words, in px. They are the same on every machine, because a viewer with another font fits the words into the stated
+"""Widths of words, in px. They are the same on every machine, because a viewer with another font fits words into the given
 width."""
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ _NON_ASCII_GLYPHS = frozenset("·…°“”")
 
 
 def measure_text_width(text: str, size: int) -> float:
-    """Return the width of a line of text, px. `size`: the font size, px.
-
-    Characters of Pillow's font have measured widths. The width of any other character is estimated from its kind."""
+    """Return the width of a line of text, px. `size`: the font size, px. Characters of Pillow's built-in font have measured
+    widths. The widths of all others are estimated from the kind of character."""
     built_in_text = "".join(character for character in text if _is_built_in_glyph(character))
     wide = sum(1.0 if east_asian_width(character) in "WF" else 0.65 for character in text if not _is_built_in_glyph(character))
     return round(load_built_in_font(size).getlength(built_in_text) + wide * size, 2)

@@ -1,4 +1,4 @@
-"""A Pygments lexer made of the patterns, for `pygmentize file.ant` and every tool that gets the lexer `ant` from Pygments."""
+"""A Pygments lexer made from the patterns, for `pygmentize file.ant` and every tool that gets the lexer `ant` from Pygments."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TokenStream = Iterator[tuple[int, Any, str]]
 
 
 def find_token_type(name: str) -> Any:
-    """Return the Pygments token type for a class of text, such as a keyword."""
+    """Return the Pygments token type for a class of text, such as keywords."""
     token: Any = Token
     for part in SCOPE_AND_TOKEN_BY_CLASS[name][1].split("."):
         token = getattr(token, part)
@@ -23,7 +23,7 @@ def find_token_type(name: str) -> Any:
 
 
 def _make_group_action(pattern: TokenPattern) -> Callable[[RegexLexer, Match[str]], _TokenStream]:
-    """Return an action that splits a match into the groups of its pattern. The text between groups has no colour."""
+    """Return a lexer action that splits a match into the groups of its pattern. Text between groups has no colour."""
     types = [find_token_type(name) for name in pattern.group_classes]
 
     def emit_group_tokens(lexer: RegexLexer, match: Match[str]) -> _TokenStream:
@@ -41,7 +41,7 @@ def _make_group_action(pattern: TokenPattern) -> Callable[[RegexLexer, Match[str
 
 
 class AntLexer(RegexLexer):
-    """The lexer of `.ant` programs."""
+    """The Pygments lexer for `.ant` programs."""
 
     name = "antdsl"
     aliases: ClassVar[list[str]] = ["ant", "antdsl"]

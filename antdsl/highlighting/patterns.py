@@ -1,8 +1,7 @@
-"""The elements of `.ant` text as regular expressions, in the common syntax of Python and Oniguruma. At each position, the first
-matching pattern wins.
+"""The elements of `.ant` text as regular expressions, in the syntax common to Python and Oniguruma.
 
-A word may be a keyword in one place and a name in another. The grammar decides by the tokens that are allowed at that position.
-Here, the neighbouring text decides."""
+At each position, the first matching pattern wins. A word may be a keyword in one position and a name in another. The grammar
+decides this by the tokens that are allowed there; these patterns decide it by the neighbouring text."""
 
 from __future__ import annotations
 
@@ -31,8 +30,8 @@ from antdsl.syntax.words import (
 
 @dataclass(frozen=True, slots=True)
 class TokenPattern:
-    """A regular expression for one kind of token. `group_classes`: the class of each group. Without groups, it has one class,
-    for the complete match."""
+    """A regular expression for one kind of token. `group_classes`: the class of text of each group. An expression without groups
+    has one class, for the complete match."""
 
     regex: str
     group_classes: tuple[str, ...]

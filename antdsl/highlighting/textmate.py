@@ -1,5 +1,5 @@
-"""A TextMate grammar made of the patterns. `python -m antdsl.highlighting.textmate` writes the grammar files that are
-distributed with antdsl."""
+"""A TextMate grammar made from the patterns. `python -m antdsl.highlighting.textmate` writes the grammar files that antdsl
+distributes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ GRAMMAR_FILES = (
 
 
 def find_scope(name: str) -> str:
-    """Return the TextMate scope for a class of text, such as a keyword."""
+    """Return the TextMate scope for a class of text, such as keywords."""
     return f"{SCOPE_AND_TOKEN_BY_CLASS[name][0]}.antdsl"
 
 

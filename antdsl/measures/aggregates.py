@@ -72,7 +72,7 @@ def _aggregate_values(operation: str, values: NDArray[Any], count: int) -> Any:
 
 
 def evaluate_uniform_node(world: World, node: ir.PlanNode, spec_values: dict[str, Any]) -> Any:
-    """Return the value of a node that has one value for all agents, computed with the backends' table of elementwise operations."""
+    """Return the value of a node that has one value for all agents, computed by the backends' elementwise operations."""
     values: dict[ir.PlanNode, Any] = {}
     with np.errstate(all="ignore"):
         for each in collect_required_nodes((node,)):

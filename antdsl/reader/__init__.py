@@ -1,15 +1,15 @@
-"""Reads foreign formats that C and C++ libraries parse, in a separate, confined process.
+"""The reader: a separate, confined process that reads foreign file formats with C and C++ libraries.
 
-The process receives a request (`send_request` in `client`), and returns plain values and arrays. READER_FUNCTIONS lists all
-requests.
+The process receives requests (`send_request` in `client`) and returns plain values and arrays. READER_FUNCTIONS lists the kinds
+of requests.
 
-- `protocol`: the messages
-- `child`: the program of the process
+- `protocol`: the messages between both processes
+- `child`: the program that the process runs
 - `sandbox`: the confinement of the process
-- `private_folder`: the folder of files that the process may open
+- `private_folder`: the folder for files that the process may open
 
-Nothing that the process returns is trusted: the file that it has read may control the process. A requester checks each count,
-shape, type and index of an answer before use."""
+The answers are not trusted, because a malicious file may control the process. The requester checks each count, shape, type and
+index of an answer before use."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The program of the reader's process. It is run by its path: `python -P -S child.py CONFIGURATION`.
+"""The program that the reader process runs. It is started by its path: `python -P -S child.py CONFIGURATION`.
 
-The configuration is a JSON object: `paths` for `sys.path`, `readable` folders, `modules` to import. The process confines itself
-and reports the active layers of confinement. It then answers requests from its standard input until that is closed. After a
-request that ran out of memory, it ends."""
+The configuration is a JSON object: `paths` for `sys.path`, `readable` folders, and `modules` to import. The process confines
+itself and reports the active layers of confinement. It then answers requests from its standard input until that is closed. After
+a request that ran out of memory, it ends."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The reader process: it starts on demand, serves all requests, and is replaced if it dies, hangs or uses too much.
+"""The client of the reader process. It starts the process on demand, and replaces it if it dies, hangs, or uses too much memory.
 
-`send_request` is safe in any thread. A process that was forked from this one starts its own reader."""
+`send_request` is thread-safe. A process that was forked from this one starts its own reader."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ REFUSAL_CODES: Final = frozenset(["bad-image", "bad-mesh", "bad-path", "bad-rig"
 class ReaderFailureError(Exception):
     """Error if the reader gives no answer. It died, used too much time or memory, sent something invalid, or cannot be started.
 
-    The message is worded to follow a file name; `help` says what to do. `is_lasting`: the same request would fail again.
-    `is_heavy`: the request used too much time or memory, so other requests about the same files would fail too."""
+    The message is worded to follow a file name; `help` says what to do. `is_lasting`: whether the same request would fail again.
+    `is_heavy`: whether the request used so much time or memory that other requests about the same files would fail too."""
 
     def __init__(self, message: str, help: str | None = None, *, is_lasting: bool = True, is_heavy: bool = False) -> None:
         super().__init__(message)
@@ -44,7 +44,7 @@ class ReaderFailureError(Exception):
 
 
 class _ReaderProcess:
-    """A running child process, and the layers of confinement that it reported."""
+    """A running reader process, and the layers of confinement that it has reported."""
 
     def __init__(self, folder: Path, modules: Sequence[str]) -> None:
         readable = [*confinement.list_readable_folders(), str(folder)]
@@ -64,7 +64,7 @@ class _ReaderProcess:
         self._counted_cpu_seconds = 0.0
 
     def read_greeting(self) -> dict[str, int]:
-        """Read the start message of the child, and return the layers that confine it."""
+        """Read the first message of the child, and return the layers of confinement in it."""
         if self.active_layers is None:
             active_layers = read_message(self.answers, 0).document.get("active")
             names = ("rlimits", "landlock", "seccomp")
@@ -74,7 +74,7 @@ class _ReaderProcess:
         return self.active_layers
 
     def count_new_cpu_seconds(self, reported: object = None) -> float:
-        """Return the CPU seconds that the child used since the last call; if the system provides none, the `reported` seconds."""
+        """Return the CPU seconds used since the last call. `reported`: the child's own total, if the system provides none."""
         total = self._counted_cpu_seconds
         try:
             total = time.clock_gettime(~self.process.pid << 3 | 2)  # Linux: the number of a process's clock
@@ -84,7 +84,7 @@ class _ReaderProcess:
         return self._count_cpu_seconds(total)
 
     def wait_for_end(self) -> tuple[int, float]:
-        """Kill the child. Return its exit status, and the CPU seconds that it used since the last count."""
+        """Kill the child. Return its exit status, and its CPU seconds since the last call of `count_new_cpu_seconds`."""
         self.kill()
         for pipe in (self.requests, self.answers):
             with suppress(OSError):
@@ -96,7 +96,7 @@ class _ReaderProcess:
         return self.process.wait(), 0.0
 
     def kill(self) -> None:
-        """Kill the child. Unlike Popen's method, this does not reap a dead child: reaping it later returns its CPU time."""
+        """Kill the child. Unlike `Popen.kill`, this does not reap a dead child, because reaping it later gives its CPU time."""
         if self.process.returncode is None:
             with suppress(OSError):
                 os.kill(self.process.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
@@ -106,7 +106,7 @@ class _ReaderProcess:
         return self._counted_cpu_seconds - previous_seconds
 
     def close_pipes(self) -> None:
-        """Close this process's ends of the pipes, in a forked process: the child belongs to its parent."""
+        """Close the pipes to the child without ending it, in a forked process: the child belongs to the parent process."""
         null_device = os.open(os.devnull, os.O_RDWR)
         for pipe in (self.requests, self.answers):
             with suppress(OSError, ValueError):
@@ -116,7 +116,7 @@ class _ReaderProcess:
 
 
 class FileReader:
-    """Reads files of other programs, such as USD, in a child process with its own folder; see the function `send_request`."""
+    """A reader of foreign formats, such as USD, with a child process and a private folder. `send_request` uses it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -128,19 +128,19 @@ class FileReader:
         self._scene_file_digests: set[str] = set()  # `files` of this scene
 
     def begin_scene(self) -> None:
-        """Start a new scene, as the function `begin_scene`."""
+        """Start a new scene; see the function `begin_scene`."""
         with self._lock:
             self._heavy_failures.clear()
             self._scene_file_digests.clear()
             self._used_cpu_seconds, self._allowed_cpu_seconds = 0.0, float(limits.READER_CPU_SECONDS_PER_SCENE)
 
     def folder(self) -> Path:
-        """Return a new folder for files that the child may open. Raises OSError."""
+        """Return a new empty folder for files that the child may open. Raises OSError if it cannot be created."""
         with self._lock:
             return self._open_private_folder().create_folder()
 
     def find_active_layers(self) -> dict[str, int]:
-        """Return the layers that confine the child: `rlimits`, `landlock` (its ABI), `seccomp`; 0 for one that is missing."""
+        """Return the layers that confine the child: `rlimits`, `landlock` (with its ABI) and `seccomp`; 0 for a missing layer."""
         with self._lock:
             try:
                 running = self._start_process()
@@ -155,7 +155,7 @@ class FileReader:
     def send_request(
         self, kind: str, document: Mapping[str, Any], arrays: Arrays, *, size: int, seconds: int, digest: str, files: str
     ) -> ReaderMessage:
-        """Return the answer to a request, as the function `send_request`."""
+        """Return the answer to a request; see the function `send_request`."""
         with self._lock:
             if files and files not in self._scene_file_digests:
                 self._scene_file_digests.add(files)
@@ -178,8 +178,8 @@ class FileReader:
                 raise
 
     def _reject_repeated_request(self, digest: str, files: str) -> None:
-        """Raise ReaderFailureError for a request that failed before, and for any request after the scene has used its CPU
-        time."""
+        """Raise ReaderFailureError for a request that failed before. Also raise it for every request once the scene has used its
+        CPU time."""
         for failures, key in ((self._failures, digest), (self._heavy_failures, files)):
             if key and key in failures:
                 raise ReaderFailureError(*failures[key])
@@ -224,7 +224,7 @@ class FileReader:
         return self._check_answer(answer, memory)
 
     def _count_cpu_seconds(self, seconds: float) -> None:
-        """Add CPU time of the child to the totals of this scene and of the check's budget."""
+        """Add CPU seconds of the child to the total of this scene, and charge them to the budget of the check."""
         self._used_cpu_seconds += seconds
         cpu_budget.charge_cpu_seconds(seconds)
 
@@ -245,7 +245,7 @@ class FileReader:
         raise ReaderFailureError(_INVALID_ANSWER_MESSAGE, _DAMAGED_FILE_HELP)
 
     def start_early(self, format: str) -> None:
-        """Start the reader in advance, as the function `start_reader_early`."""
+        """Start the reader in advance; see the function `start_reader_early`."""
         with self._lock, suppress(OSError):  # the next request reports why the process cannot be started
             self._start_process(PRELOADED_MODULES[format])
 
@@ -266,7 +266,7 @@ class FileReader:
         return self._folder
 
     def _end_process(self, *, is_counted: bool = True) -> int:
-        """End the child and return its exit status. With `is_counted`, count its CPU time."""
+        """End the child and return its exit status. `is_counted`: whether its CPU time counts."""
         running, self._reader_process = self._reader_process, None
         status, seconds = (0, 0.0) if running is None else running.wait_for_end()
         if is_counted:
@@ -282,7 +282,7 @@ class FileReader:
             self._folder = None
 
     def forget_child(self) -> None:
-        """Forget the child after a fork: it belongs to the parent process."""
+        """Forget the child after a fork, because it belongs to the parent process."""
         if self._reader_process is not None:
             self._reader_process.close_pipes()
 
@@ -298,7 +298,7 @@ _INVALID_ANSWER_MESSAGE = "cannot be read: the reader process sent an invalid an
 def _kill_after_deadline(
     reader_process: _ReaderProcess, seconds: float, late_event: threading.Event | None = None
 ) -> Iterator[None]:
-    """Within the context, kill a child that has not finished after `seconds` of wall-clock time, and set `late_event`."""
+    """While the context is active, kill a child that has not finished after `seconds` of elapsed time, and set `late_event`."""
 
     def kill_process() -> None:
         if late_event is not None:
@@ -315,9 +315,9 @@ def _kill_after_deadline(
 
 
 def _explain_death(reader_process: _ReaderProcess, status: int, is_late: bool, memory: int) -> ReaderFailureError:
-    """Return the failure for a child that ended without an answer to a request that may use `memory` bytes.
+    """Return the failure for a child that ended without answering a request. `memory`: the bytes that the request may use.
 
-    Raises MemoryError if this process cannot grant that much."""
+    Raises MemoryError if this process cannot provide that much."""
     if is_late or status == _OVERDUE_STATUS:
         words = "cannot be read: reading it takes too long"
         return ReaderFailureError(words, _SMALLER_FILE_HELP, is_lasting=not is_late, is_heavy=True)
@@ -331,7 +331,7 @@ def _explain_death(reader_process: _ReaderProcess, status: int, is_late: bool, m
 
 
 def _make_memory_failure(needed_bytes: int) -> ReaderFailureError:
-    """Return the failure of a request that ran out of memory. Raises MemoryError if the limit of this process is the cause, not
+    """Return the failure for a request that ran out of memory. Raises MemoryError if the cause is the limit of this process, not
     the limit of the request."""
     if get_address_space_limit() < needed_bytes:
         raise MemoryError("the reader process has no memory")
@@ -346,33 +346,33 @@ def send_request(
     kind: str, document: Mapping[str, Any], arrays: Arrays | None = None, *, file_bytes: int = 0, extra_cpu_seconds: int = 0,
     request_digest: str = "", files_digest: str = "",
 ) -> ReaderMessage:  # fmt: skip
-    """Return the answer to a request of READER_FUNCTIONS.
+    """Return the answer to a request. `kind`: a key of READER_FUNCTIONS.
 
-    - `file_bytes`: the total size of its files; larger files get more time and memory
+    - `file_bytes`: the total size of its files; large files get more time and memory
     - `extra_cpu_seconds`: additional CPU time
-    - `request_digest`: a hash of all input of the request; a request that failed is not repeated
-    - `files_digest`: a hash of the files alone; if a request uses too much, others about them fail until the next scene
+    - `request_digest`: a hash of all inputs of the request, so that a request that failed is not repeated
+    - `files_digest`: a hash of the files alone; if one request uses too much, others about them fail until the next scene
 
-    Raises RefusalError if the child reports why it does not read something, and ReaderFailureError if it gives no answer.
-    Raises MemoryError if this process cannot grant enough, and CpuBudgetSpentError if the budget of a check is spent. No answer
-    is trusted."""
+    Raises RefusalError if the child reports why it does not read something, and ReaderFailureError if it gives no answer. Raises
+    MemoryError if this process cannot provide enough memory, and CpuBudgetSpentError if the budget of a check is spent. The
+    caller must not trust the answer."""
     return _file_reader.send_request(
         kind, document, arrays or {}, size=file_bytes, seconds=extra_cpu_seconds, digest=request_digest, files=files_digest
     )
 
 
 def begin_scene() -> None:
-    """Start a new scene. Later requests belong to it, with the full `limits.READER_CPU_SECONDS_PER_SCENE`."""
+    """Start a new scene. Later requests belong to it and have the full `limits.READER_CPU_SECONDS_PER_SCENE`."""
     _file_reader.begin_scene()
 
 
 def start_reader_early(format: str) -> None:
-    """Start the reader for a key of PRELOADED_MODULES and return at once. It loads libraries while this process continues."""
+    """Start the reader in advance, with the libraries for `format` (a key of PRELOADED_MODULES). Return at once."""
     _file_reader.start_early(format)
 
 
 def create_reader_folder() -> Path:
-    """Return an empty folder that the reader may open. The caller should remove it; the end of this process removes it too."""
+    """Return a new empty folder that the reader may open. The caller may remove it before this process ends."""
     return _file_reader.folder()
 
 
@@ -385,7 +385,7 @@ _inherited_readers: list[FileReader] = []  # never freed: a thread of the parent
 
 
 def end_reader() -> None:
-    """End the reader and remove the private folder now, for a process that exits without the functions of `atexit`."""
+    """End the reader and remove the private folder now. Call this in a process that exits without running `atexit` functions."""
     _file_reader.end_reader_process()
 
 

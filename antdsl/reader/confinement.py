@@ -1,4 +1,4 @@
-"""The inputs of the reader's process: module folders, readable folders, and environment."""
+"""The configuration of the reader process: module folders, readable folders, and environment."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SET_VARIABLES = {
 
 
 def is_usd_trusted() -> bool:
-    """Return whether the user trusts all USD files, so that they need no sandbox."""
+    """Return whether the user trusts all USD files, so that they are read without a sandbox."""
     return os.environ.get(TRUST_VARIABLE) == "1"
 
 
@@ -39,16 +39,17 @@ def trust_usd() -> None:
 
 
 def build_child_environment() -> dict[str, str]:
-    """Return the environment of the child: the variables that it needs, and none that names code or files of a project."""
+    """Return the environment of the child. It has the variables that the child needs, and none that names code or files of a
+    project."""
     isolate_search_paths()
     variables = {name: value for name, value in os.environ.items() if name in _PASSED_VARIABLES or name.startswith("NPY_")}
     return variables | _SET_VARIABLES
 
 
 def list_module_folders() -> list[str]:
-    """Return folders of modules for the child.
+    """Return the folders in which the child looks for modules.
 
-    They are the absolute folders of this process without the working directory, then the folder of antdsl itself."""
+    They are the absolute folders of this process without the working directory, followed by the folder of antdsl itself."""
     try:
         working_folder = os.path.realpath(os.getcwd())
     except OSError:
@@ -62,7 +63,7 @@ def list_module_folders() -> list[str]:
 
 
 def list_readable_folders() -> list[str]:
-    """Return folders and files that the child may read: Python, installed packages and the system's libraries."""
+    """Return the folders and files that the child may read: Python, installed packages and system libraries."""
     readable_paths = {sys.prefix, sys.base_prefix, sys.exec_prefix, str(_find_package_folder()), *_SYSTEM_FOLDERS}
     if sys.prefix == "/usr" or sys.base_prefix == "/usr":
         readable_paths -= {"/usr"}
@@ -77,7 +78,7 @@ def _find_package_folder() -> Path:
 
 
 def _is_package_folder(path: str) -> bool:
-    """Return whether a folder of modules is Python's own, or has installed packages."""
+    """Return whether a module folder belongs to Python itself or contains installed packages."""
     real_path = os.path.realpath(path)
     roots = [sys.prefix, sys.base_prefix, *_list_site_packages()]
     if any(real_path == root or real_path.startswith(root + os.sep) for root in map(os.path.realpath, roots) if root != os.sep):
@@ -86,6 +87,6 @@ def _is_package_folder(path: str) -> bool:
 
 
 def _list_site_packages() -> list[str]:
-    """Return the folders of installed packages, those of the user last."""
+    """Return the folders of installed packages. The user's own folder comes last."""
     user = site.getusersitepackages() if hasattr(site, "getusersitepackages") else ""
     return [*site.getsitepackages(), *([user] if user else [])]

@@ -1,4 +1,4 @@
-"""The samples of an image file, requested from the reader and checked."""
+"""Images that are decoded in the reader process and checked here."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ SAMPLE_TYPE_BY_MODE = {
 
 
 class ImageError(Exception):
-    """Error for a file that is not a usable image. The message is worded to follow the file's name; `help` says what to do."""
+    """Error for a file that cannot be used as an image. The message is worded to follow the file's name; `help` says what to
+    do."""
 
     def __init__(self, message: str, help: str | None = None) -> None:
         super().__init__(message)
@@ -36,8 +37,8 @@ class ImageError(Exception):
 class ImageFile:
     """The content of an image file.
 
-    - `samples`: (rows, columns) or (rows, columns, channels); None if the image has several pages, more pixels than requested or
-      another mode
+    - `samples`: (rows, columns) or (rows, columns, channels); None if the image has several pages, too many pixels, or a mode
+      that was not accepted
     - `texts`: the texts of a PNG file by name"""
 
     mode: str
@@ -49,12 +50,13 @@ class ImageFile:
 
 
 def read_image_file(data: bytes, format: str, modes: Collection[str], max_pixels: int, convert: str = "") -> ImageFile:
-    """Return the image in a file's bytes. Raises ImageError with the reason if there is none.
+    """Return the image in the bytes of a file. Raises ImageError with the reason if this is not possible.
 
     - `format`: Pillow's name of the file format, such as `PNG`
     - `modes`: the accepted modes, keys of SAMPLE_TYPE_BY_MODE
-    - `max_pixels`: the maximum number of pixels
-    - `convert`: the mode to which an image of any mode is converted, one of `modes`; empty to keep the image's mode"""
+    - `max_pixels`: the largest accepted number of pixels
+    - `convert`: the mode, one of `modes`, to which the image is converted; "" to accept only images that already have one of
+      `modes`"""
     request_document: dict[str, Any] = {
         "format": format,
         "modes": [mode for mode in modes if mode in SAMPLE_TYPE_BY_MODE],

@@ -1,4 +1,4 @@
-"""Images in the reader: Pillow decodes them there, never in the requesting process."""
+"""Decoding of images with Pillow. This runs in the reader process, never in the requesting process."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ _MAX_TEXT_CHARACTERS = 1000
 
 
 def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDArray[Any]]]:
-    """Return an image from the file in the array `data`.
+    """Return the image in the array `data` of a request.
 
-    The result has its `mode`, `columns`, `rows`, number of `pages` and `texts`, and the array `samples` (rows, columns) or (rows,
-    columns, channels). There are no samples if the image has several pages, more than `pixels` pixels, or a mode that is not one
-    of `modes`. `format` is Pillow's name of the format. `convert`: the mode that an image of any mode is converted to."""
+    The result has its `mode`, `columns`, `rows`, number of `pages` and `texts`, and the array `samples` (rows, columns) or
+    (rows, columns, channels). There are no samples if the image has several pages, more than `pixels` pixels, or a mode that is
+    not one of `modes`. The request also has `format`, Pillow's name of the file format, and `convert`, the mode to which the
+    image is converted."""
     from PIL import Image
 
     request_document = request.document
@@ -47,7 +48,7 @@ def read_image(request: ReaderMessage) -> tuple[dict[str, Any], Mapping[str, NDA
 
 
 def _require_complete_image(image: Any) -> None:
-    """Reject a file with strips or tiles that do not cover the image, because Pillow leaves the missing pixels black."""
+    """Reject a file of which the strips or tiles do not cover the image, because Pillow leaves the missing pixels black."""
     boxes = [part[1] for part in image.tile]
     if boxes and all(boxes):
         covered_pixels = sum((right - left) * (bottom - top) for left, top, right, bottom in boxes)

@@ -1,4 +1,4 @@
-"""The private folder of a process: files that its reader may open.
+"""The private folder of a process, with the files that its reader may open.
 
 It is removed when the process ends. If the process was killed, the next process of antdsl removes it."""
 
@@ -16,7 +16,8 @@ _FILES_FOLDER_NAME = "files"
 
 
 class PrivateFolder:
-    """A new folder below the system's folder for temporary files, which only the user can open. Raises OSError."""
+    """A new folder that only the user can open, in the system's folder for temporary files. Raises OSError if it cannot be
+    created."""
 
     def __init__(self) -> None:
         remove_stale_folders()
@@ -30,7 +31,7 @@ class PrivateFolder:
         self._folder_count = 0
 
     def create_folder(self) -> Path:
-        """Return an empty folder in the private folder."""
+        """Return a new empty folder in the private folder."""
         self._folder_count += 1
         folder = self.path / str(self._folder_count)
         folder.mkdir(mode=0o700)
@@ -47,7 +48,7 @@ class PrivateFolder:
 
 
 def remove_stale_folders() -> None:
-    """Remove the folders of this user's processes that have ended."""
+    """Remove the private folders of this user's processes that have ended."""
     with suppress(OSError):
         for entry in os.scandir(tempfile.gettempdir()):
             if entry.name.startswith(_FOLDER_PREFIX) and entry.is_dir(follow_symlinks=False):
@@ -56,7 +57,7 @@ def remove_stale_folders() -> None:
 
 
 def _remove_if_stale(folder: Path) -> None:
-    """Remove a private folder of this user if no process holds its lock."""
+    """Remove a private folder of this user if no process holds the lock of the folder."""
     if hasattr(os, "getuid") and folder.lstat().st_uid != os.getuid():
         return
     lock = _try_lock(folder / _LOCK_FILE_NAME, 0)
@@ -66,8 +67,8 @@ def _remove_if_stale(folder: Path) -> None:
 
 
 def _try_lock(path: Path, flags: int) -> int | None:
-    """Return a handle that holds the lock of a folder until its process ends. None if another process holds the lock, or the
-    folder is missing."""
+    """Return a handle that locks a folder until this process ends; None if another process holds the lock or the folder is
+    missing."""
     try:
         import fcntl
     except ImportError:  # Windows: an open file cannot be removed, which also acts as a lock

@@ -1,7 +1,8 @@
-"""Messages between the process and its reader: a JSON header of bounded size, then raw arrays.
+"""Messages between a process and its reader: a JSON header of limited size, then raw arrays.
 
-Layout: 4 bytes magic, 8 bytes length of the header (little endian), the header, the bytes of each array in order. The header is
-`{"document": …, "arrays": [[name, dtype, shape], …]}`. The types are a closed list, so nothing that arrives can name code."""
+Layout: 4 bytes magic, 8 bytes for the length of the header (little endian), the header, the bytes of each array in order. The
+header is `{"document": …, "arrays": [[name, dtype, shape], …]}`. Only listed types are allowed, so a message cannot name code to
+run."""
 
 from __future__ import annotations
 
@@ -40,14 +41,14 @@ class PipeError(ProtocolError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReaderMessage:
-    """A JSON object and arrays by name."""
+    """A message: a JSON object (`document`), and arrays by name."""
 
     document: dict[str, Any]
     arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     def require_array(self, name: str, dtype: str, *shape: int | None) -> NDArray[Any]:
-        """Return an array of exactly this type and shape; None in `shape` means any length. Raises ProtocolError if it is missing
-        or different."""
+        """Return an array that must have exactly this type and shape. None in `shape` allows any length. Raises ProtocolError if
+        the array is missing or different."""
         found = self.arrays.get(name)
         if found is None or found.dtype != np.dtype(dtype) or found.ndim != len(shape):
             raise ProtocolError(f"`{name}` is not an array of the requested type")
@@ -56,29 +57,30 @@ class ReaderMessage:
         return found
 
     def require_indices(self, name: str, dtype: str, count: int, *shape: int | None, lowest: int = 0) -> NDArray[Any]:
-        """Return an array as `require_array` does. Raises ProtocolError unless every number is at least `lowest` and below
-        `count`."""
+        """Return an array of indices, checked as by `require_array`. Raises ProtocolError unless every index is at least
+        `lowest` and less than `count`."""
         array = self.require_array(name, dtype, *shape)
         if array.size and (array.min() < lowest or array.max() >= count):
             raise ProtocolError(f"`{name}` has an index that is out of range")
         return array
 
     def require_number(self, name: str) -> float:
-        """Return a finite number of the document. Raises ProtocolError for any other value."""
+        """Return a number of the document. Raises ProtocolError if it is missing or not a finite number."""
         found = self.document.get(name)
         if isinstance(found, bool) or not isinstance(found, int | float) or not -_MAX_NUMBER < found < _MAX_NUMBER:
             raise ProtocolError(f"`{name}` is not a finite number")
         return float(found)
 
     def require_texts(self, name: str, max_count: int = 1_000_000) -> list[str]:
-        """Return a list of texts of the document, at most `max_count`. Raises ProtocolError for any other value."""
+        """Return a list of texts of the document. Raises ProtocolError if it is something else or has more than `max_count`
+        texts."""
         found = self.document.get(name)
         if not isinstance(found, list) or len(found) > max_count or not all(isinstance(each, str) for each in found):
             raise ProtocolError(f"`{name}` is not a list of texts")
         return found
 
     def unpack_texts(self, name: str, count: int | None = None) -> tuple[str, ...]:
-        """Return the texts that `pack_texts` packed into two arrays."""
+        """Return the texts that `pack_texts` has packed into two arrays. Raises ProtocolError unless there are `count` texts."""
         lengths = self.require_array(f"{name}:lengths", "<i8", count)
         blob = self.require_array(f"{name}:bytes", "|u1", None)
         if len(lengths) and (lengths.min() < 0 or lengths.max() > len(blob)):
@@ -93,7 +95,7 @@ class ReaderMessage:
 
 
 def pack_texts(name: str, texts: tuple[str, ...] | list[str]) -> dict[str, NDArray[Any]]:
-    """Return many texts as two arrays of a message: all their bytes, and the length of each."""
+    """Return many texts as two arrays of a message: the bytes of all texts, and the length of each text."""
     encoded = [text.encode("utf-8", "replace") for text in texts]
     return {
         f"{name}:lengths": np.array([len(each) for each in encoded], np.int64),
@@ -102,7 +104,8 @@ def pack_texts(name: str, texts: tuple[str, ...] | list[str]) -> dict[str, NDArr
 
 
 def write_message(file: IO[bytes], document: Mapping[str, Any], arrays: Arrays) -> None:
-    """Write a message. Raises ValueError if the document is not JSON or is too large, or if an array has an unsupported type."""
+    """Write a message to a stream. Raises ValueError if the document is not JSON or is too large, or if an array has an
+    unsupported type."""
     array_entries, parts = [], []
     for name, array in arrays.items():
         little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
@@ -121,8 +124,8 @@ def write_message(file: IO[bytes], document: Mapping[str, Any], arrays: Arrays) 
 
 
 def read_message(file: IO[bytes], max_array_bytes: int) -> ReaderMessage:
-    """Return the next message. Its arrays have at most `max_array_bytes` bytes in total. Raises ProtocolError for anything
-    else."""
+    """Return the next message from a stream. Raises ProtocolError if it is invalid or its arrays exceed `max_array_bytes` in
+    total."""
     magic, length = _PREFIX_STRUCT.unpack(_read_bytes(file, _PREFIX_STRUCT.size).tobytes())
     if magic != MESSAGE_MAGIC or length > limits.MAX_READER_HEADER_BYTES:
         raise ProtocolError("a message begins with the wrong bytes")
@@ -147,7 +150,7 @@ def read_message(file: IO[bytes], max_array_bytes: int) -> ReaderMessage:
 
 
 def _parse_array_entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
-    """Return name, type, shape and size in bytes of an array that a header announces."""
+    """Return the name, type, shape and size in bytes of an array that a header lists."""
     if not isinstance(entry, list) or len(entry) != 3:
         raise ProtocolError("the header of a message describes an array in an unknown form")
     name, dtype, shape = entry
@@ -159,7 +162,7 @@ def _parse_array_entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
 
 
 def _read_bytes(file: IO[bytes], size: int) -> NDArray[np.uint8]:
-    """Read exactly `size` bytes. Memory grows with the bytes that arrive, not with the announced size."""
+    """Read exactly `size` bytes. The memory in use grows with the bytes that arrive, not with the announced size."""
     buffer = np.empty(min(size, _READ_BLOCK_BYTES), np.uint8)
     filled = 0
     while filled < size:
@@ -177,13 +180,13 @@ def _reject_json_constant(word: str) -> NoReturn:
 
 
 class RefusalError(Exception):
-    """The reader's reason for not reading something.
+    """An error by which the reader says why it does not read something.
 
     - `code`: the code of a diagnostic; the text of the error is its message
     - `help`: what to do instead
-    - `key`: the key of the scene concerned
-    - `subject`: the subject of the message: "" for the complete file, or a word that the requester and the reading function
-      define
+    - `key`: the scene key that is concerned
+    - `subject`: what the message is about: "" for the complete file, or a word on which the requester and the reading function
+      agree
     """
 
     def __init__(self, code: str, message: str, help: str | None = None, key: str = "", subject: str = "") -> None:
@@ -191,12 +194,13 @@ class RefusalError(Exception):
         self.code, self.help, self.key, self.subject = code, help, key, subject
 
     def make_document(self) -> dict[str, Any]:
-        """Return the refusal as a document that can be sent through the pipe."""
+        """Return the error as a document that can be sent to the requester."""
         return {"code": self.code, "message": str(self), "help": self.help, "key": self.key, "about": self.subject}
 
     @classmethod
     def from_document(cls, document: Any, codes: Any) -> RefusalError | None:
-        """Return the refusal that a process sent. None if the document is not a refusal, or if its code is not in `codes`."""
+        """Return the error in a document from the reader. Return None if the document is not an error, or if its code is not in
+        `codes`."""
         if not isinstance(document, dict):
             return None
         texts = {name: document.get(name) for name in ("code", "message", "key", "about")}
@@ -213,6 +217,6 @@ class RefusalError(Exception):
 
 
 def clean_for_display(text: str) -> str:
-    """Return a text of the process in a form for messages: printable and not too long."""
+    """Return a text from the reader in a form that is safe for messages: printable and not too long."""
     line = replace_unprintable(text[: _MAX_TEXT_CHARACTERS + 1])
     return line if len(line) <= _MAX_TEXT_CHARACTERS else line[: _MAX_TEXT_CHARACTERS - 1] + "…"

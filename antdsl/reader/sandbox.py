@@ -1,12 +1,13 @@
-"""Confines the process that calls `confine_process`, permanently: system limits, and on Linux Landlock and seccomp if available.
+"""Permanent confinement of a process: system limits and, on Linux, Landlock and seccomp if available.
 
-It imports only the standard library, so that all other code is loaded after the confinement.
+This module imports only the standard library, so that all other code is loaded after the confinement.
 
-- rlimits: CPU time, address space, open files, no core dump, no byte written to a file.
-- Landlock (ABI 1 and later): files can be opened only below the given folders, and only for reading. From ABI 4 on no
-  TCP, from ABI 6 on no signals and no abstract sockets beyond the sandbox.
-- seccomp (x86-64 and ARM64): no new process or program, no socket, no file opened for writing, no tracing. No change of
-  names, owners or modes, and no signals to other processes. No `io_uring`, because it would bypass the filter."""
+- rlimits: limits of CPU time, address space and open files; no core dumps, and no byte can be written to a file.
+- Landlock (ABI 1 and later): files can be opened only below the given folders, and only for reading. From ABI 4 on, no TCP; from
+  ABI 6 on, no signals to other processes and no abstract sockets.
+- seccomp (x86-64 and ARM64): no new processes or programs, no sockets, no files opened for writing, no tracing. Names, owners
+  and modes cannot be changed, and other processes get no signals. `io_uring` is forbidden, because it would bypass the filter.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ _STACK_BYTES = 8 << 20
 
 
 def limit_resources() -> bool:
-    """Set the limits that apply to all requests. Return False if the system has none (Windows)."""
+    """Set the limits that apply to all requests. Return False if the system has no such limits (Windows)."""
     try:
         import resource
     except ImportError:
@@ -40,7 +41,7 @@ def limit_resources() -> bool:
 
 
 def limit_request(seconds: int, memory: int) -> None:
-    """Set the CPU seconds and the bytes of address space for the next request."""
+    """Set the limits for the next request. `seconds`: CPU time. `memory`: bytes of address space."""
     try:
         import resource
     except ImportError:
@@ -51,7 +52,7 @@ def limit_request(seconds: int, memory: int) -> None:
 
 
 def raise_memory_limit(extra_bytes: int) -> None:
-    """Allow `extra_bytes` more bytes of address space for this request, for work of known size. Does nothing if the process has
+    """Allow this request to use `extra_bytes` more bytes of address space, for work of known size. Do nothing if the process has
     no limit."""
     try:
         import resource
@@ -86,8 +87,8 @@ _FILE_RIGHT_BITS_BY_ABI = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # rights that eac
 
 
 def restrict_files(folders: Sequence[str]) -> int:
-    """Allow files to be opened only below these folders (or these files), and only for reading. Return the Landlock ABI in use, 0
-    if there is none."""
+    """Allow files to be opened only for reading, and only if they are in `folders` or are one of these paths. Return the
+    Landlock ABI in use, or 0 if Landlock is not available."""
     libc = _load_libc()
     if libc is None or sys.platform != "linux":
         return 0
@@ -110,7 +111,7 @@ def restrict_files(folders: Sequence[str]) -> int:
 
 
 def _allow_path(libc: ctypes.CDLL, ruleset: int, path: str) -> None:
-    """Allow reading at and below a path in a Landlock rule set. A missing path is ignored."""
+    """Allow reading at and below a path. `ruleset`: the handle of a Landlock rule set. A missing path is ignored."""
     try:
         handle = os.open(path, os.O_PATH | os.O_CLOEXEC)
     except OSError:
@@ -163,7 +164,7 @@ BpfInstruction = tuple[int, int, int, int]
 
 
 def install_call_filter() -> bool:
-    """Install the seccomp filter for this process. Return False if the system does not support it."""
+    """Install the seccomp filter for this process. Return False if the system does not support seccomp."""
     libc = _load_libc()
     if libc is None or sys.platform != "linux" or os.uname().machine not in _ARCHITECTURE_BY_MACHINE or sys.maxsize < 1 << 32:
         return False
@@ -178,7 +179,7 @@ def install_call_filter() -> bool:
 
 
 def _build_filter(architecture_index: int, architecture: int, process: int) -> list[BpfInstruction]:
-    """Return the filter as instructions (code, jump if true, jump if false, operand) of the classic packet filter."""
+    """Return the instructions (code, jump if true, jump if false, operand) of the filter, for the classic BSD packet filter."""
     refused = _FAIL_ACTION | errno.EPERM
     lines: list[BpfInstruction] = [
         (_LOAD_OPCODE, 0, 0, 4),
@@ -227,12 +228,12 @@ def _build_filter(architecture_index: int, architecture: int, process: int) -> l
 
 
 def _make_call_rule(number: int | None, actions: list[BpfInstruction]) -> list[BpfInstruction]:
-    """Return the instructions for one system call. The number of the call stays loaded for the next test."""
+    """Return the instructions that apply `actions` to one system call. The call's number stays loaded for the next test."""
     return [] if number is None else [(_JUMP_EQUAL_OPCODE, 0, len(actions), number), *actions]
 
 
 def _find_argument_offset(number: int) -> int:
-    """Return the offset of the lower half of an argument in the filter's input."""
+    """Return the offset of the lower half of argument `number` of a system call in the filter's input."""
     return 16 + 8 * number
 
 
@@ -248,8 +249,8 @@ def _load_libc() -> ctypes.CDLL | None:
 
 
 def confine_process(readable_folders: Sequence[str]) -> dict[str, int]:
-    """Confine the process to reading below these folders. Return the active layers: `rlimits`, `landlock` (its ABI),
-    `seccomp`."""
+    """Confine this process permanently to reading below `readable_folders`. Return the active layers: `rlimits`, `landlock`
+    (with its ABI) and `seccomp`."""
     return {
         "rlimits": int(limit_resources()),
         "landlock": restrict_files(readable_folders),

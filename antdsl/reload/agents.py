@@ -1,5 +1,5 @@
-"""Moves agents of a running world to the world of an edited program. Values that have the same name and meaning in both programs
-are retained."""
+"""Migration of agents to the world of an edited program. Values that have the same name and meaning in both programs are
+retained."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ _MIGRATED_COLUMNS = [name for name, column in FIXED_COLUMN_BY_NAME.items() if co
 
 @dataclass(slots=True)
 class SpeciesMigration:
-    """The result of a migration for the agents of one species. Names in lists are attributes, or states as `machine.state`.
+    """The result of a migration for the agents of one species. Its lists name attributes, or states as `machine.state`.
 
-    `agent_count`: the number of agents. `moved_count`: how many moved to other positions.
-    `restart_counts`: for each removed state and start state, how many agents changed from the first to the second."""
+    `agent_count`: the number of agents. `moved_count`: the number of agents that moved to other positions. `restart_counts`: for
+    each pair of a removed state and a start state, how many agents changed from the first to the second."""
 
     species: str
     agent_count: int = 0
@@ -52,10 +52,10 @@ class SpeciesMigration:
 def migrate_agents(
     old_world: World, world: World, name: str, rows: RowIndices
 ) -> tuple[SpeciesMigration, dict[str, NDArray[Any]]]:
-    """Move agents to a world that has no agents of the species yet. `rows`: the rows of the agents in `old_world`.
+    """Add the agents of a species to a world that does not have any yet.
 
-    Return the result of the migration, and the registers with retained values. When all species are migrated, `fill_registers`
-    fills the other registers."""
+    `rows`: the rows of the agents in `old_world`. Return the result of the migration, and the registers with retained values.
+    `fill_registers` adds the other registers once all species are migrated."""
     old_population, new_population = old_world.populations[name], world.populations[name]
     migrated = SpeciesMigration(name, len(rows))
     footing, place, moved = find_footings_after_reload(old_world, world, old_population)
@@ -82,7 +82,7 @@ def migrate_agents(
 def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> None:
     """Add the missing registers of a species to `values`, as if each agent were born at its position in this frame.
 
-    Requests that the species makes at birth have no effect."""
+    Requests that agents make at birth have no effect."""
     population = world.populations[name]
     lasting = (register for register, each in population.plan.registers.items() if each.role != "temp")
     if not len(population) or all(register in values for register in lasting):
@@ -96,7 +96,7 @@ def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> 
 
 
 def write_registers(population: Population, values: Mapping[str, NDArray[Any]]) -> None:
-    """Write the registers of all agents, both their current values and the values at the start of the next step."""
+    """Write the registers of all agents: the current values, and the values at the start of the next step."""
     for name, array in values.items():
         population.now[name][:] = array
         if population.start[name] is not population.now[name]:
@@ -109,7 +109,7 @@ def write_registers(population: Population, values: Mapping[str, NDArray[Any]]) 
 def _find_matching_registers(
     old_world: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, migrated: SpeciesMigration
 ) -> list[str]:
-    """Return the registers with retained values, by name. Write findings about the other registers to `migrated`."""
+    """Return the names of the registers that retain their values. Add findings about the other registers to `migrated`."""
     matching = [
         name
         for name, register in new_plan.registers.items()
@@ -141,20 +141,20 @@ def _find_matching_registers(
 
 
 def _find_register_meaning(register: ir.Register) -> tuple[object, ...]:
-    """Return the properties of a register that must be equal in both programs for its values to be retained."""
+    """Return the properties of a register that must be equal in both programs if its values are to be retained."""
     return register.kind, register.role, register.referenced_species, register.language_type
 
 
 def _is_memory_complete(memory: str, new_plan: ir.SpeciesPlan, matching_names: list[str]) -> bool:
     """Return whether the new plan still has all registers of the `keep` named `memory`.
 
-    Otherwise the `keep` starts from its initial value."""
+    If not, the `keep` restarts from its initial value."""
     values = [name for name in (memory, *(f"{memory}.{axis}" for axis in "xyz")) if name in new_plan.registers]
     return all(name in matching_names for name in values)
 
 
 def _find_changed_defaults(old_world: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan) -> set[str]:
-    """Return the attributes that both plans set only at birth, but to different values. Agents get the new value."""
+    """Return the attributes that both plans set only at birth, but to different values. Agents get the new values."""
     one, other = hash_birth_values(old_plan, find_birth_params(old_world)), hash_birth_values(new_plan, find_birth_params(world))
     stored = stored_registers(old_plan) | stored_registers(new_plan) | set(MIGRATED_REGISTERS)
     attributes = {name for name, register in new_plan.registers.items() if register.role == "attribute"}
@@ -168,13 +168,13 @@ def _find_changed_defaults(old_world: World, world: World, old_plan: ir.SpeciesP
 
 
 def _compute_place_digests(setting: WorldSetting, species: str, attribute: str) -> list[str]:
-    """Return, for each crowd line of the scene, a digest of the values it gives to the attribute at birth."""
+    """Return, for each crowd line of the scene, a digest of the values that it gives to an attribute at birth."""
     crowds = (crowd for crowd in setting.crowds if crowd.species == species)
     return [compute_digest((crowd.place.values.get(attribute), crowd.initial_values.get(attribute))) for crowd in crowds]
 
 
 def _add_register_name(names: list[str], register: str) -> None:
-    """Add the author's name of a register to a list. The three registers of a vector have one name."""
+    """Add the name of a register, as the author knows it, to a list. The three registers of a vector share one name."""
     name = register[:-2] if register[-2:] in (".x", ".y", ".z") else register
     if name not in names:
         names.append(name)
@@ -186,8 +186,8 @@ def _add_register_name(names: list[str], register: str) -> None:
 def _migrate_states(
     old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]], migrated: SpeciesMigration
 ) -> None:
-    """Convert state numbers to those of the new plan, matching states by name. Agents in a removed state start in the initial
-    state."""
+    """Convert the state numbers in `values` to those of the new plan. States are matched by name. Agents in a removed state
+    start again in the initial state."""
     machines = {machine.name: machine for machine in old_plan.machines}
     for machine in new_plan.machines:
         known = machines.get(machine.name)
@@ -214,7 +214,7 @@ def _migrate_states(
 
 
 def _migrate_clips(old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
-    """Convert the clip numbers in `values` to those of the new plan. A removed clip becomes none."""
+    """Convert the clip numbers in `values` to those of the new plan. The number of a removed clip becomes that of no clip."""
     number = np.array([new_plan.clips.index(clip) if clip in new_plan.clips else -1 for clip in old_plan.clips] + [-1])
     for machine in new_plan.machines:
         for register in (f"{machine.name}.{part}" for part in ("clip", "clip_before", "clip_earlier")):
@@ -225,10 +225,10 @@ def _migrate_clips(old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: d
 def _migrate_pairs(
     old_population: Population, world: World, new_plan: ir.SpeciesPlan, rows: RowIndices, values: dict[str, NDArray[Any]]
 ) -> None:
-    """Remove values per pair if the new plan stores fewer for each agent.
+    """Remove values that are stored per pair of agents, if the new plan stores fewer for each agent.
 
-    The strongest values of each agent remain, which are those farthest from the new plan's initial value. Values return to this
-    initial value over time. If two are equally strong, the one with the smaller id remains."""
+    For each agent, the values farthest from the new plan's initial value remain, because values return to it over time. If two
+    are equally far, the one with the smaller id remains."""
     old = find_pair_values(old_population.plan.registers)
     for name, slots in find_pair_values(new_plan.registers).items():
         if len(slots) >= len(old.get(name, ())) or slots[0][0] not in values:
@@ -243,13 +243,14 @@ def _migrate_pairs(
 
 
 def _map_state_numbers(old_machine: ir.MachinePlan, new_machine: ir.MachinePlan) -> NDArray[np.int64]:
-    """Return the new number of each state of the old machine, int64 [states]; -1 for a removed state."""
+    """Return the new number of each state of the old machine, int64 (states); -1 for a removed state."""
     numbers = {state: k for k, state in enumerate(new_machine.states)}
     return np.array([numbers.get(state, -1) for state in old_machine.states], np.int64)
 
 
 def _migrate_items(old_world: World, world: World, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
-    """Convert the item numbers in registers to those of the new world, matching items by name. A removed item becomes none."""
+    """Convert the item numbers in registers to those of the new world. Items are matched by name. The number of a removed item
+    becomes that of no item."""
     for name, register in new_plan.registers.items():
         if name in values and register.language_type and register.language_type[0] == "item":
             of = str(register.language_type[-1])
@@ -259,16 +260,16 @@ def _migrate_items(old_world: World, world: World, new_plan: ir.SpeciesPlan, val
 
 
 def hash_birth_values(plan: ir.SpeciesPlan, params: Mapping[str, float]) -> dict[str, int]:
-    """Return a hash of each register's value at birth, by register name.
+    """Return a hash of the value of each register at birth, by register name.
 
-    The hash includes the operations, the registers that they read, and the params that they use."""
+    The hash covers the operations, the registers that they read, and the params that they use."""
     hashes: dict[str, int] = {}
     _hash_block(plan.born, (), hashes, params)
     return hashes
 
 
 def find_birth_params(world: World) -> dict[str, float]:
-    """Return the params as the scene and the program set them, without later changes."""
+    """Return the values of params that the scene and the program have set, without later changes."""
     scene_params = world.setting.params
     return {
         name: scene_params[name] if name in scene_params else compute_run_value(world, p.default)
@@ -277,7 +278,8 @@ def find_birth_params(world: World) -> dict[str, float]:
 
 
 def _hash_block(block: ir.Block, condition_hashes: tuple[int, ...], hashes: dict[str, int], params: Mapping[str, float]) -> None:
-    """Add a hash for each register that a block sets. `condition_hashes`: hashes of the conditions around the block."""
+    """Add to `hashes` a hash for each register that a block sets. `condition_hashes`: hashes of the conditions around the
+    block."""
     for statement in block.statements:
         if isinstance(statement, ir.If):
             _hash_block(statement.body, (*condition_hashes, _hash_value(statement.condition, hashes, params)), hashes, params)
@@ -288,7 +290,7 @@ def _hash_block(block: ir.Block, condition_hashes: tuple[int, ...], hashes: dict
 
 
 def _hash_value(node: ir.PlanNode, hashes: Mapping[str, int], params: Mapping[str, float]) -> int:
-    """Return a hash of the operations and inputs that give a value."""
+    """Return a hash of the operations and inputs that compute a value."""
     node_hashes: dict[ir.PlanNode, int] = {}
     for each in collect_required_nodes([node]):
         attrs: tuple[object, ...] = each.attrs

@@ -1,5 +1,6 @@
-"""Finds footings of agents in another world. Agents stay on their face if a mesh has the same faces in both worlds. Otherwise
-they move to the nearest position."""
+"""Footings of agents after a migration.
+
+Agents stay on their face if a mesh has the same faces in both worlds. Otherwise they move to the nearest position."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ MIN_REPORTED_DISTANCE = 0.05  # mm; smaller distances are rounding of the neares
 
 
 def is_same_solid(old_world: World, world: World, name: str) -> bool:
-    """Return whether a solid has the same mesh and voxels in both worlds, so that the dug volume can be transferred."""
+    """Return whether a solid has the same mesh and voxels in both worlds, so that its dug volume can be copied."""
     one, other = old_world.setting.solids.get(name), world.setting.solids.get(name)
     return one is not None and other is not None and compute_digest(one) == compute_digest(other)
 
@@ -25,11 +26,10 @@ def is_same_solid(old_world: World, world: World, name: str) -> bool:
 def find_footings_after_reload(
     old_world: World, world: World, old_population: Population
 ) -> tuple[Footing, NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the footings of all agents of `old_population` in `world`. Also return their positions (n, 3) in mm, and which
-    agents moved.
+    """Return the footings of all agents of `old_population` in `world`, their positions (n, 3) in mm, and which agents moved.
 
-    If only the vertices of a mesh moved, agents move with their face. Agents on changed faces, or on a changed solid, move to
-    the nearest position on any ground."""
+    If only the vertices of a mesh have moved, agents move with their face. Agents on changed faces, or on a changed solid, move
+    to the nearest position on any ground."""
     footing = _migrate_footing(old_world, world, old_population)
     place = world.ground.position(footing)
     moved = length(place - old_population.position) > _SAME_POSITION_DISTANCE
@@ -37,7 +37,7 @@ def find_footings_after_reload(
 
 
 def align_bodies_with_ground(world: World, population: Population, moved_mask: NDArray[np.bool_]) -> None:
-    """Rotate the up direction, heading and velocity of the agents flagged in `moved_mask`, so that they follow the new ground."""
+    """Rotate the up direction, heading and velocity of agents to match the new ground. `moved_mask`: the agents that moved."""
     rows = np.flatnonzero(moved_mask)
     if not len(rows):
         return
@@ -52,8 +52,7 @@ def align_bodies_with_ground(world: World, population: Population, moved_mask: N
 
 
 def _migrate_footing(old_world: World, world: World, old_population: Population) -> Footing:
-    """Return the footings on the new ground. They are on the same face if the mesh has the same faces, otherwise on the nearest
-    one."""
+    """Return the footings on the new ground: on the same face if the mesh has the same faces, otherwise on the nearest one."""
     ground, place = world.ground, old_population.position
     if isinstance(ground, PlaneGround):
         return old_population.footing if isinstance(old_world.ground, PlaneGround) else ground.place_points(place, world.up)[0]
@@ -72,7 +71,7 @@ def _migrate_footing(old_world: World, world: World, old_population: Population)
 
 
 def _map_ground_numbers(old_world: World, world: World) -> NDArray[np.int32]:
-    """Return, for each surface and solid of the old ground, its new number; -1 if it has changed."""
+    """Return the new number of each surface and solid of the old ground; -1 if it has changed."""
     numbers = {name: k for k, name in enumerate(world.ground.names)}
     mapping = np.full(max(1, len(old_world.ground.names)), -1, np.int32)
     for k, name in enumerate(old_world.ground.names):

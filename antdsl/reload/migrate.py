@@ -1,5 +1,5 @@
-"""Continues an edited program from the state of the running one. A new world gets the agents, amounts, field values and dug
-solids of the old world.
+"""Migration of a running world to an edited program. A new world gets the agents, amounts, field values and dug solids of the
+old world.
 
 A value with the same name and meaning in both programs is retained. An edited value takes its new value. All other values start
 again. The old world is only read, so it can continue unchanged after any error."""
@@ -35,9 +35,9 @@ _NO_IDS = np.empty(0, np.int64)
 class Migration:
     """The result of a migration.
 
-    `added_counts`, `removed_counts`: for each species, how many agents were added or removed because crowds of the scene changed
-    size.
-    `restarted_items`: amounts that start with the scene's value, as `item.attribute`."""
+    `added_counts`, `removed_counts`: for each species, the number of agents that were added or removed because crowds of the
+    scene changed size.
+    `restarted_items`: amounts that start again from the scene's value, as `item.attribute`."""
 
     species: list[SpeciesMigration] = field(default_factory=list)
     added_counts: dict[str, int] = field(default_factory=dict)
@@ -56,10 +56,10 @@ class Migration:
 def migrate_world(
     old_world: World, plan: ir.Plan, setting: WorldSetting, binding_cache: BindingCache | None = None
 ) -> tuple[World, Migration]:
-    """Return the migrated world and a report on the migration. The world runs the edited plan and setting, at the frame of the
-    old world. Raises BindError like `bind`.
+    """Return a new world that runs the edited plan and setting at the frame of the old world, and the result of the migration.
 
-    `binding_cache`: a cache that the caller passes to each call, so that unchanged meshes are not processed again."""
+    Raises BindError like `bind`. `binding_cache`: a cache that the caller passes to every call, so that unchanged meshes are not
+    processed again."""
     world = bind_empty(plan, setting, old_world.options, binding_cache=binding_cache, origin=old_world.origin)
     world.frame = old_world.frame
     migration = Migration()
@@ -82,7 +82,7 @@ def migrate_world(
 
 
 def _migrate_agents(old_world: World, world: World, migration: Migration) -> list[tuple[CrowdData, NDArray[np.int64]]]:
-    """Move all agents that stay. Return the crowd lines that need new agents, and the ids of these agents for each line."""
+    """Move all agents that stay. Return the crowd lines that need new agents, each with the ids of these agents."""
     values = {}
     for name in world.populations:
         if name in old_world.populations:
@@ -117,7 +117,7 @@ def _migrate_agents(old_world: World, world: World, migration: Migration) -> lis
 
 
 def _match_crowds(old_world: World, setting: WorldSetting) -> list[tuple[CrowdData, tuple[CrowdData, CrowdLineIds] | None]]:
-    """Return the crowd lines of the new setting. Each is paired with its old line and the ids of that line's agents, or with
+    """Return the crowd lines of the new setting, each paired with its old line and the ids of that line's agents, or with
     None."""
     matches = match_lines(list_line_names(old_world.setting), list_line_names(setting))
     old = list(zip(old_world.setting.crowds, old_world.crowd_lines, strict=True))
@@ -125,8 +125,8 @@ def _match_crowds(old_world: World, setting: WorldSetting) -> list[tuple[CrowdDa
 
 
 def _find_staying_rows(old_world: World, setting: WorldSetting, name: str, migration: Migration) -> NDArray[np.intp]:
-    """Return the rows of a species that stay. If a crowd line of the scene has fewer agents than before, the latest agents are
-    removed."""
+    """Return the rows of the agents of a species that stay. If a crowd line of the scene has fewer agents than before, its last
+    agents are removed."""
     population = old_world.populations[name]
     stays = np.ones(len(population), np.bool_)
     new_by_old = _number_new_lines(old_world.setting, setting)
@@ -145,13 +145,13 @@ def _find_staying_rows(old_world: World, setting: WorldSetting, name: str, migra
 
 
 def _number_new_lines(old_setting: WorldSetting, setting: WorldSetting) -> dict[int, int]:
-    """Return, for each old crowd line, the index of its new crowd line."""
+    """Return the index of the new crowd line for each old one, by old index."""
     matches = match_lines(list_line_names(old_setting), list_line_names(setting))
     return {old: new for new, old in enumerate(matches) if old >= 0}
 
 
 def _update_crowd_groups(old_setting: WorldSetting, world: World, name: str, values: dict[str, NDArray[np.generic]]) -> None:
-    """Update the number of each agent's crowd line, because the lines of the scene may have changed."""
+    """Update the crowd line number of each agent, because the lines of the scene may have changed."""
     population = world.populations[name]
     group, values["group"] = population.now["group"], population.now["group"].copy()
     for old, new in _number_new_lines(old_setting, world.setting).items():
@@ -163,7 +163,7 @@ def _update_crowd_groups(old_setting: WorldSetting, world: World, name: str, val
 
 
 def _migrate_items(old_world: World, world: World, migration: Migration) -> None:
-    """Transfer amounts by item name. An amount that the scene changed starts with the new value."""
+    """Copy the amounts of items, matched by name. An amount that was changed in the scene starts with the new value."""
     for name, items in world.items.items():
         known = old_world.items.get(name)
         rows = {} if known is None else {item: k for k, item in enumerate(known.names)}
@@ -193,7 +193,7 @@ def _migrate_solids(old_world: World, world: World, migration: Migration) -> Non
 
 
 def _migrate_fields(old_world: World, world: World, migration: Migration) -> None:
-    """Transfer the amounts of fields that have the same cells. A field with another start value is not transferred."""
+    """Copy the amounts of fields that have the same cells. A field of which the initial value was changed is not copied."""
     for name, now in world.fields.items():
         old_field = old_world.fields.get(name)
         starts = [setting.field_start.get(name) for setting in (old_world.setting, world.setting)]
@@ -222,7 +222,7 @@ def _is_same_grid(old_world: World, world: World, name: str) -> bool:
 
 
 def _migrate_flows(old_world: World, world: World) -> None:
-    """Transfer the state of flows that are computed over several steps, if the flows are unchanged."""
+    """Copy the state of flows that are computed over several steps, if these flows are unchanged."""
     for name, flow in world.flows.items():
         state = flow.get_state()
         old_state = old_world.flows[name].get_state() if state and name in old_world.flows else {}
@@ -232,7 +232,7 @@ def _migrate_flows(old_world: World, world: World) -> None:
 
 
 def _migrate_feet(old_world: World, world: World) -> None:
-    """Transfer footholds and swings of legs, if bodies have the same legs and the ground is the same."""
+    """Copy the footholds and swings of legs, if bodies have the same legs and the ground is the same."""
     if old_world.foot_ground is None or world.foot_ground is None or old_world.foot_ground.names != world.foot_ground.names:
         return
     if compute_digest((old_world.foot_ground.meshes, old_world.setting.motion)) != compute_digest(
@@ -246,7 +246,7 @@ def _migrate_feet(old_world: World, world: World) -> None:
 
 
 def _migrate_counts(old_world: World, world: World) -> None:
-    """Transfer counts, measurements and watchers."""
+    """Copy counts, measurements and watchers."""
     world.transitions = dict(old_world.transitions)
     world.motion = MotionMeasures.from_arrays(old_world.motion.checkpoint_arrays())
     world.faults = FaultLog(old_world.faults.count, old_world.faults.rejected_births, list(old_world.faults.reported_faults))
@@ -260,7 +260,7 @@ def _migrate_counts(old_world: World, world: World) -> None:
 
 
 def describe_migration(migration: Migration) -> str:
-    """Return the changes as one line, for example "… · 12 `forager` added · `load` is new"."""
+    """Return one line that describes what a migration changed, for example "… · 12 `forager` added · `load` is new"."""
     parts = [f"kept {migration.agents:,} {_pluralise_agents(migration.agents)}"]
     several = len(migration.species) > 1
     for migrated in migration.species:
@@ -274,7 +274,7 @@ def describe_migration(migration: Migration) -> str:
 
 
 def _describe_species(migrated: SpeciesMigration, name_prefix: str) -> list[str]:
-    """Return the changes of one species as phrases. `name_prefix`: text in front of names; empty if there is only one species."""
+    """Return the changes of one species as phrases. `name_prefix`: text to put before names; "" if there is only one species."""
     parts = [
         f"{count:,} of removed state `{name_prefix}{_shorten_state_name(removed_state)}` "
         f"{'starts' if count == 1 else 'start'} again in `{name_prefix}{_shorten_state_name(start)}`"
@@ -317,7 +317,7 @@ def _drop_derived_names(names: list[str]) -> list[str]:
 
 
 def _shorten_state_name(state: str) -> str:
-    """Return a state's name without the name of the default machine, because most species have one unnamed machine."""
+    """Return the name of a state without the default machine's name. Most species have only this machine."""
     return state.removeprefix("main.")
 
 
@@ -326,7 +326,7 @@ def _pluralise_agents(count: int) -> str:
 
 
 def _format_names(names: list[str], singular: str, plural: str) -> list[str]:
-    """Return a phrase about names, in the singular or plural; [] without names."""
+    """Return a phrase about names, in the singular or plural, as a list; [] if there are no names."""
     if not names:
         return []
     name_list = ", ".join(f"`{name}`" for name in names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
