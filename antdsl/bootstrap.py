@@ -134,6 +134,7 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
     fingerprint = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + repr(requirements).encode()).hexdigest()
     stamp = folder / "antdsl-installed"
     if python.exists() and stamp.exists() and stamp.read_text() == fingerprint:
+        compile_kernels(python)  # an update of the checkout changes kernels
         return python
     print(f"setting up {folder} (Python packages, about 1 GB with Open3D; a few minutes the first time)", flush=True)
     stamp.unlink(missing_ok=True)
@@ -149,9 +150,14 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
     # An editable install compiles nothing. Where no bytecode may be written, every command would compile all modules again.
     subprocess.run([str(python), "-m", "compileall", "-q", str(ROOT / "antdsl")], check=False)
     # Installing has compiled the kernels with the LLVM of the build environment: nothing is left to do if it is the same here.
-    subprocess.run([str(python), "-P", "-m", "antdsl.machine_code.build_objects", "--host"], check=False)
+    compile_kernels(python)
     stamp.write_text(fingerprint)
     return python
+
+
+def compile_kernels(python: Path) -> None:
+    """Compile the kernels whose machine code is missing or old, so that commands and tests need not. Takes 2 s if none is."""
+    subprocess.run([str(python), "-P", "-m", "antdsl.machine_code.build_objects", "--host"], check=False)
 
 
 def run_example(python: Path, folder: Path) -> int:
