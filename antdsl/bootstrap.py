@@ -156,7 +156,7 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
 
 
 def compile_kernels(python: Path) -> None:
-    """Compile the kernels whose machine code is missing or old, so that commands and tests need not. Takes 2 s if none is."""
+    """Compile the kernels that have no current machine code, so that commands and tests need not. Takes 2 s if all have it."""
     subprocess.run([str(python), "-P", "-m", "antdsl.machine_code.build_objects", "--host"], check=False)
 
 

@@ -104,9 +104,6 @@ class SurfaceFlow:
         is_flowing: NDArray[np.bool_] = (x != 0) | (y != 0) | (z != 0)
         return is_flowing
 
-    def set_displayed_state(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Make `get_state` return `arrays` without changing the flow. For copies of a world that are only displayed."""
-
     def update_for_step(self, world: World) -> None:
         """Update the flow before a step. Does nothing for a flow that is computed only once."""
         if self.update_after_motion is not None:

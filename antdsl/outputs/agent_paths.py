@@ -48,7 +48,7 @@ class AgentPaths:
     order."""
 
     def __init__(self, cache: Cache, dt: float, window: PathWindow) -> None:
-        self._cache, self._window = cache, window
+        self._cache = cache
         self._frames_before, self._frames_after = round(window.seconds_before / dt), round(window.seconds_after / dt)
         self._existing_frames = frozenset(cache.frames())
         self._cached_frames: OrderedDict[int, dict[str, NDArray[Any]] | None] = OrderedDict()

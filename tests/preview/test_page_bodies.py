@@ -443,7 +443,7 @@ def test_materials_have_the_colours_that_antdsl_draws_by_id(page: Stage) -> None
     slate, ends = {"slate": (0.5, 0.5, 0.5)}, ((0.9, 0.0, 0.0), (0.0, 0.0, 0.9), (0.0, 0.9, 0.0))
     box = replace(crane().shapes["box"], materials=("slate",), material=np.zeros(12, np.int32))
     varied = replace(crane(), materials=slate, shapes={"box": box}, variation=Variation({}, {"slate": ends}))
-    plays, draws = machines(12), VariationDraws(np.arange(10, 22), 4, "ant")
+    plays, draws = machines(4), VariationDraws(np.arange(10, 14), 4, "ant")
 
     def picture(body: Definition) -> NDArray[np.int64]:
         worn = BodyOutfit(body, PLAYS, blends_lean=True)
@@ -456,13 +456,13 @@ def test_materials_have_the_colours_that_antdsl_draws_by_id(page: Stage) -> None
     level = PosedBody(varied, PLAYS)
     colours = level.compute_colours(PoseAdjustments(variation_draws=draws))[:, 0]
     alike, masks = np.zeros(several.shape[:2], bool), 0
-    for row in range(12):
+    for row in range(4):
         uniform_picture = picture(replace(varied, materials={"slate": tuple(map(float, colours[row]))}, variation=Variation()))
         same = np.abs(uniform_picture - several).max(axis=2) < 6
         moved = np.abs(uniform_picture - several).max(axis=2) >= 6
         masks += int(moved.any())
         alike |= same
-    assert masks == 12, "they have different colours"
+    assert masks == 4, "they have different colours"
     assert alike.mean() > 0.999
 
 

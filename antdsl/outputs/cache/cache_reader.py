@@ -275,8 +275,3 @@ def _read_arrays(path: Path, number: int | None, names: frozenset[str] | None = 
         if said is None or said.shape != () or said.dtype.kind not in "iu" or int(said) != number:
             raise CacheError(f"`{path}` does not hold frame {number}")
     return arrays
-
-
-def make_scalar(value: int) -> NDArray[np.int64]:
-    """Return an integer as an int64 array without dimensions."""
-    return np.array(value, np.int64)

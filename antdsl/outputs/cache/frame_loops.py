@@ -29,7 +29,6 @@ from antdsl.machine_code.kernels import (
 )  # fmt: skip
 
 FloatColumns3 = tuple[Array1[F32], Array1[F32], Array1[F32]]
-FloatColumns4 = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 Clips = tuple[Array1[I32], Array1[I32]]
 ClipsOut = tuple[Array1[I16], Array1[I16]]
 Shares = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
