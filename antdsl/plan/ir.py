@@ -243,8 +243,8 @@ class Give:
 class Request:
     """A request for a change in the world, such as a deposit.
 
-    `op`: the name of a row in `program.tables.effects`. `target`: the thing that changes. `args`: the operands in the order of
-    that row; None: absent. `register`: the agent's register to which the result is added, after all blocks of the step.
+    `op`: the name of a row in `program.tables.effects`. `target`: the thing or event that it names. `args`: the operands in the
+    order of that row; None: absent. `register`: the agent's register to which the result is added, after all blocks of the step.
     `target_species`: the species of the agent that receives the request; its id is an I64 operand."""
 
     op: str

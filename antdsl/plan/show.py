@@ -117,7 +117,7 @@ def _format_number(x: float) -> str:
 
 
 class _ExpressionFormatter:
-    """Formatter of expressions, which writes the names of named nodes."""
+    """Formatter of expressions. It replaces a node that has a name by this name."""
 
     def __init__(self) -> None:
         self.names: dict[PlanNode, str] = {}

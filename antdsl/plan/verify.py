@@ -267,7 +267,7 @@ def _check_block_order(block: Block, state: _RegisterLoadState) -> Iterator[str]
 
 
 def find_written_registers(statement: PlanStatement) -> tuple[str, ...]:
-    """Return the registers that the statement itself may change, without statements inside it."""
+    """Return the registers that the statement itself may change. Statements inside it are not considered."""
     match statement:
         case Store():
             return (statement.register,)

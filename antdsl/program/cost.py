@@ -141,7 +141,7 @@ def _make_cost_entries(part: object) -> Iterable[CostEntry]:
 
 
 def _make_entry(cost: UseCost, thing: str, args: tuple[model.Expr | None, ...] = (), op: str = "") -> CostEntry:
-    """Return the entry for a use, with the count, thing and distance that `cost` requests."""
+    """Return the entry for a use, with the count, thing and distance that `cost` describes."""
     count = 1
     if cost.multiplier_index is not None:
         times = args[cost.multiplier_index] if len(args) > cost.multiplier_index else None

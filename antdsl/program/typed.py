@@ -113,7 +113,7 @@ class BindingRef(Expr):
 
 @expression_class
 class ThingRef(Expr):
-    """The name of a thing of the world or of a species, used as an argument. The kind of the type is the kind of the thing.
+    """The name of a thing of the world or of a species, used as an argument. Its type has the kind of the thing.
 
     The name `self` with the kind AGENT stands for the agent itself."""
 

@@ -143,7 +143,7 @@ class _UnfinishedNode:
 
 
 class _DocumentReader:
-    """Reads one source. Errors are added to `report`."""
+    """Reader of one source. Errors are added to `report`."""
 
     def __init__(self, source: Source, subject: str, example: str) -> None:
         self.source, self.subject, self.example = source, subject, example

@@ -71,7 +71,7 @@ def compute_drawn_radius(radius: float, remaining_share: float) -> float:
 
 
 def find_kind_by_name(mesh: str) -> str | None:
-    """Return the kind of surface of which a word occurs in the name of a mesh, or None. The first such kind in the table is
+    """Return the kind of surface that has one of its words in the name of a mesh, or None. The first such kind in the table is
     used."""
     name = mesh.lower()
     return next((kind for kind, row in SURFACE_KINDS.items() if any(word in name for word in row.words)), None)

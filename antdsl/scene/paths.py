@@ -112,7 +112,7 @@ class Roots:
             os.close(handle)
 
     def is_sequence(self, text: str) -> bool:
-        """Return whether the `#` in a path stand for frame numbers. They do not if a file has exactly this name."""
+        """Return whether the `#` signs in a path stand for a frame number. They do not if a file has exactly this name."""
         if "#" not in text:
             return False
         try:
@@ -122,7 +122,8 @@ class Roots:
         return False
 
     def find_sequence(self, text: str) -> dict[int, str]:
-        """Return, by frame, the files of a path such as `walls.####.ply`. The `#` stand for the frame number, padded with zeros.
+        """Return, by frame, the files of a path such as `walls.####.ply`. The `#` signs stand for the frame number, padded with
+        zeros.
 
         Raises PathRefused if there is no such file, or if the path is not allowed."""
         named = _SEQUENCE_PATTERN.fullmatch(text)

@@ -1,4 +1,5 @@
-"""The kinds of scalars in a scene, as pydantic types over text: integers, quantities, lengths, frame rates, names.
+"""The kinds of scalars in a scene, as pydantic types that are parsed from text: integers, quantities, lengths, frame rates,
+names.
 
 The module also has the mappings that several models share: points, and positions at frames. Each type converts a text to a value
 exactly, or raises an error with a code, a message, and the text to write instead."""

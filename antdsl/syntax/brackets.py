@@ -36,7 +36,7 @@ def get_token_text(scan: TokenScan, token: ScannedToken) -> str:
 
 
 class _ParenthesisPairer:
-    """Pairs `( )` and `[ ]`. Braces and `;` are not allowed inside them, so each of these closes all open parentheses."""
+    """Pairing of `( )` and `[ ]`. Braces and `;` are not allowed inside them, so each of these closes all open parentheses."""
 
     def __init__(self, scan: TokenScan) -> None:
         self.scan = scan
@@ -216,7 +216,7 @@ class _OpenBrace:
 
 
 class _BracePairer:
-    """Pairs `{ }`. If there are more braces of one kind, the indents of the lines decide where a brace is missing."""
+    """Pairing of `{ }`. If there are more braces of one kind, the indents of the lines decide where a brace is missing."""
 
     def __init__(self, scan: TokenScan, tokens: list[ScannedToken]) -> None:
         self.scan = scan

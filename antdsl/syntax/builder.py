@@ -22,7 +22,7 @@ class Token(Protocol):
 
 
 class SpanMaker(Protocol):
-    """Converts positions in the parsed text to spans in the source."""
+    """Converter of positions in the parsed text to spans in the source."""
 
     def make_source_span(self, start: int, end: int) -> Span: ...
 

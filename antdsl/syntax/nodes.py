@@ -652,6 +652,6 @@ class File:
         return int(self.edition.value) if self.edition is not None and exists else NEWEST_EDITION
 
     def file_span(self, span: Span) -> Span:
-        """Convert a span in one of the file's `parts` to a span in the complete file."""
+        """Return a span in one of the file's `parts`, converted to a span in the complete file."""
         base = self.parts.get(span.source)
         return span if base is None else Span(self.source, base + span.start, base + span.end)

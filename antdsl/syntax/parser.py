@@ -142,7 +142,7 @@ def _detect_other_language(text: str) -> str | None:
 
 
 class _FileParser:
-    """Parses the lines of one scanned text."""
+    """Parser of the lines of one scanned text."""
 
     def __init__(self, scan: TokenScan) -> None:
         self.scan = scan

@@ -142,10 +142,9 @@ def _choose_scene_value_or_default(w: PlanWriter, name: str, default: LoweredVal
 
 
 def _find_author_attributes(w: PlanWriter) -> dict[str, model.AttributeDecl]:
-    """Return the attributes that have a default in the program, by name: those in the author's text and those of newer editions.
-
-    The span of other built-in attributes is the species' name. This module computes their defaults, because they depend on the
-    step length."""
+    """Return, by name, the attributes with a default expression in the program: those in the author's text and those of newer
+    editions. Other built-in attributes have the species' name as their span. This module computes their defaults, because
+    these depend on the step length."""
     mine = [a for a in w.species.attributes if not a.pair_species and a.name != "push"]
     newer = (DEFAULT_BY_SETTING.keys() | STANDING_DEFAULTS.keys()) if w.species.edition > 1 else ()
     return {a.name: a for a in mine if a.name in newer or not (a.is_builtin and a.span == w.species.span)}

@@ -93,7 +93,8 @@ def write_start_clip(w: PlanWriter, machine: model.Machine, state: model.State) 
 
 
 def store_fade_time(w: PlanWriter, machine: model.Machine, fade_time: model.Expr | None, span: Span) -> None:
-    """Store the fade time for the change of clip when a transition leaves the current state. `fade_time`: None: the default."""
+    """Store the fade time for the change of clip when a transition leaves the current state. `fade_time`: None means the
+    default."""
     w.add_store(
         f"{machine.name}.clip_over",
         w.b.add_number(DEFAULT_FADE_SECONDS) if fade_time is None else lower_scalar(w, fade_time),
@@ -118,7 +119,7 @@ def fade_out_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> 
 
 
 def lower_play(w: PlanWriter, machine: str, line: model.Play) -> None:
-    """Write a `play` line of the agent's current state."""
+    """Write the statements for a `play` line of the agent's current state."""
     b = w.b
     speed = None if line.speed is None else lower_scalar(w, line.speed)
     weight = (

@@ -309,8 +309,7 @@ def _lower_attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
 
 
 def convert_to_typed_value(w: PlanWriter, node: PlanNode, type: model.ValueType) -> LoweredValue:
-    """Convert a register's node to a value of the language. If the type is a bool and the register a number, it becomes a
-    bool."""
+    """Convert a register's node to a value of the language. A number becomes a bool if `type` is a bool."""
     if type.kind in NONE_BY_KIND:
         return EntityRef(type.kind, type.referent or "", node)
     return w.b("ne", node, w.b.add_number(0)) if type.kind is model.TypeKind.BOOL and node.kind is ValueKind.F32 else node

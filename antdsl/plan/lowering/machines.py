@@ -118,7 +118,7 @@ class MachineWriter:
             write(self.machine.states[self.machine.start])
 
     def write_start_actions(self) -> None:
-        """Write the enter actions of the state at birth."""
+        """Write the enter actions of the state that an agent has at birth."""
         self.write_per_start_state(lambda state: write_statements(self.w, state.enter, f"{self.site}.{state.name}.enter"))
 
     # --- decide ------------------------------------------------------------------------------------------------------
@@ -272,9 +272,9 @@ class MachineWriter:
         return target
 
     def _write_entry(self, state: model.State) -> None:
-        """Write the actions on entry into a state: reset the counters of `held`, then run the enter actions. A counter of one
-        state is reset on entry into it. A counter that several states share is reset on entry into a state without that
-        transition."""
+        """Write the actions on entry into a state: reset the counters for `held`, then run the enter actions. Each counter
+        belongs to a transition. If only one state has this transition, the counter is reset on entry into that state. If
+        several states share it, the counter is reset on entry into a state without it."""
         own_keys = {t.key for t in state.transitions}
         for key in dict.fromkeys(c.transition.key for c in self.changes if c.transition.hold_time is not None):
             counter = f"{key}.held"
@@ -300,7 +300,7 @@ def count_steps(w: PlanWriter, duration: PlanNode) -> PlanNode:
 
 
 def has_state_lasted(w: PlanWriter, machine: str, duration: model.Expr) -> PlanNode:
-    """Return whether the agent has been in the machine's current state for at least `duration`."""
+    """Return a node that is true if the agent has been in the machine's current state for at least `duration`."""
     b = w.b
     nearly = b("sub", count_steps(w, lower_scalar(w, duration)), b.add_number(0.5))
     return b("ge", w.read_at_step_start(f"{machine}.time_in_state"), b("mul", nearly, w.read_run_value("dt")))

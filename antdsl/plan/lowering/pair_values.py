@@ -138,7 +138,7 @@ def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.Attri
 
 
 def _store_in_temporary(w: PlanWriter, name: str, value: PlanNode, s: model.Assign) -> PlanNode:
-    """Store a value in a temp, so that later stores do not change it."""
+    """Write a store of a value into a temp, and return the node that reads the temp. Later stores do not change this value."""
     w.declare_register(name, value.kind, "temp", -1 if value.kind is ValueKind.I64 else 0)
     w.add_store(name, value, s.span)
     return w.read_at_step_start(name)

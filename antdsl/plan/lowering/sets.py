@@ -30,7 +30,8 @@ def choose_quantum_exponent(dim: Dimension) -> int:
     Terms are rounded to a multiple of 2**exponent base units, so that their sum is exact in any order.
 
     A float64 has 53 bits: with exponent -24, the sum may reach 2**28. Lengths, speeds and forces use a unit that is 4 bits
-    coarser, for more range (1e-6 mm, sums up to 4 million metres). Areas use 14 bits, volumes 24 bits, and densities 6 bits."""
+    coarser, for more range (1e-6 mm, sums up to 4 million metres). The unit is 14 bits coarser for areas, 24 bits for volumes,
+    and 6 bits for densities."""
     if dim.length <= 0:
         return -30 if dim.length < 0 else -24
     return -20 if dim.length <= 1 else -10 if dim.length <= 2 else 0
@@ -114,7 +115,7 @@ def compute_min_cosine(w: PlanWriter, fov: PlanNode) -> tuple[PlanNode]:
 
 
 def lower_with_binding(w: PlanWriter, binding: model.Binding, element: LoweredValue, body: Callable[[], T]) -> T:
-    """Return the result of `body`, called while a name is bound to an element."""
+    """Bind a name to an element, call `body`, and return its result."""
     w.environment[binding] = element
     if isinstance(element, SetElement):
         w.set_elements.append(binding)
@@ -204,7 +205,8 @@ def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
 
 
 def cast_ray(w: PlanWriter, direction: VectorNodes, reach: PlanNode, target: str) -> RayHit:
-    """Return one ray. `direction`: a unit vector. `reach`: mm; at most half the width of a periodic world is used."""
+    """Return one ray. `direction`: a unit vector. `reach`: the length in mm. In a periodic world, at most half of the world's
+    width is used."""
     if w.period is not None:
         reach = w.b("min", reach, w.b.add_number(min(width for width in w.period if width) / 2))
     ray = w.b("ray", *direction, reach, attrs=(target,))

@@ -15,7 +15,7 @@ from antdsl.source import Span
 class AggregatePlan:
     """A number about all agents of a species, items of a name, cells of a field, or a solid. Nodes read it by `name`.
 
-    - `kind`, `subject`: what the number is about: its kind, and its name.
+    - `kind`, `subject`: the kind and the name of the population, items, field or solid.
     - `where_register`, `body_register`: the registers in which `decide` stores each member's condition and value.
     - `amount`: the attribute of items that is aggregated without conversion to float32."""
 

@@ -68,7 +68,7 @@ class NamedThing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OwnPosition:
-    """The agent itself, as a point."""
+    """The position of the agent itself, used as a point."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

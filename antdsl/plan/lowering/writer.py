@@ -2,8 +2,8 @@
 read.
 
 An attribute of the agent is read by `snap`, its value at the start of the step, until a statement on the path may have written
-it. Nodes that depend on a `snap` can be shared between all positions. After that, it is read by `load`. A `load` has the number
-of the stores before it in the text."""
+it. Nodes that depend on a `snap` can be shared between all positions. After that, it is read by `load`. A `load` contains the
+number of stores before it in the text."""
 
 from __future__ import annotations
 

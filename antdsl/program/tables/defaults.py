@@ -16,7 +16,7 @@ _CALL_PATTERN = re.compile(r"([a-z_]+)\((.+)\)")
 
 
 def parse_default_values(scope: NameScope, text: str, span: Span) -> tuple[Expr, ...]:
-    """Return the expression of a default value, or those of both ends of a range. `span`: the location for errors."""
+    """Return the expression of a default value, or two expressions for the ends of a range. `span`: the location for errors."""
     return tuple(scope.type_expression(parse_product(part.strip(), span)) for part in text.split(".."))
 
 

@@ -166,7 +166,7 @@ class SenseRow:
         return f"({', '.join(names)}): {self.meaning}"
 
     def find_result_index(self, part: str) -> tuple[int, int]:
-        """Return the index of a result among all result numbers, and how many numbers it has."""
+        """Return the index of a result's first number among all result numbers, and how many numbers it consists of."""
         first = 0
         for each in self.results:
             if each.name == part:

@@ -17,7 +17,7 @@ from antdsl.syntax import nodes
 
 
 def find_cell_field(declarations: Declarations, operand: nodes.Expr) -> str:
-    """Return the name of the field of which an expression reads the cells, such as `trail` for `trail.value > 0.1`, or ""."""
+    """Return the name of the field that an expression reads cell by cell, such as `trail` for `trail.value > 0.1`, or ""."""
     members = [part for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
     owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
     return next((name for name in owners if name in declarations.fields), "")

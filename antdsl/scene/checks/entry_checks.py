@@ -30,7 +30,7 @@ class WorldEntryCheck(NamedTuple):
     thing: WorldThing
 
     def find_span(self, *path: PathKey, key: bool = False) -> Span:
-        """Return the location of a value of the entry, or of its key."""
+        """Return the location of a value of the entry or, if `key` is true, of its key."""
         return self.scene.find_span("world", self.name, *path, key=key)
 
     def check_file(self, text: str, *path: PathKey) -> None:

@@ -51,7 +51,7 @@ class RanksData:
 
 @dataclass(frozen=True, slots=True)
 class ClumpsData:
-    """`number` discs, each around a random position of the placement. `radius`: of each disc (mm)."""
+    """`number` discs, each around a random position of the placement. `radius`: the radius of each disc (mm)."""
 
     number: int
     radius: float
@@ -88,7 +88,7 @@ class PlacementData:
     `is_by_area`: whether agents start on the front of faces of any orientation. `radius` is then the radius of a ball, and
     `points` move to the nearest surface point.
     `spacing`: the smallest distance (mm) between centres; inf: as large as the space allows for all lines with equal settings.
-    `seed`: of the random positions; None for the setting's seed.
+    `seed`: the seed for the random positions; None for the setting's seed.
     `headings` (n, 3): the unit vector of the heading at each point; nan for a random heading.
     `values` (n,): by name, the attributes of the agent at each point, in base units; nan for the species' value."""
 
@@ -114,7 +114,7 @@ class PlacementData:
 
 @dataclass(frozen=True, slots=True)
 class ScriptedWalkData:
-    """A walk of agents.
+    """A walk that replaces the decisions of agents.
 
     `direction`: a unit vector, projected onto the ground at the start.
     `speed`: in mm/s.

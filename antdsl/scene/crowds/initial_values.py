@@ -49,8 +49,8 @@ def stage_initial_values(scene: Scene, program: Program, report: Report, number:
 
 
 def _find_machine(species: Species, key: str) -> Machine | None:
-    """Return the machine of which a key sets the state. The key `state` refers to the first machine. None if there is no such
-    machine."""
+    """Return the machine that a key such as `MACHINE.state` names. The key `state` names the first machine. Return None if there
+    is no such machine."""
     if key == "state":
         return species.machines[0] if species.machines else None
     name, _, word = key.partition(".")

@@ -57,7 +57,8 @@ class GltfDocument:
     reason."""
 
     def __init__(self, data: bytes, read_sibling: Callable[[str, int], bytes]) -> None:
-        """`read_sibling(path, max_bytes)` returns the bytes of a file in the same folder, with at most `max_bytes` bytes."""
+        """Parse the bytes of a file. `read_sibling(path, max_bytes)`: returns the bytes of a file in the same folder, which has
+        at most `max_bytes` bytes."""
         text, self._binary = _split_chunks(data)
         self.tree = _parse_json(text)
         self._read_sibling = read_sibling

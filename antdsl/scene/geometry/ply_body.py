@@ -275,7 +275,7 @@ class _BinaryBody:
         return int(count)
 
     def _read_uneven_lists(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
-        """Return list properties of which the lengths differ between elements. First the start of each list is found, then all
+        """Return list properties with lengths that differ between elements. First the start of each list is found, then all
         values are read at once."""
         data, at, name = self._data, self._offset, format_word(element.name.encode())
         starts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names}

@@ -1,4 +1,4 @@
-"""Kinds of values in notes, as pydantic types over text."""
+"""The kinds of values in notes, as pydantic types that are parsed from text."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def select_ids(selector: AnySelector, frame: SelectableFrame) -> dict[str, NDArr
 
 
 def select_rows(selector: AnySelector, frame: SelectableFrame) -> RowMasksBySpecies:
-    """Return a mask over the rows of each species, by species. It is true for selected agents."""
+    """Return, by species, a mask of its rows that is true for the selected agents."""
     if isinstance(selector, AgentName):
         return {name: _find_agents_by_name(selector, name, agents, frame) for name, agents in frame.agents.items()}
     if isinstance(selector, AgentConditions):

@@ -27,7 +27,7 @@ DEFAULT_ITEM_RADIUS = 10.0  # mm
 def place_items(
     staging: SceneStaging, name: str, value: UsdThing | LampThing | dict[str, ItemThing]
 ) -> tuple[setting_data.ItemData, ...] | None:
-    """Return the items with one name in `world`, at the first frame. On failure, report an error and return None.
+    """Return the items that the entry `name` of `world` defines, at the first frame. On failure, report an error and return None.
 
     Their motion is stored in `staging.item_tracks`."""
     if isinstance(value, UsdThing):
@@ -195,7 +195,7 @@ def to_point_tuple(point: NDArray[np.float64]) -> setting_data.PointMm:
 def _find_near_faces(
     mesh: setting_data.MeshData, point: setting_data.PointMm, axes: Sequence[int], reach: float = 0.0
 ) -> NDArray[np.int32]:
-    """Return the faces (m, 3) of which the bounding box comes within about `reach` of a point. `axes`: the axes to consider."""
+    """Return the faces (m, 3) with a bounding box that comes within about `reach` of a point. `axes`: the axes to consider."""
     near = np.ones(len(mesh.faces), np.bool_)
     for axis in axes:
         a, b, c = (np.ascontiguousarray(mesh.vertices[:, axis])[mesh.faces[:, k]] for k in range(3))

@@ -279,7 +279,7 @@ def stage_curve(staging: SceneStaging, name: str, value: CurveThing | UsdThing) 
 
 
 def _apply_transforms_by_frame(transforms: Floats, positions: Floats) -> Floats:
-    """Return positions (frames, k, 3) after the transform of their frame. The shorter input is extended with its last frame."""
+    """Return positions (frames, k, 3), transformed frame by frame. The shorter input is extended with its last frame."""
     count = max(len(positions), len(transforms))
     frames = [(min(k, len(transforms) - 1), min(k, len(positions) - 1)) for k in range(count)]
     return np.stack([apply_transforms(transforms[i], positions[j]) for i, j in frames])

@@ -128,7 +128,7 @@ class _ItemReader:
         return self.scan.source.text.count("\n", start, end)
 
     def read_lines(self, lines: Sequence[SourceLine], rule: str, start: int, end: int) -> list[LayoutItem]:
-        """Return the statements and comments between two offsets."""
+        """Return the statements and comments between two offsets. `rule`: the grammar rule of the lines."""
         item_list: list[LayoutItem] = []
         last = start  # end of the previous item
         for line in lines:

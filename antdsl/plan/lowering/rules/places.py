@@ -193,7 +193,8 @@ def _lower_touching(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_falloff(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return floor / max(distance, floor) (decision 19): 1 near the point, 0 if there is no point."""
+    """Return floor / max(distance, floor) (decision 19). It is 1 within the distance `floor`, and 0 if the point does not
+    exist."""
     distance = compute_distance(w, *_lower_point_argument(w, e))
     assert e.args[1] is not None
     floor = lower_scalar(w, e.args[1])

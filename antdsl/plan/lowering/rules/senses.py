@@ -102,8 +102,8 @@ def _lower_flow_value(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_reachable(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return a node that is true if a flow reaches its target from the agent's position. For a field of vectors: if the vector
-    there is not 0."""
+    """Return a node that is true if a flow reaches its target from the agent's position. A field of vectors counts as reachable
+    where its vector is not 0."""
     if not _is_vector_field(w, _get_thing_name(w, e)):
         return _TEST_REACHABLE(w, e)
     vector = _lower_flow_value(w, e)

@@ -35,7 +35,7 @@ class StepInfluence(IntEnum):
 class ShortStepValue:
     """The behaviour of a value as the step length `dt` goes to 0.
     - `power`: the value is proportional to `dt ** power`. It vanishes if `power` is above 0. `limit`: its limit, if known.
-    - `deviation_exponent`: the exponent of `dt` in the deviation from the limit or previous value; infinite without influence.
+    - `deviation_exponent`: the exponent of `dt` in the deviation from the limit or previous value; infinite if there is none.
     - `changing_parts`: the first two operations that change the previous value.
     - `cause`: the operation that causes the deviation, or in which the value vanishes."""
 

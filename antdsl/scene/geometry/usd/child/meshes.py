@@ -260,7 +260,7 @@ def _rotate_vectors(transforms: Floats, vectors: Floats) -> Floats:
 
 
 def _find_hidden_reason(stage: OpenStage) -> str | None:
-    """Return help text if a prim has no readable meshes. They have another purpose, are invisible, or do not exist."""
+    """Return help text about why a prim has no readable meshes: they do not exist, are invisible, or have another purpose."""
     usd, geom = import_pxr_module("Usd"), import_pxr_module("UsdGeom")
     every = [p for p in usd.PrimRange(stage.prim, usd.TraverseInstanceProxies()) if p.IsA(geom.Mesh)]
     if not every:
