@@ -1,13 +1,13 @@
-"""Grounds that agents stand on: meshes, moving meshes, solids that can be dug, all of these together, or an endless plane.
+"""The grounds that agents stand on: meshes, moving meshes, solids that can be dug, combinations of these, or an infinite plane.
 
-The runtime uses one interface, a ground. It returns the positions of footings, the direction up at a footing, and the result of a
-step.
+The runtime uses all of them through one interface, `Ground`. It gives the positions and normals of footings, and the results of
+steps.
 
 - `mesh`: walks over triangles
 - `moving`: meshes that move between steps
 - `solid`: signed distance fields that can be dug
 - `combined`: joins meshes and solids
 - `plane`: the ground of a scene without surfaces
-- `sticking`: follows any surface by two rays per step
+- `sticking`: keeps agents on any surface by two rays per step
 
-A footing is a row of a table, on any ground (`Footing`). Positions and lengths are in mm, in the scene's axes."""
+On every ground, a footing is a row of a table (`Footing`). Positions and lengths are in mm, in the scene's axes."""

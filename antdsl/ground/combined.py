@@ -1,6 +1,6 @@
-"""Ground that consists of meshes and solids. Agents step from meshes onto solids and back.
+"""A ground of meshes and solids. Agents can step from meshes onto solids and back.
 
-Agents cannot walk on mesh parts inside a solid, until the solid is dug away there."""
+Agents cannot walk on parts of a mesh that are inside a solid, until the solid is dug away there."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _EYE_HEIGHT_BODY_LENGTHS = 0.02  # body lengths above the path from which an age
 
 @dataclass(slots=True)
 class _CombinedWalk:
-    """Agents during a walk: footings, positions, orientations, and remaining displacements. Each component is contiguous."""
+    """The state of n agents during a walk. Vectors are float64[n,3], with contiguous components."""
 
     footing: Footing
     place: Floats
@@ -42,7 +42,8 @@ class _CombinedWalk:
 
 @dataclass(slots=True)
 class _SolidEntries:
-    """Agents that entered undug solid: their rows, solid numbers, path fractions before the entry, and entry positions."""
+    """The agents that enter a solid: rows, numbers of the solids, fractions of the paths before the entries, and entry
+    positions."""
 
     rows: Rows
     solids: NDArray[np.intp]
@@ -51,7 +52,7 @@ class _SolidEntries:
 
 
 class CombinedGround:
-    """A ground of meshes (None without any) and named solids. The names of solids come after those of meshes."""
+    """A ground of meshes and named solids. `meshes` is None if there are none. Names of solids come after names of meshes."""
 
     def __init__(self, meshes: MeshSurfaces | None, solids: Mapping[str, Volume], up: Floats) -> None:
         self.meshes = meshes
@@ -69,10 +70,10 @@ class CombinedGround:
     def place_points(
         self, points: Floats, up: Floats, surface_names: Iterable[str] | None = None
     ) -> tuple[Footing, NDArray[np.bool_]]:
-        """Return footings below points [n,3]. The footing is the first hit of a ray from far above along -`up`.
+        """Return footings below points [n,3]. Each is the first hit of a ray from far above the point along -`up`.
 
-        Rays hit only the names in `surface_names`; None means all. A footing on ground inside undug solid is moved to the
-        solid's surface above. The second array contains False for it."""
+        `surface_names`: the surfaces and solids that rays can hit; None means all. A footing inside a solid is moved up to the
+        solid's surface. The second array is False if this solid is not in `surface_names`, or if the ray hits nothing."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         names = self.names if surface_names is None else tuple(surface_names)
         unknown = [name for name in names if name not in self.names]
@@ -135,7 +136,7 @@ class CombinedGround:
         return place
 
     def normal(self, footing: Footing) -> Floats:
-        """Return unit normals, float64[n,3]: of faces by their winding, of solids outwards; zero for agents without a footing."""
+        """Return unit normals, float64[n,3]: by winding on faces, outwards on solids, and zero for agents without a footing."""
         normal = np.zeros((len(footing), 3))
         rows = self._find_mesh_rows(footing)
         if rows.size and self.meshes is not None:
@@ -147,14 +148,14 @@ class CombinedGround:
         return normal
 
     def find_sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
-        """Return the axis direction nearest to each normal. The numbers are those of `MeshGround.find_sides`."""
+        """Return the axis direction nearest to each normal, int8[n], with the numbers of `MeshGround.find_sides`."""
         rows = self._find_mesh_rows(footing)
         if rows.size == len(footing) and self.meshes is not None:
             return self.meshes.find_sides(footing.select_rows_on_meshes(rows), threads)
         return np.where(footing.mesh >= 0, classify_normal_directions(self.normal(footing)), np.int8(0))
 
     def compute_upright_normals(self, footing: Footing, up: Floats) -> Floats:
-        """Return smooth unit normals float64[n,3]: on meshes on the side that `up` points to, on solids outwards."""
+        """Return smooth unit normals float64[n,3]. On meshes they are on the side of `up`, on solids they point outwards."""
         result = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(footing), 3)))
         rows = self._find_mesh_rows(footing)
         if rows.size and self.meshes is not None:
@@ -207,8 +208,8 @@ class CombinedGround:
     # ---- parts of moving
 
     def _walk_until_surface_change(self, walk: _CombinedWalk, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
-        """Walk `rows` on their current mesh or solid. Place agents that reach another surface on it. Return the agents that
-        still have distance left."""
+        """Walk `rows` on their current mesh or solid. Place agents that reach another mesh or solid on it. Return the rows of
+        agents that have not finished."""
         again = []
         on = walk.footing.mesh[rows]
         mesh = rows[on < self._count]
@@ -221,7 +222,7 @@ class CombinedGround:
         return np.sort(np.concatenate(again))
 
     def _walk_on_meshes(self, walk: _CombinedWalk, rows: Rows, body: Floats, threads: int, is_last: bool) -> Rows:
-        """Walk `rows` over meshes, up to the first solid. Return the agents that still have distance left."""
+        """Walk `rows` over meshes, up to the first solid. Return the rows of agents that have not finished."""
         meshes = self.meshes
         assert meshes is not None
         previous_footing = walk.footing.select_rows_on_meshes(rows)
@@ -233,7 +234,7 @@ class CombinedGround:
 
     @staticmethod
     def _finish_walks(walk: _CombinedWalk, rows: Rows, unfinished_rows: Rows, move: GroundMove) -> None:
-        """Store the results of the agents that have finished their walk: those in `rows` but not in `unfinished_rows`."""
+        """Store the results of the agents in `rows`, except `unfinished_rows`, which are indices into `rows`."""
         footing, vectors = move.footing, [move.position, move.up, move.heading, move.direction]
         travelled, blocked = move.travelled, move.is_blocked
         if unfinished_rows.size:
@@ -252,9 +253,9 @@ class CombinedGround:
         walk.remaining_displacements[rows] = 0.0
 
     def _find_solid_entries(self, end: Floats, start: Callable[[Rows], Floats], ignored_solid: int = -1) -> _SolidEntries:
-        """Return the agents that enter undug solid on the path to `end`.
+        """Return the agents that enter a solid on the path to `end` [n,3].
 
-        `start`: returns the start positions of some rows. `ignored_solid`: the number of a solid that is ignored."""
+        `start`: a function that returns the start positions of given rows. `ignored_solid`: the number of a solid to ignore."""
         part, which = np.full(len(end), np.inf), np.zeros(len(end), np.intp)
         positions = np.zeros((len(end), 3))
         for k, volume in enumerate(self._volumes):
@@ -276,8 +277,8 @@ class CombinedGround:
     def _step_onto_solid(
         self, walk: _CombinedWalk, rows: Rows, entries: _SolidEntries, move: GroundMove, body: Floats, threads: int, is_last: bool
     ) -> Rows:
-        """Place each agent of `entries` on the surface of the solid that it entered. Return the agents that still have distance
-        left."""
+        """Place each agent of `entries` on the surface of the solid that it enters. Return the rows of agents that have not
+        finished."""
         again = [np.empty(0, np.intp)]
         for k, volume in enumerate(self._volumes):
             mine = np.flatnonzero(entries.solids == k)
@@ -309,7 +310,7 @@ class CombinedGround:
     def _walk_on_solid(
         self, walk: _CombinedWalk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, is_last: bool
     ) -> Rows:
-        """Walk `rows` over solid number `k`, up to the first mesh. Return the agents that still have distance left."""
+        """Walk `rows` over solid number `k`, up to the first mesh. Return the rows of agents that have not finished."""
         previous_footing = walk.footing
         start = np.stack([previous_footing.x[rows], previous_footing.y[rows], previous_footing.z[rows]]).T
         wish, ahead, up = (take_rows(v, rows) for v in (walk.remaining_displacements, walk.heading, walk.up))
@@ -348,7 +349,7 @@ class CombinedGround:
         return np.concatenate([again, down[rest > 0]])
 
     def _project_to_ground(self, walk: _CombinedWalk, rows: Rows) -> None:
-        """Move agents without a solid nearby down, along the scene's up axis, onto the ground below.
+        """Move agents that have lost their solid straight down onto the ground below, against the scene's up axis.
 
         If there is no ground below, move them to the nearest ground."""
         if not rows.size:
@@ -377,9 +378,9 @@ class CombinedGround:
     def _find_mesh_crossings(
         self, start: Floats, end: Floats, up: Floats, end_up: Floats, body: Floats, threads: int
     ) -> tuple[NDArray[np.bool_], Floats, Footing]:
-        """Return which agents have a mesh across their path, as seen from slightly above the path.
+        """Return a mask of the agents that have a mesh in their path, as seen from slightly above the path.
 
-        Return also the fraction of the path before the mesh, and the footing at the mesh."""
+        Also return the fraction of each path before the mesh, and the footing on the mesh."""
         n = len(start)
         if self.meshes is None:
             return np.zeros(n, np.bool_), np.ones(n), Footing.create_unplaced(n)

@@ -1,5 +1,5 @@
-"""A ground with meshes that move between steps. Vertex positions are set for each frame; the topology does not change. Only
-data of moved parts is updated. Moving meshes have a separate ray scene."""
+"""A ground with meshes that move between steps. Vertex positions are set for each frame; the topology does not change. Only the
+data of moved meshes is updated. Moving meshes are in a separate ray scene."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ FaceAxes = tuple[Floats, Floats, Floats]
 
 
 class MovingGround(MeshGround):
-    """A `MeshGround` in which the meshes named `moving` change their pose.
+    """A `MeshGround` in which the meshes named in `moving` change their positions or shapes.
 
-    `rest` has the initial positions of all meshes; field cells refer to it."""
+    `rest`: the ground with all meshes at their initial positions, to which the cells of fields refer."""
 
     def __init__(self, surfaces: Mapping[str, MeshArrays], moving_names: Iterable[str], by_rays: bool = False) -> None:
         self._is_moving = np.isin(list(surfaces), list(moving_names))
@@ -43,7 +43,7 @@ class MovingGround(MeshGround):
         self._scale = replace(self._scale, max_below_height=np.inf)
 
     def copy(self) -> MovingGround:
-        """Return a copy with meshes that can be moved separately."""
+        """Return a copy of which the meshes can be moved independently of this ground."""
         ground = copy(self)
         ground._vertices, ground._topology = self._vertices.copy(), self._topology.copy()
         ground._box_tree = replace(self._box_tree, bounds=self._box_tree.bounds.copy())
@@ -52,7 +52,7 @@ class MovingGround(MeshGround):
         return ground
 
     def set_mesh_vertices(self, vertices_by_name: Mapping[str, Floats]) -> None:
-        """Set the vertices (n, 3) of moving meshes to their current positions."""
+        """Set the current vertices (n, 3) of moving meshes."""
         for name, vertices in vertices_by_name.items():
             rows = self._face_slices[name]
             self._vertices[self._vertex_slices[name]] = vertices
@@ -68,13 +68,13 @@ class MovingGround(MeshGround):
         self._clearances.reset()  # type: ignore[attr-defined]
 
     def find_rows_on_moving_meshes(self, mesh: NDArray[np.int32]) -> NDArray[np.intp]:
-        """Return the rows of agents that stand on a moving mesh; mesh numbers out of range do not count."""
+        """Return the rows of agents that stand on a moving mesh. Mesh numbers out of range are ignored."""
         known = (mesh >= 0) & (mesh < len(self._is_moving))
         return np.flatnonzero(known & self._is_moving.take(np.where(known, mesh, 0)))
 
     def compute_axes(self, footing: Footing) -> FaceAxes:
-        """Return the three axes of the face below each agent: along its first edge, across that edge, and along its normal.
-        Each is (3, n).
+        """Return the three axes (3, n) of the face below each agent: along its first edge, across this edge, and along its
+        normal.
 
         The normal follows the winding of the face."""
         face, _ = self._compute_face_numbers(footing)
@@ -82,7 +82,7 @@ class MovingGround(MeshGround):
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
 
     def compute_rest_axes(self, footing: Footing) -> FaceAxes:
-        """Return the frames of the faces below agents in their rest positions, in the form of `compute_axes`."""
+        """Return the axes of the face below each agent for the face's rest position, in the form of `compute_axes`."""
         face, _ = self._compute_face_numbers(footing)
         t = self._rest_topology
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
@@ -95,16 +95,16 @@ class MovingGround(MeshGround):
         return np.ascontiguousarray(np.where(known, place, 0.0).T)
 
     def list_moving_boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
-        """Return for each moving mesh, at its current position: a mask of its faces, and the lowest and highest corner of its
-        box."""
+        """Return a mask of faces for each moving mesh, and the lowest and highest corner of its bounding box at its current
+        position."""
         return [(self._mesh_of_face == k, *self._box_by_mesh[name]) for k, name in enumerate(self.names) if self._is_moving[k]]
 
     def _group_surfaces(self) -> NDArray[np.int32]:
         return np.where(self._is_moving.take(self._mesh_of_face), self._mesh_of_face + 1, 0).astype(np.int32)
 
     def _get_ray_scene(self, surface_names: Iterable[str] | None) -> tuple[RayScene, Index]:
-        """Return ray scenes of some surfaces, separate for static and moving ones, and the ground's face numbers of their
-        faces."""
+        """Return the ray scenes of static and of moving surfaces, combined, and for each face of these scenes its face number in
+        the ground."""
         chosen = self._find_surface_numbers(surface_names)
         if chosen not in self._ray_scenes:
             still = tuple(k for k in chosen if not self._is_moving[k])
@@ -116,7 +116,7 @@ class MovingGround(MeshGround):
         return self._ray_scenes[chosen]
 
     def _build_ray_scene(self, surfaces: tuple[int, ...], store_tables: bool = True) -> tuple[RayScene, Index]:
-        """Return a ray scene of the surfaces `surfaces`, and the ground's face number of each of its faces."""
+        """Return a ray scene of the given surfaces, and for each of its faces its face number in the ground."""
         live = np.flatnonzero(self._topology.is_live & np.isin(self._mesh_of_face, surfaces))
         return RayScene(self._vertices, self._faces[live], store_tables=store_tables), live
 
@@ -128,19 +128,19 @@ def _compute_box(vertices: Floats) -> tuple[Floats, Floats]:
 
 
 def _compute_face_boxes(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Floats, Floats]:
-    """Return the lowest and highest corners of the boxes around faces, (n, 3) each."""
+    """Return the lowest and the highest corners of the bounding boxes of faces, both (n, 3)."""
     a, b, c = (vertices.take(faces[:, k], axis=0) for k in range(3))
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
 class _StillAndMovingRayScenes:
-    """Combines two ray scenes of one mesh each. Faces of the second scene are numbered after the faces of the first."""
+    """Two ray scenes with one mesh each, combined to one. Faces of the second scene are numbered after the faces of the first."""
 
     def __init__(self, first: RayScene, second: RayScene, faces: int) -> None:
         self._first_scene, self._second_scene, self._first_face_count = first, second, faces
 
     def find_first_hits(self, origin: Floats, direction: Floats, threads: int = 1) -> RayHitArrays:
-        """Return the first hits in both scenes, like `RayScene.find_first_hits`."""
+        """Return the first hits over both scenes, like `RayScene.find_first_hits`."""
         a, b = (scene.find_first_hits(origin, direction, threads) for scene in (self._first_scene, self._second_scene))
         second = b.is_hit & (b.t < a.t)
         face = np.where(second, b.face + np.int32(self._first_face_count), a.face)
@@ -151,7 +151,7 @@ class _StillAndMovingRayScenes:
     def find_hits_along_step(
         self, origin: Floats, step: Floats, threads: int = 1
     ) -> tuple[Index, Floats, NDArray[np.int32], NDArray[np.int32]]:
-        """Return the hits within a step in both scenes, like `RayScene.find_hits_along_step`."""
+        """Return the first hits within a step over both scenes, like `RayScene.find_hits_along_step`."""
         n = len(origin)
         part, mesh, face = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
         for scene, first_face in ((self._first_scene, 0), (self._second_scene, self._first_face_count)):
@@ -165,12 +165,12 @@ class _StillAndMovingRayScenes:
     def find_hit_normals(
         self, origin: Floats, displacement: Floats, normals: Floats, normal_columns: Index, threads: int = 1
     ) -> tuple[Index, Floats, Floats]:
-        """Return the hits and their normals in both scenes, like `RayScene.find_hit_normals`."""
+        """Return the hits over both scenes and their normals, like `RayScene.find_hit_normals`."""
         which, part, _, face = self.find_hits_along_step(origin, displacement, threads)
         return which, part, normals.take(normal_columns.take(face), axis=1)
 
     def find_closest(self, points: Floats, threads: int = 1) -> tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats]:
-        """Return the nearest surface points in both scenes, like `RayScene.find_closest`."""
+        """Return the nearest surface points over both scenes, like `RayScene.find_closest`."""
         a, b = (scene.find_closest(points, threads) for scene in (self._first_scene, self._second_scene))
         second = b[3] < a[3]
         face = np.where(second, b[1] + np.int32(self._first_face_count), a[1])
@@ -179,7 +179,7 @@ class _StillAndMovingRayScenes:
 
 class _MovingPieceClearances:
     """Clearances for a ground with moving meshes. Distances between static meshes are measured once. Agents near the box of a
-    moving mesh always search, and so do agents on a moving mesh that have anything nearby."""
+    moving mesh always search. Agents on a moving mesh also do so if another mesh is near."""
 
     def __init__(self, ground: MovingGround) -> None:
         self._ground = ground
@@ -198,17 +198,17 @@ class _MovingPieceClearances:
         self._parts: FacePartClearances | None = None
 
     def reset(self) -> None:
-        """Discard the distances after meshes have moved."""
+        """Discard the clearances that are invalid after meshes have moved."""
         self._parts = None
 
     def get_face_parts(self, reach: float) -> FacePartClearances:
-        """Return clearances at the current positions of the meshes. Distances above `reach` mm are not distinguished."""
+        """Return the clearances for the current positions of the meshes, measured up to `reach` mm."""
         if self._parts is None or self._parts.reach < reach:
             self._parts = self._build_face_parts(1.5 * reach)
         return self._parts
 
     def _build_face_parts(self, reach: float) -> FacePartClearances:
-        """Return the clearances of static meshes; faces near moving meshes get the clearance 0."""
+        """Return the clearances between static meshes, with the clearance 0 for all faces near moving meshes."""
         ground = self._ground
         still = self._static_clearances.get_face_parts(reach)
         count, first = np.zeros(len(ground._faces), np.int32), np.zeros(len(ground._faces), np.int64)

@@ -28,7 +28,7 @@ class PlaneGround:
 
     @property
     def meshes(self) -> None:
-        """Return None: no part of the ground consists of meshes."""
+        """Return None, because no part of this ground consists of meshes."""
         return None
 
     def _flatten_vectors(self, vectors: Floats) -> Floats:
@@ -38,7 +38,7 @@ class PlaneGround:
         return flat
 
     def _compute_heights(self, vectors: Floats) -> Floats:
-        """Return the signed distance of positions from the plane."""
+        """Return the signed distances of positions [n,3] from the plane."""
         along: Floats = (vectors[:, 0] * self._up[0] + vectors[:, 1] * self._up[1]) + vectors[:, 2] * self._up[2]
         return along
 
@@ -49,7 +49,7 @@ class PlaneGround:
     def place_points(
         self, points: Floats, up: Floats, surface_names: Iterable[str] | None = None
     ) -> tuple[Footing, NDArray[np.bool_]]:
-        """Project points [n,3] onto the plane along the plane's normal. This succeeds for every point."""
+        """Project points [n,3] onto the plane, along its normal. Return their footings, and True for every point."""
         return Footing.from_plane(self._flatten_vectors(np.asarray(points, np.float64).reshape(-1, 3))), np.ones(
             len(points), np.bool_
         )
@@ -68,11 +68,11 @@ class PlaneGround:
         return np.broadcast_to(self._up, footing.point.shape)
 
     def find_sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
-        """Return the axis direction nearest to the plane's normal, int8[n], as `Ground.find_sides`."""
+        """Return the axis direction nearest to the plane's normal, int8[n], with the numbers of `Ground.find_sides`."""
         return classify_normal_directions(self.normal(footing))
 
     def compute_upright_normals(self, footing: Footing, up: Floats) -> Floats:
-        """Return the plane's normal, whichever side agents stand on."""
+        """Return the plane's unit normal for each footing, float64[n,3], independent of `up`."""
         return self.normal(footing)
 
     def move(
@@ -95,7 +95,7 @@ class PlaneGround:
 
 @inlined
 def walk_straight_on_plane(up: Vec3, point: Vec3, displacement: Vec3, ahead: Vec3) -> tuple[AgentPose, F64]:
-    """Move one agent straight ahead; return its pose and the distance travelled."""
+    """Move one agent by a displacement, which is projected onto the plane. Return its pose and the distance travelled."""
     step, look = minus(displacement, times(up, dot(displacement, up))), minus(ahead, times(up, dot(ahead, up)))
     far = np.sqrt(dot(step, step))
     direction = look
@@ -115,7 +115,8 @@ def walk_all_agents_straight(
     direction: Array2[F64],
     travelled: Array1[F64],
 ) -> None:
-    """Move points by displacements perpendicular to `up`, with headings: all (n, 3). The last four arrays are the results."""
+    """Move all agents over a plane. `up`: the plane's normal. `point`, `displacements`, `ahead` (n, 3): positions, displacements
+    and headings. The last four arrays receive the results."""
     normal = (up[0], up[1], up[2])
     for i in range(travelled.size):
         step, look = (displacements[i, 0], displacements[i, 1], displacements[i, 2]), (ahead[i, 0], ahead[i, 1], ahead[i, 2])

@@ -1,9 +1,8 @@
-"""The ground that agents stand and walk on, as the runtime uses it.
+"""The interface through which the runtime uses the ground that agents stand and walk on.
 
-`Ground` is the common interface of a scene without surfaces (`PlaneGround`), of meshes (`MeshGround`, `MovingGround`), and of
-meshes and solids (`CombinedGround`). A ground creates a `Footing` from positions, and its other methods take that footing.
-Only the ground interprets the columns of a footing. A step takes a displacement and returns a `GroundMove`. Lengths are in mm;
-vectors of n agents are float64[n,3]."""
+A `Ground` is a plane (`PlaneGround`), meshes (`MeshGround`, `MovingGround`), or meshes and solids (`CombinedGround`). It creates
+a `Footing` from positions, and its other methods take this footing. Only the ground interprets the columns of a footing. A step
+takes a displacement and returns a `GroundMove`. Lengths are in mm; vectors of n agents are float64[n,3]."""
 
 from __future__ import annotations
 
@@ -31,7 +30,7 @@ _DEFAULT_MESH_COLUMNS: dict[str, ColumnArray | float] = dict.fromkeys(
 
 
 def select_array_rows(array: NDArray[Any], rows: Rows) -> NDArray[Any]:
-    """Return the rows `rows` of an array. NumPy's `take` is several times faster than indexing."""
+    """Return the given rows of an array. It uses NumPy's `take`, which is several times faster than indexing."""
     return array[rows] if rows.dtype == bool else array.take(rows, axis=0)
 
 
@@ -61,7 +60,7 @@ class Footing:
 
     @staticmethod
     def from_solids(mesh: int | Int32Array, place: Floats) -> Footing:
-        """Return footings at positions [n,3] on the surfaces of solids with number `mesh` (one, or [n])."""
+        """Return footings at positions [n,3] on the surfaces of solids. `mesh`: the solid's number, one or [n]."""
         n = len(place)
         on = Footing.from_faces(np.full(n, mesh, np.int32), np.zeros(n, np.int32), *np.zeros((2, n)))
         return on._add_position_columns(np.ascontiguousarray(place.T))
@@ -73,7 +72,7 @@ class Footing:
 
     @staticmethod
     def create_unplaced(n: int) -> Footing:
-        """Return footings of agents that are not on any mesh."""
+        """Return footings of n agents that are not on any mesh."""
         return Footing.from_faces(np.full(n, -1, np.int32), np.full(n, -1, np.int32), np.zeros(n), np.zeros(n))
 
     def with_position_columns(self) -> Footing:
@@ -110,7 +109,7 @@ class Footing:
 
     @property
     def over(self) -> Floats:
-        """Return the distance of each agent off its face along the normal (mm), float64[n]."""
+        """Return the distance of each agent from its face along the face's normal (mm), float64[n]. It is 0 except at borders."""
         return self.columns["over"]
 
     @property
@@ -136,17 +135,17 @@ class Footing:
     # ---- rows
 
     def select_rows(self, rows: Rows | slice) -> Footing:
-        """Return the footings of some rows: copies, or views for a slice."""
+        """Return the footings of the given rows. For a slice, they are views; otherwise, they are copies."""
         if isinstance(rows, slice):
             return Footing({name: column[rows] for name, column in self.columns.items()})
         return Footing({name: select_array_rows(column, rows) for name, column in self.columns.items()})
 
     def select_rows_on_meshes(self, rows: Rows) -> Footing:
-        """Return the footings of some rows, all on meshes, for a ground that consists of meshes only."""
+        """Return the footings of the given rows, all of which are on meshes, for a ground that consists of meshes only."""
         return Footing({name: select_array_rows(self.columns[name], rows) for name in _FACE_COLUMNS})
 
     def write_rows(self, rows: Rows, other: Footing) -> None:
-        """Replace the footings in `rows` by `other`. Both belong to the same ground, or `other` only to its meshes."""
+        """Replace the footings in `rows` by `other`, which are footings on the same ground or on its meshes."""
         columns = _DEFAULT_MESH_COLUMNS | other.columns
         for name, column in self.columns.items():
             column[rows] = columns[name]
@@ -157,7 +156,7 @@ class Footing:
 
     @staticmethod
     def concatenate(first: Footing, *others: Footing) -> Footing:
-        """Concatenate tables of footings on one ground, in order."""
+        """Return one table with the rows of several tables of footings, in order. All must belong to the same ground."""
         return Footing(
             {name: np.concatenate([column, *(o.columns[name] for o in others)]) for name, column in first.columns.items()}
         )
@@ -174,11 +173,11 @@ class GroundMove:
 
     - `up`: the smooth normal on the agent's side
     - `heading`: a unit vector perpendicular to `up`
-    - `direction`: the unit direction of travel at the end, at right angles to `up`; multiply it by a speed to transport a
-      velocity. Projected into the face, it is the direction of the path
+    - `direction`: the unit direction of travel at the end of the path, perpendicular to `up`. Multiplied by the speed, it is the
+      new velocity; projected into the face, it is the direction of the path
     - `travelled`: the distance walked
-    - `is_blocked`: an open border ended the path, or the path could not be walked to its end
-    - `is_lost`: there was no footing to walk from, or no surface near enough to stand on"""
+    - `is_blocked`: whether the path ended at an open border or could not be completed
+    - `is_lost`: whether the agent had no footing at the start, or no surface near enough to stand on"""
 
     footing: Footing
     position: Floats
@@ -190,19 +189,19 @@ class GroundMove:
     is_lost: Flags
 
     def list_columns(self) -> tuple[ColumnArray, ...]:
-        """Return all fields except the footing, in order."""
+        """Return all fields except `footing`, in order."""
         return self.position, self.up, self.heading, self.direction, self.travelled, self.is_blocked, self.is_lost
 
     def select_rows(self, rows: Rows) -> GroundMove:
-        """Return the results of the agents in some rows."""
+        """Return the results of the agents in the given rows."""
         position, up, heading, direction, travelled, blocked, lost = (
             select_array_rows(column, rows) for column in self.list_columns()
         )
         return GroundMove(self.footing.select_rows(rows), position, up, heading, direction, travelled, blocked, lost)
 
     def write_rows(self, rows: Rows, other: GroundMove) -> None:
-        """Replace the results in `rows` by `other`, of the same ground. Values that all agents share (a plane's `up`) do not
-        change."""
+        """Replace the results in `rows` by `other`, from the same ground. Values that all agents share, such as `up` of a plane,
+        do not change."""
         self.footing.write_rows(rows, other.footing)
         for column, values in zip(self.list_columns(), other.list_columns(), strict=True):
             if column.flags.writeable:
@@ -210,16 +209,16 @@ class GroundMove:
 
 
 class Ground(Protocol):
-    """The interface of grounds that agents stand and walk on. Implemented by `plane.PlaneGround`, `mesh.surface.MeshGround`,
-    `moving.MovingGround` (meshes that move) and `combined.CombinedGround`."""
+    """The interface of grounds that agents stand and walk on. The implementations are `plane.PlaneGround`,
+    `mesh.surface.MeshGround`, `moving.MovingGround` (with meshes that move) and `combined.CombinedGround`."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of surfaces, then of solids, in the order of the numbers in footings."""
+        """Return the names of surfaces, then those of solids. Their indices are the numbers in footings."""
 
     @property
     def meshes(self) -> MeshSurfaces | None:
-        """Return the part of the ground that consists of meshes; None if there is none."""
+        """Return the part of the ground that consists of meshes, or None if there are no meshes."""
 
     def create_unplaced(self, n: int) -> Footing:
         """Return footings for n agents that have no position on the ground yet."""
@@ -227,8 +226,8 @@ class Ground(Protocol):
     def place_points(self, points: Floats, up: Floats, surface_names: Iterable[str] | None = None) -> tuple[Footing, Flags]:
         """Return footings below points [n,3]: the first hit of a ray from far above along -`up` ([3] or [n,3]).
 
-        `surface_names` names the surfaces and solids to hit; None means all. If the ray hits nothing, the footing is the nearest
-        point, with False in the second array, bool[n]. Raises KeyError for an unknown name."""
+        `surface_names`: the surfaces and solids that rays can hit; None means all. If a ray hits nothing, the footing is the
+        nearest point, and the second array, bool[n], is False. Raises KeyError for an unknown name."""
 
     def find_nearest(self, points: Floats, surface_names: Iterable[str] | None = None) -> tuple[Footing, Floats]:
         """Return the ground point nearest to each of points [n,3] as a footing, and its distance float64[n].
@@ -239,7 +238,7 @@ class Ground(Protocol):
         """Return positions in the world, float64[n,3]; zero for agents without a footing."""
 
     def normal(self, footing: Footing) -> Floats:
-        """Return unit normals, float64[n,3]: of faces by their winding, of solids outwards; zero for agents without a footing."""
+        """Return unit normals, float64[n,3]: by winding on faces, outwards on solids, and zero for agents without a footing."""
 
     def find_sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
         """Return the axis direction nearest to each normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z. Agents without a
@@ -259,15 +258,15 @@ class Ground(Protocol):
         threads: int = 1,
         stop_at_borders: bool = False,
     ) -> GroundMove:
-        """Move every agent along the ground by a displacement [n,3], on the side that its `up` [n,3] points to.
+        """Move every agent along the ground by its displacement [n,3], on the side that its `up` [n,3] points to.
 
         - `heading` [n,3]: rotates with the ground
-        - `body`: the length of each agent (mm, one or [n])
-        - `stop_at_borders`: a path ends at an open border; otherwise the agent continues along the border"""
+        - `body`: the length of each agent (mm), one for all or [n]
+        - `stop_at_borders`: whether a path ends at an open border; otherwise the agent continues along the border"""
 
 
 class MeshSurfaces(Ground, Protocol):
-    """The part of a ground that consists of meshes, with queries that rays, flows, maps and fields need."""
+    """The part of a ground that consists of meshes, with the queries that rays, flows, maps and fields need."""
 
     @property
     def low(self) -> Floats:
@@ -279,7 +278,7 @@ class MeshSurfaces(Ground, Protocol):
 
     @property
     def extent(self) -> float:
-        """Return the longest side of the box around all vertices, mm. For moving meshes, it is the longest side so far."""
+        """Return the longest side (mm) of the box around all vertices. For moving meshes, it is the longest side so far."""
 
     @property
     def triangles(self) -> tuple[Floats, Int32Array, Int32Array, MeshTopology]:
@@ -291,20 +290,22 @@ class MeshSurfaces(Ground, Protocol):
         face."""
 
     def to_world_vectors(self, face: Index, c: Floats, s: Floats) -> Floats:
-        """Return world vectors (3, n) from their components along the two axes of their faces."""
+        """Return vectors (3, n) in world space, from their components `c` and `s` along the two axes of their faces."""
 
     def find_path_hits(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Flags, Floats, Footing]:
-        """Return which straight paths from `origin` [n,3] by `displacement` [n,3] hit a surface.
+        """Return a mask of the straight paths from `origin` [n,3] by `displacement` [n,3] that hit a surface.
 
-        The other results are the fraction of the path before the hit, and the footing at the hit."""
+        Also return the fraction of each path before the hit, and the footing at the hit."""
 
     def find_hit_normals(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
-        """Return the numbers, ascending, of straight paths from `origin` [n,3] by `displacement` [n,3] that hit a surface.
+        """Return the ascending rows of the straight paths from `origin` [n,3] by `displacement` [n,3] that hit a surface.
 
-        The other results are the fraction of the path before the hit, and the face's unit normal (3, k), by its winding."""
+        For these k rows, also return the fraction of the path before the hit, and the face's unit normal (3, k), by its
+        winding."""
 
     def find_rows_near_slopes(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
-        """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm.
+        """Return the ascending rows of the agents that may have a rising surface within `reach` [n] mm. `place`: their positions
+        [n,3].
 
-        A surface rises at an inner crease, at another piece, or at a moving mesh. Agents with a `reach` of 0 or less are left
-        out. All other agents near a rise are included. The result for an agent does not depend on other agents."""
+        A surface rises at an inner crease, at another piece, or at a moving mesh. No agent near a rise is omitted, except agents
+        with a `reach` of 0 or less. The result for an agent does not depend on other agents."""

@@ -1,8 +1,8 @@
-"""Queries by which agents perceive a solid: rays through its distance field, the nearest wall, and lower bounds of the
-distance.
+"""Queries with which agents perceive a solid: rays through its distance field, the nearest wall, and lower bounds of the distance
+to it.
 
-The interface is that of `RayScene`, so agents perceive a solid in the same manner as an obstacle. Sphere tracing: J. C. Hart,
-The Visual Computer 12(10), 1996, p. 527."""
+The interface is that of `RayScene`, so agents perceive a solid in the same way as an obstacle. Sphere tracing: J. C. Hart, The
+Visual Computer 12(10), 1996, p. 527."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _SAMPLE_BLOCK_NODES = 4  # edge, in nodes, of the blocks that give one sample of
 
 
 class SolidProximityQueries:
-    """Queries of one solid: feelers, nearby walls and clearances. Each call uses the current state of the solid."""
+    """Queries of one solid: hits of feelers, the nearest wall, and clearances. Each call uses the current state of the solid."""
 
     def __init__(self, volume: Volume) -> None:
         self.volume = volume
         self._surface_tree: tuple[float, Any, Floats] | None = None  # volume dug so far, tree of surface points, the points
 
     def measure_clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
-        """Return a distance (mm, float32[n]) from each point within which there is no surface; 0 near a surface."""
+        """Return a distance (mm), float32[n], around each point within which there is no surface. It is 0 near a surface."""
         place = np.stack([x, y, z], axis=1).astype(np.float64)
         parts = parallel.run_in_parts(lambda begin, end: self._measure_clearance(place[begin:end]), len(place), threads)
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
@@ -53,11 +53,11 @@ class SolidProximityQueries:
     def cast_feelers(
         self, positions: VectorComponents, directions: VectorComponents, reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """Return the first hits of feelers from points (x y z) along unit directions (x y z), within `reach` (mm, one or
+        """Return the first hits of feelers from `positions` along the unit vectors `directions`, within `reach` (mm, one or
         float[n]).
 
-        All arrays are 1-D and of one length. A ray hits where it enters the solid. The start of a ray counts as free, even
-        inside the solid or along the surface under the agent."""
+        Positions and directions are given as three arrays [n], x, y and z. A ray hits where it enters the solid. The start of a
+        ray counts as free, even if it is inside the solid or along the surface below the agent."""
         origin, direction = (np.stack(list(v), axis=1).astype(np.float64) for v in (positions, directions))
         n = len(origin)
         far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
@@ -88,14 +88,15 @@ class SolidProximityQueries:
     def cast_feeler_batch(
         self, positions: Arrays, queries: Sequence[FeelerQuery], threads: int = 1
     ) -> list[tuple[int, NDArray[np.intp]]]:
-        """Return, for each query, its number and the rows of all its agents, because all of them need `cast_feelers`."""
+        """Return, for each query, its number and the rows of agents for which `cast_feelers` must still be called: here, all
+        agents."""
         return list_query_rows(queries)
 
     def find_nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """Return the distance (mm; 0 inside) to the nearest surface within `reach` (mm, one or float[n]), and the unit
-        direction from it."""
+        """Return the distance (mm) of each point from the nearest surface within `reach` (mm, one or float[n]), and the unit
+        direction away from it. Inside the solid, the distance is 0."""
         place = np.stack([x, y, z], axis=1).astype(np.float64)
         reach = np.broadcast_to(np.asarray(reach, np.float32), (len(place),))
         distance, slope = self.volume.sample_with_gradients(place)
@@ -112,8 +113,8 @@ class SolidProximityQueries:
         return FeelerHits(hit, t, *np.ascontiguousarray(normal.T))
 
     def _intersect_box(self, origin: Floats, direction: Floats) -> tuple[Floats, Floats]:
-        """Intersect rays with the box around the solid. Return the lengths at which each ray enters and leaves it. If a ray
-        misses the box, its exit is before its entry."""
+        """Intersect rays with the bounding box of the solid. Return the lengths along each ray at which it enters and leaves the
+        box. For a ray that misses the box, the exit is before the entry."""
         with np.errstate(all="ignore"):
             ends = [
                 (side - origin) / direction
@@ -122,8 +123,8 @@ class SolidProximityQueries:
         return np.fmax.reduce(np.fmin(*ends), axis=1), np.fmin.reduce(np.fmax(*ends), axis=1)
 
     def _find_entry(self, origin: Floats, direction: Floats, free_lengths: Floats, inside_lengths: Floats) -> Floats:
-        """Return the length at which each ray enters the solid, between `free_lengths` (in air) and `inside_lengths`. It is
-        exact to 1/256 of the interval."""
+        """Return the length along each ray at which it enters the solid. It is in air at `free_lengths` and in the solid at
+        `inside_lengths`. The result is accurate to 1/256 of the interval between these."""
         for _ in range(_ENTRY_BISECTIONS):
             middle = (free_lengths + inside_lengths) / 2
             solid = (
@@ -133,14 +134,14 @@ class SolidProximityQueries:
         return free_lengths
 
     def _compute_normals(self, place: Floats) -> NDArray[np.float32]:
-        """Return unit normals (3, n) out of the solid."""
+        """Return unit normals (3, n) that point out of the solid."""
         slope = self.volume.sample_gradients(place)
         size = np.sqrt((slope * slope).sum(axis=1))
         return np.ascontiguousarray((slope / np.maximum(size, np.float32(1e-12))[:, None]).T)
 
     def _find_nearest_surface(self, place: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the distance to the surface, and the unit direction from the surface, for points beyond the band. The result is
-        accurate to a few voxels."""
+        """Return the distance from the surface, and the unit direction away from it, for points beyond the band of the field. The
+        result is accurate to a few voxels."""
         from scipy.spatial import cKDTree
 
         removed = self.volume.removed_volume
@@ -155,7 +156,7 @@ class SolidProximityQueries:
         return distance.astype(np.float32), (away / np.maximum(distance, 1e-12)[:, None]).astype(np.float32)
 
     def _sample_surface(self) -> Floats:
-        """Return points float64[n,3] on the surface, one for each small block of nodes that the surface crosses."""
+        """Return points float64[n,3] on the surface, one in each small block of nodes that the surface crosses."""
         bricks, parts = self.volume.bricks, NODES_PER_BRICK_SIDE // _SAMPLE_BLOCK_NODES
         stored = np.flatnonzero(bricks.table >= 2)
         pool = bricks.values[: bricks.used_slots * NODES_PER_BRICK].reshape((-1,) + (parts, _SAMPLE_BLOCK_NODES) * 3)[

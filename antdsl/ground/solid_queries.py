@@ -1,4 +1,5 @@
-"""Queries of one solid for walks: where a path enters, what is below a point, and which direction leads out."""
+"""Queries of one solid for walks: where a path enters it, which point is below a position, and which direction leads out of
+it."""
 
 from __future__ import annotations
 
@@ -16,9 +17,9 @@ _ENTRY_REFINEMENTS = 5  # number of refinements: the interval with the entry is 
 
 
 def find_entry_fraction(volume: Volume, start: Floats, end: Floats) -> Floats:
-    """Return the fraction of each path from `start` to `end` before it first enters the solid. `end` is in the solid.
+    """Return the fraction of each path from `start` to `end` before it first enters the solid. `end` must be in the solid.
 
-    The result is the position of the last sample in air, or 0 if `start` is not in air."""
+    The result is the fraction at the last sample in air, or 0 if `start` is not in air."""
     free, long = np.zeros(len(start)), 1.0
     for _ in range(_ENTRY_REFINEMENTS):
         parts = free + long * (np.arange(_SAMPLES_PER_STEP) / _SAMPLES_PER_STEP)[:, None]
@@ -31,14 +32,14 @@ def find_entry_fraction(volume: Volume, start: Floats, end: Floats) -> Floats:
 
 
 def compute_solid_normals(volume: Volume, place: Floats) -> Floats:
-    """Return unit normals float64[n,3] that point out of a solid; zero where the distance field is flat."""
+    """Return unit normals float64[n,3] that point out of a solid. They are zero where the distance field is flat."""
     slope = volume.sample_gradients(place).astype(np.float64)
     normal: Floats = slope / np.maximum(length(slope), 1e-12)[:, None]
     return normal
 
 
 def find_top_points(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the first point of a solid that a ray from far above along -`up` hits, and whether there is such a point."""
+    """Return the first point of a solid that a ray from far above each point along -`up` hits, and whether the ray hits."""
     height = float(length((volume.high - volume.low)[None, :])[0])
     middle = (volume.low + volume.high) / 2
     start = points + up * (((middle - points) * up).sum(axis=1) + height)[:, None]
@@ -46,7 +47,8 @@ def find_top_points(volume: Volume, points: Floats, up: Floats) -> tuple[Floats,
 
 
 def find_points_below(volume: Volume, start: Floats, up: Floats, reach: Floats | float) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the first point of a solid that a ray along -`up` hits within `reach` (mm), and whether there is such a point."""
+    """Return the first point of a solid that a ray from `start` along -`up` hits within `reach` (mm), and whether the ray
+    hits."""
     hits = SolidProximityQueries(volume).cast_feelers(start.T, -up.T, reach)
     place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
     landed = volume.project_to_surface(place, up, 2 * volume.voxel)

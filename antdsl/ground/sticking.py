@@ -1,6 +1,6 @@
 """A walk that keeps agents on surfaces by two rays per step. A scene with `stick: rays` uses it instead of walking over
-triangles. The agent moves straight ahead. It is then placed at the nearer hit of two rays: one down, one ahead and up. Without
-a hit it stays."""
+triangles. The agent moves straight ahead, and is then placed at the nearer hit of two rays: one goes down, the other ahead and
+up. Without a hit, the agent stays where it was."""
 
 from __future__ import annotations
 
@@ -18,14 +18,16 @@ _MIN_VECTOR_LENGTH = 1e-9  # a shorter vector has no direction
 def move_agents_by_rays(
     ground: MeshSurfaces, footing: Footing, wish: Floats, heading: Floats, up: Floats, body: Floats, threads: int
 ) -> GroundMove:
-    """Move n agents from their footings by `wish`, as `Ground.move` does. Vectors are (3, n), mm; `body` is (n,).
+    """Move n agents from their footings by the displacements `wish`, as `Ground.move` does. Vectors are (3, n) in mm; `body` is
+    (n,).
 
-    Ray 1 goes down, along minus the agent's up, from above its intended position. Ray 2 goes ahead, rotated 30 degrees upward
-    about side = heading x up. The nearer hit is the new position, and the heading is normal x side (T. Kewlani, Art Directed Ant
-    Crowd Simulation in Houdini, section 4.3.8). The text of that section prefers the longer ray, its pseudo-code the nearest hit.
-    The longer ray would pass through every wall that ray 2 hits.
+    Ray 1 goes down, against the agent's up, from above its intended position. Ray 2 goes ahead, rotated 30 degrees upward about
+    side = heading x up. The nearer hit is the new position, and the new heading is normal x side (T. Kewlani, Art Directed Ant
+    Crowd Simulation in Houdini, section 4.3.8). The text of that section uses the longer ray, but its pseudo-code the nearer hit.
+    With the longer ray, agents would pass through every wall that ray 2 hits.
 
-    `position` is the ray's hit in float32, so it is slightly off its face. An agent without a hit stays and `is_blocked`."""
+    `position` of the result is the ray's hit in float32, so it is slightly off its face. An agent without a hit does not move and
+    is blocked (`is_blocked`)."""
     known = footing.face >= 0
     wish = np.where(np.isfinite(wish).all(axis=0) & known, wish, 0.0)
     place, length = ground.position(footing).T, np.sqrt(dot(wish, wish))
@@ -51,9 +53,9 @@ def move_agents_by_rays(
 
 
 def _project_heading(vector: Floats, up: Floats, normal: Floats) -> Floats:
-    """Return normal x side, where side = vector x up, as a unit vector perpendicular to the normal.
+    """Return the new heading: the unit vector of normal x side, where side = vector x up.
 
-    For a wall beside or in front of the agent, normal x side is zero. Then return the projection of the vector, or of `up`, onto
+    It is zero at a wall at the side or in front of the agent. In this case, return the projection of `vector`, or of `up`, onto
     the wall."""
     flat = compute_stacked_cross(normal, compute_stacked_cross(vector, up))
     for other in (vector, up):

@@ -1,4 +1,4 @@
-"""A tree of boxes over triangles, to find the first hit of a short straight path. Hits are computed in float64."""
+"""A bounding box tree over triangles, which finds the first triangle that a short straight path hits. It computes in float64."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class FaceList(NamedTuple):
 
 
 class BoxHit(NamedTuple):
-    """The first face on a path (-1 for none), the fraction of the path before it, and the corner weights of the hit."""
+    """The first face on a path (-1 for none), the fraction of the path before it, and the barycentric weights of the hit."""
 
     face: I64
     path_fraction: F64
@@ -52,10 +52,10 @@ class BoxHit(NamedTuple):
 class FaceBoxes:
     """A tree of boxes over triangles.
 
-    - `triangle_order`: the triangles in the order of the smallest boxes, one triangle each
-    - `level_starts`: level k has the boxes `level_starts[k]` to `level_starts[k + 1]` (exclusive); each holds `BOXES_PER_NODE`
-      boxes of the level below
-    - `bounds` (n, 6): the least x, y, z of each box, then the greatest"""
+    - `triangle_order`: the triangle in each of the smallest boxes, which hold one triangle each
+    - `level_starts`: level k has the boxes `level_starts[k]` to `level_starts[k + 1]` (exclusive). Each box of a level contains
+      `BOXES_PER_NODE` boxes of the level below
+    - `bounds` (n, 6): the least x, y, z of each box, then its greatest x, y, z"""
 
     triangle_order: Index
     level_starts: Index
@@ -65,8 +65,8 @@ class FaceBoxes:
     def build(vertices: Floats, faces: NDArray[np.int32], live_faces: Index, group: NDArray[np.int32]) -> FaceBoxes:
         """Build the tree of the `live_faces` triangles.
 
-        The triangles of one `group` int32[m] are consecutive. Within a group they are in Morton order, so that neighbours share
-        boxes (Lauterbach et al., Fast BVH Construction on GPUs, 2009, p. 376-378)."""
+        `group` int32[m]: a number for each triangle. Triangles with equal numbers are consecutive in the tree. They are in Morton
+        order, so that neighbours share boxes (Lauterbach et al., Fast BVH Construction on GPUs, 2009, p. 376-378)."""
         order = live_faces[np.lexsort((_compute_morton_numbers(vertices[faces[live_faces]].mean(axis=1)), group[live_faces]))]
         counts = [live_faces.size]
         while counts[-1] > 1:
@@ -77,7 +77,7 @@ class FaceBoxes:
         return boxes
 
     def refit_boxes(self, vertices: Floats, faces: NDArray[np.int32], first_moved: int = 0) -> None:
-        """Update `bounds` after triangles moved. Triangles before `first_moved` in the order have not moved."""
+        """Update `bounds` after triangles have moved. The first `first_moved` triangles of `triangle_order` have not moved."""
         a, b, c = (vertices.take(faces[self.triangle_order[first_moved:], k], axis=0) for k in range(3))
         ends = np.concatenate([np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)], axis=1)
         self.bounds[first_moved : self.level_starts[1]] = ends
@@ -95,7 +95,7 @@ class FaceBoxes:
         return FaceBoxTree(self.triangle_order, self.level_starts, self.bounds)
 
     def find_overlapping_pairs(self, low: Floats, high: Floats) -> tuple[Index, Index]:
-        """Return the pairs of query boxes and triangle boxes that overlap, as two arrays of numbers.
+        """Return the overlapping pairs of a query box and a triangle's box, as two arrays: numbers of query boxes and triangles.
 
         `low`, `high` (3, k): the corners of the query boxes."""
         box_numbers, node = np.arange(low.shape[1]), np.zeros(low.shape[1], np.int64)
@@ -125,10 +125,10 @@ def list_faces_near_segment(
     piece: I64,
     face_list: FaceList,
 ) -> I64:
-    """Write the triangles with boxes that overlap a query box into `face_list`, and return their number.
+    """Write the triangles of which the boxes overlap a query box into `face_list`, and return their count.
 
-    The query box contains the points `first_point` and `second_point`, and is `margin` mm larger. A triangle is written as its
-    index in `triangle_order`. `face` and the triangles of the piece `piece` are excluded."""
+    The query box is the box around `first_point` and `second_point`, extended by `margin` mm on all sides. A triangle is written
+    as its index in `triangle_order`. `face` and the triangles of the piece `piece` are excluded."""
     order, first, bounds = box_tree
     numbers, behind = face_list
     count, waiting = 0, 0
@@ -167,12 +167,12 @@ def list_faces_near_segment(
 def find_first_face_hit(
     table: Array1[F64], box_tree: FaceBoxTree, face_list: FaceList, count: I64, origin: Vec3, step: Vec3, extension: F64
 ) -> BoxHit:
-    """Return the first hit of a path from `origin` by `step`, extended by `extension` mm, among the first `count` triangles of
-    `face_list`.
+    """Return the first hit of the path from `origin` by `step`, extended by `extension` mm. Only the first `count` triangles of
+    `face_list` are tested.
 
-    `table` is the packed table. A triangle is tested if its box overlaps the path's box, and can be hit from both sides. A path
-    in its plane does not hit it. If hits are equally far, the one with the lower number is returned (Möller, Trumbore, Fast,
-    Minimum Storage Ray/Triangle Intersection, 1997, p. 22-24)."""
+    `table`: the packed table of faces. Triangles can be hit from both sides, but not by a path in their plane. If hits are
+    equally far, the triangle with the lower number is returned (Möller, Trumbore, Fast, Minimum Storage Ray/Triangle
+    Intersection, 1997, p. 22-24)."""
     order, _, bounds = box_tree
     numbers, behind = face_list
     face, part, b1, b2 = -1, np.inf, 0.0, 0.0
@@ -208,15 +208,15 @@ def find_first_face_hit(
 
 @inlined
 def is_disjoint(bounds: Array2[F64], b: I64, low_x: F64, low_y: F64, low_z: F64, high_x: F64, high_y: F64, high_z: F64) -> BOOL:
-    """Return whether a box does not overlap another one. All axes are tested without a branch, because branches would be
-    mispredicted: both results are equally likely."""
+    """Return whether box `b` does not overlap the box from `low_x`, `low_y`, `low_z` to `high_x`, `high_y`, `high_z`. All axes
+    are tested without branches, because both results are equally likely and branches would be mispredicted."""
     x = (bounds[b, 0] > high_x) | (bounds[b, 3] < low_x)
     y = (bounds[b, 1] > high_y) | (bounds[b, 4] < low_y)
     return x | y | (bounds[b, 2] > high_z) | (bounds[b, 5] < low_z)
 
 
 def _compute_morton_numbers(positions: Floats) -> NDArray[np.uint64]:
-    """Return the index of each position [n,3] along a Morton curve, on which nearby positions have similar indices."""
+    """Return the index of each position [n,3] on a Morton curve. Nearby positions have similar indices."""
     if not len(positions):
         return np.empty(0, np.uint64)
     low = positions.min(axis=0)

@@ -1,6 +1,6 @@
-"""Areas where the ground ahead of a body may rise.
+"""Finds the areas of a ground where it may rise ahead of a body.
 
-They are near inner creases, and where two pieces of a ground are close to each other."""
+These areas are near inner creases, and where two pieces of the ground are close to each other."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ _EXPONENT_BIAS = 1022  # offset from the exponent bits of a float64 to the expon
 
 
 def find_inner_creases(table: MeshTopology, corners: Floats) -> Index:
-    """Return the half-edges at inner creases, as seen from one side of the face.
+    """Return the half-edges that are inner creases for an agent on either side of the face.
 
-    At an inner crease, the face beyond rises more steeply than at a smooth edge."""
+    At an inner crease, the next face rises at a larger angle than at a smooth edge."""
     is_crease = np.zeros(table.link.shape[1], np.bool_)
     for side, sign in ((0, 1.0), (1, -1.0)):
         half = np.flatnonzero(table.link[side] != NO_LINKED_EDGE)
@@ -60,16 +60,16 @@ def find_inner_creases(table: MeshTopology, corners: Floats) -> Index:
 
 
 def find_sharp_edges(table: MeshTopology, corners: Floats) -> Index:
-    """Return the half-edges at which the ground turns by more than a smooth edge, up or down."""
+    """Return the half-edges at which the ground bends, up or down, by a larger angle than at a smooth edge."""
     half, cosine, _ = _measure_edge_turns(table)
     return half[cosine < _SMOOTH_EDGE_COSINE]
 
 
 def find_bend_edges(table: MeshTopology, corners: Floats, size: float) -> tuple[Index, NDArray[np.bool_]]:
-    """Return the half-edges at which a body may meet rising ground or must turn ahead of its feet, and a mask bool[m] of faces.
+    """Return the half-edges at which a body may touch rising ground or must tilt ahead of its feet, and a mask bool[m] of faces.
 
-    The mask has wide faces at or near an edge at which the ground turns. `size`: the size of the body (mm). A body covers
-    several narrow faces at once, so their edges are included for smaller turns too."""
+    The mask is true for wide faces at or near an edge at which the ground bends. `size`: the size of the body (mm). A body covers
+    several narrow faces at once, so their edges count at smaller angles too."""
     half, cosine, face = _measure_edge_turns(table)
     length = np.sqrt(((corners[face, (half % 3 + 2) % 3] - corners[face, (half % 3 + 1) % 3]) ** 2).sum(axis=1))
     area = np.sqrt((np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) ** 2).sum(axis=1))
@@ -92,8 +92,8 @@ def find_bend_edges(table: MeshTopology, corners: Floats, size: float) -> tuple[
 
 
 def _measure_edge_turns(table: MeshTopology) -> tuple[Index, Floats, Index]:
-    """Return the half-edges with a link, the cosine of the angle between the two faces at each half-edge, and the face of each
-    half-edge."""
+    """Return the half-edges with a link. For each, also return the cosine of the angle between its two faces, and its own
+    face."""
     half = np.flatnonzero(table.link[0] != NO_LINKED_EDGE)
     face, link = half // 3, table.link[0, half]
     beyond = table.normal.take(link >> 3, axis=1) * np.where(link & 1, -1.0, 1.0)
@@ -101,7 +101,7 @@ def _measure_edge_turns(table: MeshTopology) -> tuple[Index, Floats, Index]:
 
 
 class CreaseMap:
-    """A grid of the positions near which there is an inner crease, another piece, or a face that cuts its own piece.
+    """A grid that tells where an inner crease, another piece, or a face that cuts its own piece is near.
 
     - `corners` float64[m,3,3]: the corners of the faces
     - `table`: the topology of the faces
@@ -122,8 +122,8 @@ class CreaseMap:
 
     @cached_property
     def _crease_and_piece_grids(self) -> tuple[NDArray[np.bool_], Ints, Ints] | tuple[NDArray[np.bool_]]:
-        """Return the cells that contain a crease. With several pieces, return also the least and the greatest piece in each
-        cell."""
+        """Return a mask of the cells that contain a crease or a cut face. With several pieces, also return the least and the
+        greatest piece number in each cell."""
         corners, table, minded, half = self._inputs
         live = np.flatnonzero(table.is_live & minded)
         half = half[minded[half // 3]]
@@ -150,11 +150,12 @@ class CreaseMap:
     def find_rows_near_creases(
         self, rows: Index, distance_levels: Index, used_levels: int, place: Floats, threads: int
     ) -> NDArray[np.bool_]:
-        """Return the rows of positions (n, 3) that may be near a crease, another piece or a cut. No such row is omitted.
+        """Return a mask of the `rows` that may be near a crease, another piece or a cut. `place` (n, 3): the positions. No row
+        that is near one is omitted.
 
-        The rung of a reach is its binary exponent, counted from that of a cell. Rows of rung -1 count as near; others are
-        tested by the grid of their rung. `rung_bits` has a bit for each such rung. The result for a position and a reach does
-        not depend on the other queries."""
+        `distance_levels`: the level of a reach is its binary exponent minus that of the cell width. Rows of level -1 count as
+        near; others are tested with the grid of their level. `used_levels`: bit k is set if level k occurs. The result for a
+        position and a reach does not depend on the other rows."""
         for rung in range(used_levels.bit_length()):
             if used_levels >> rung & 1:
                 work = partial(
@@ -172,7 +173,7 @@ class CreaseMap:
         return is_near
 
     def _get_cells_within(self, distance_level: int) -> NDArray[np.bool_]:
-        """Return the cells within 2**rung mm of a crease, another piece or a cut."""
+        """Return a mask of the cells within the distance of a level from a crease, another piece or a cut."""
         if distance_level not in self._near_cells_by_rung:
             rings = int(min(np.ceil(np.ldexp(1.0, distance_level) / self._width) + 1, self._shape.max()))
             corners, table, minded, half = self._inputs
@@ -194,7 +195,7 @@ class CreaseMap:
 
 
 def _get_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
-    """Return the result of `compute_slope_clearance`, and store it for later runs."""
+    """Return the result of `compute_slope_clearance`. It is stored for later runs."""
     inputs = (corners, table.is_live, table.link, table.piece, table.cuts.is_cut, half)
     tables = stored_tables.get_or_compute(
         "clear of rises", len(corners), inputs, lambda: {"clear": compute_slope_clearance(corners, table, half)}
@@ -204,9 +205,9 @@ def _get_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> F
 
 
 def compute_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
-    """Return for each face, float64[m], a distance (mm) within which there is no crease, no other piece and no cut face.
+    """Return a distance (mm) around each face, float64[m], within which there is no crease, no other piece and no cut face.
 
-    `half`: the half-edges that are creases. The distance of a cut face is 0. It is infinite on ground without creases, other
+    `half`: the half-edges that are creases. The distance is 0 for a cut face, and infinite on a ground without creases, other
     pieces and cuts."""
     from scipy.spatial import cKDTree
 
@@ -237,11 +238,11 @@ def compute_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -
 
 
 def _measure_piece_distance(corners: Floats, piece: Ints, pieces: Index, middle: Floats, error: Floats) -> Floats:
-    """Return the distance (mm) from each face's `middle` to faces of other `pieces`, minus `error`, float64[m]; infinite for
-    faces without a piece.
+    """Return the distance (mm) from the centre of each face, `middle`, to the nearest other piece, minus `error`, float64[m]. It
+    is infinite for faces without a piece.
 
-    Each piece is a separate scene of rays. For each face, the piece with the nearest box is measured first, then only pieces
-    with boxes nearer than that result. That is about two pieces per face, even if there are many pieces."""
+    Each piece has its own ray scene. For each face, the piece with the nearest box is measured first, and then only pieces with
+    boxes that are nearer than this result. So even with many pieces, about two are measured per face."""
     distances = np.full(len(corners), np.inf)
     own = [np.flatnonzero(piece == each) for each in pieces]
     low, high = (np.stack([ends(corners[rows], axis=(0, 1)) for rows in own]) for ends in (np.min, np.max))
@@ -270,24 +271,24 @@ def _measure_piece_distance(corners: Floats, piece: Ints, pieces: Index, middle:
 
 
 def _build_ray_scene(corners: Floats) -> RayScene:
-    """Return a scene of rays for faces with these corners, float64[k,3,3]."""
+    """Return a ray scene of faces with the given corners, float64[k,3,3]."""
     return RayScene(corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3))
 
 
 def _measure_box_distance(positions: Floats, low: Floats, high: Floats) -> Floats:
-    """Return the distance of positions (3, n) from the box with the corners `low` and `high`; 0 inside."""
+    """Return the distance of positions (3, n) from the box with the corners `low` and `high`. It is 0 inside the box."""
     x, y, z = (np.maximum(np.maximum(a - p, p - b), 0.0) for p, a, b in zip(positions, low, high, strict=True))
     away: Floats = np.sqrt(x * x + y * y + z * z)
     return away
 
 
 class SlopeMap:
-    """A map of the places on a ground where a surface may rise ahead of agents.
+    """A map of where the ground may rise ahead of agents.
 
     - `corners` float64[m,3,3]: the corners of the faces
     - `table`: the topology of the faces
-    - a mask bool[m] of the faces of each moving mesh
-    - the half-edges that count as creases"""
+    - `moving_masks`: for each moving mesh, a mask bool[m] of its faces
+    - `half`: the half-edges that count as creases"""
 
     def __init__(self, corners: Floats, table: MeshTopology, moving_masks: Sequence[NDArray[np.bool_]], half: Index) -> None:
         still = np.ones(len(corners), np.bool_)
@@ -308,8 +309,9 @@ class SlopeMap:
         moving_boxes: Sequence[tuple[Floats, Floats]],
         threads: int = 1,
     ) -> Index:
-        """Return rows as `MeshGround.find_rows_near_slopes`, for agents on face `face` of a `mesh` (-1: nowhere).
+        """Return the rows of agents that may have a rise within `reach`, as defined by `MeshGround.find_rows_near_slopes`.
 
+        - `mesh`, `face`: the mesh of each agent (-1 for none), and its face in the mesh
         - `first`: the first face number of each mesh
         - `moving_boxes`: the lowest and highest corner of each moving mesh"""
         if self._min_clearance > 0 and not moving_boxes and not np.fmax.reduce(reach, initial=0.0) >= self._min_clearance:
@@ -331,7 +333,7 @@ class SlopeMap:
 
 @inlined
 def _compute_distance_level(reach: F64, width: F64, largest: F64) -> I64:
-    """Return the binary exponent of a reach (as `np.frexp`), limited to `width` .. `largest`."""
+    """Return the binary exponent of a reach, as `np.frexp` gives it. The reach is first limited to `width` .. `largest`."""
     return ((float_to_bits(min(max(reach, width), largest)) >> 52) & 0x7FF) - _EXPONENT_BIAS
 
 
@@ -350,11 +352,10 @@ def find_candidates_near_slopes(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """Write the rows of agents within `reach` of a rise, and their rungs. Agents `begin` to `end` (exclusive) are tested.
+    """Write the rows of agents that may have a rise within `reach`. Agents `begin` to `end` (exclusive) are tested.
 
-    The arrays are written from index `begin` on. The rung is -1, or the rung of the reach for agents on a face larger than their
-    reach. Returns `begin`, the number of these agents, and the rungs of `CreaseMap` to query, as bits from the rung of `width`
-    on."""
+    Both result arrays are written from index `begin` on. A level is -1, or for an agent on a face larger than its reach, that of
+    its reach in `CreaseMap`. Returns `begin`, the number of rows, and a bit for each level that occurs."""
     count, rung_bits = begin, 0
     lowest = _compute_distance_level(width, width, largest)
     for i in range(begin, end):
@@ -384,10 +385,10 @@ def mark_rows_in_near_cells(
     begin: I64,
     end: I64,
 ) -> None:
-    """Replace the level `distance_level` in `distance_levels` by a result: -1 in a cell of the mask `is_near_slope`, -2 in other
-    cells.
+    """Replace the entries of `distance_levels` that equal `distance_level` by results: -1 for a position in a cell of
+    `is_near_slope`, else -2.
 
-    It applies to agents `begin` to `end` (exclusive)."""
+    Only the entries `begin` to `end` (exclusive) are changed."""
     for k in range(begin, end):
         if distance_levels[k] != distance_level:
             continue

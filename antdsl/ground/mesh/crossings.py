@@ -1,5 +1,5 @@
-"""Places where a piece of surface cuts the face that an agent walks on. The path continues on the cutting face, or ends at the
-cut."""
+"""Handles places where a piece of surface cuts the face that an agent walks on. The path then continues on the cutting face, or
+ends at the cut."""
 
 from __future__ import annotations
 
@@ -32,13 +32,15 @@ MAX_RUN_PER_RISE = 1e3  # mm along a face per mm up, above which the face counts
 def find_surface_crossing(
     surface: SurfaceTables, around: NearbySurfaces, cuts: CutTables, walker: FaceWalker, length: F64
 ) -> SurfaceLanding:
-    """Return the first face of the same piece that cuts the current face across the path; the path continues on it.
+    """Return the first face of the same piece that cuts the current face across the path, as the landing on which the path
+    continues.
 
-    The path ends before the other side of an open sheet, and where there is no space. The search from above the ground
-    (`surroundings`) cannot find such a face: near a cut, every height above the feet may lie behind another sheet.
+    The path ends instead if it would continue on the other side of an open sheet, or if there is no space. The search of
+    `surroundings`, from above the ground, cannot find such faces: near a cut, any point above the feet may already be behind
+    another sheet.
 
-    Feet stay on their side of the cutting face, more than `touch` (mm) away from it. This is a thousand times the rounding
-    error of float64, so it is always certain which side they are on."""
+    Feet stay at least the touch distance (mm) away from the cutting face. This is a thousand times the rounding error of float64,
+    so it is always certain on which side of the face they are."""
     table, link, f, side = surface.face_table, surface.edge_links, walker.face, walker.side
     (first, others), touch = cuts, around.length_tolerances.touch_distance
     place, up, direction = compute_surface_stance(table, walker)
@@ -104,28 +106,28 @@ def find_surface_crossing(
 
 @inlined
 def _transform_to_face_frame(table: Array1[F64], row: I64, place: Vec3) -> tuple[F64, F64]:
-    """Return the coordinates of a position along the two axes of a face, from its first corner."""
+    """Return the coordinates of a position along the two axes of a face, relative to the face's first corner."""
     off = minus(place, load_vector(table, row + CORNER_OFFSET))
     return dot(load_vector(table, row + AXIS1_OFFSET), off), dot(load_vector(table, row + AXIS2_OFFSET), off)
 
 
 @inlined
 def _compute_weights(table: Array1[F64], row: I64, place: Vec3) -> TriangleWeights:
-    """Project a nearby position onto a face. Return the corner weights, clamped to the triangle."""
+    """Project a nearby position onto a face. Return its barycentric weights, clamped to the triangle."""
     c, s = _transform_to_face_frame(table, row, place)
     return clamp_weights(c * table[row + RATE1_OFFSET] - s * table[row + SHEAR_OFFSET] + 0.0, s * table[row + RATE2_OFFSET] + 0.0)
 
 
 @inlined
 def _compute_landing_weights(table: Array1[F64], row: I64, place: Vec3) -> TriangleWeights:
-    """Project a position onto a face. Return the corner weights, corrected for rounding."""
+    """Project a position onto a face. Return its barycentric weights, corrected for rounding."""
     b1, b2 = _compute_weights(table, row, place)
     return clamp_weights(b1 + 0.0, b2 + 0.0)  # clamped again, because rounding may have moved them
 
 
 @inlined
 def _is_within_face(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
-    """Return whether a position in the plane of a face is in the face, or outside it by at most about `touch` mm."""
+    """Return whether a position in the plane of a face is inside the face, or at most about `touch` mm outside it."""
     c, s = _transform_to_face_frame(table, row, place)
     rate1, rate2, shear = table[row + RATE1_OFFSET], table[row + RATE2_OFFSET], table[row + SHEAR_OFFSET]
     b1, b2 = c * rate1 - s * shear, s * rate2
@@ -135,8 +137,8 @@ def _is_within_face(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BO
 
 @inlined
 def _find_lowest_corner_height(table: Array1[F64], face: I64, other: I64, sign: F64) -> F64:
-    """Return the height of a face's lowest corner over the plane of another face. The upper side of that plane is its normal
-    times `sign`."""
+    """Return the height of the lowest corner of `face` over the plane of the face `other`. `sign`: 1 if heights are along the
+    plane's normal, -1 if they are against it."""
     row, other_row = FLOATS_PER_FACE_ROW * face, FLOATS_PER_FACE_ROW * other
     up = times(load_vector(table, other_row + NORMAL_OFFSET), sign)
     first = dot(up, minus(load_vector(table, row + CORNER_OFFSET), load_vector(table, other_row + CORNER_OFFSET)))
@@ -154,10 +156,10 @@ def _is_crossing_to_other_side(
     crossing_place: Vec3,
     touch: F64,
 ) -> BOOL:
-    """Return whether a path continues beyond the plane of another face. It reaches the plane at `crossing_place`, from height
-    `start_height`.
+    """Return whether a path goes on beyond the plane of the face `other_face`, which it reaches at `crossing_place`.
+    `start_height`: the signed height of its start over the plane.
 
-    False if the current face only touches the other one and its neighbour folds back at that line, into a wedge without space."""
+    It does not if the current face only touches the other face, and its neighbour folds back there into a wedge without space."""
     sign = -1.0 if start_height < 0 else 1.0
     if not _find_lowest_corner_height(table, face, other_face, sign) >= -touch:
         return True
@@ -177,9 +179,9 @@ def _is_crossing_to_other_side(
 def _is_blocked_by_third_sheet(
     table: Array1[F64], cuts: CutTables, face: I64, own_face: I64, place: Vec3, offset: Vec3, touch: F64
 ) -> BOOL:
-    """Return whether three sheets meet, so that feet at a position on a face must stay.
+    """Return whether a third sheet prevents an agent from stepping onto `face` at the position `place`.
 
-    Feet placed at distance `offset` from their own face would pass or touch the third sheet."""
+    This is so if feet that are moved by `offset` away from `own_face` would pass through or touch the third sheet."""
     first, others = cuts
     is_tight = False
     for k in range(first[face], first[face + 1]):

@@ -1,4 +1,4 @@
-"""A packed table of faces for compiled walks. The values of a face are adjacent in memory, because agents visit faces in any
+"""A packed table of faces for compiled walks. All values of a face are adjacent in memory, because agents visit faces in any
 order."""
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ OPEN_BORDER_LINK = -2  # link of a border with nothing beyond it, see `open_bord
 
 
 def pack_face_table(table: MeshTopology, mesh_by_face: NDArray[np.int32]) -> Floats:
-    """Return a packed table, float64[40 m], with all values of a face adjacent: also its links on the normal's side, and its
-    mesh."""
+    """Return the packed table of m faces, float64[40 m]. It includes the mesh of each face, and its links on the normal's
+    side."""
     m = table.rate1.size
     space = np.empty(FLOATS_PER_FACE_ROW * m + 8)
     start = -space.ctypes.data % 64 // 8
@@ -45,7 +45,7 @@ def pack_face_table(table: MeshTopology, mesh_by_face: NDArray[np.int32]) -> Flo
 
 
 def pack_face_rows(packed_table: Floats, table: MeshTopology, mesh_by_face: NDArray[np.int32], rows: slice) -> None:
-    """Write the numbers of some faces into a packed table."""
+    """Write the values of the faces `rows` into a packed table."""
     m = rows.stop - rows.start
     halves = slice(3 * rows.start, 3 * rows.stop)
     edges = np.empty((m, 3, 4))
@@ -60,5 +60,5 @@ def pack_face_rows(packed_table: Floats, table: MeshTopology, mesh_by_face: NDAr
 
 
 def mark_border_links(packed_table: Floats, half: NDArray[np.int64], link: int) -> None:
-    """Write `link`, which is NO_LINKED_EDGE or OPEN_BORDER_LINK, for some half-edges without a link into a packed table."""
+    """Set the link of the half-edges `half`, which have no neighbour, to NO_LINKED_EDGE or OPEN_BORDER_LINK in a packed table."""
     packed_table.reshape(-1, FLOATS_PER_FACE_ROW)[half // 3, EDGES_OFFSET + 4 * (half % 3) + EDGE_LINK_INDEX] = link

@@ -1,6 +1,6 @@
-"""Fast loops over all agents that compute positions and sides of footings, and the greatest displacement and size.
+"""Fast loops over all agents: positions and sides of footings, and the greatest displacement and size.
 
-Positions are computed from vertices, which neighbouring faces share, so that less memory is read than from a table of faces."""
+Positions are computed from vertices instead of a table of faces. Neighbouring faces share vertices, so less memory is read."""
 
 import numpy as np
 
@@ -22,9 +22,11 @@ def write_footing_positions(
     heights: Array1[F64],
     place: Array2[F64],
 ) -> BOOL:
-    """Write the position of each footing, [n,3], 0 for agents without a footing. Return whether all face numbers are valid.
+    """Write the position of each footing to `place` [n,3]; it is 0 for agents without a footing. Return whether all face numbers
+    are valid.
 
-    The faces of a mesh begin at `first_faces` in `faces` and `normal` (3, m). `vertices` has three numbers per vertex."""
+    `first_faces`: the index in `faces` and `normal` (3, m) at which the faces of each mesh begin. `vertices`: three numbers per
+    vertex."""
     for begin in range(0, mesh.size, _PREFETCH_GROUP_SIZE):
         end = min(begin + _PREFETCH_GROUP_SIZE, mesh.size)
         for n in range(end, min(end + _PREFETCH_GROUP_SIZE, mesh.size)):
@@ -65,8 +67,8 @@ def write_footing_sides(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write the side (axis direction) of the faces of footings `begin` to `end` (exclusive); 0 without a footing. The faces of
-    a mesh begin at `first_faces`."""
+    """Write the side (axis direction) of the face of each footing, for agents `begin` to `end` (exclusive). It is 0 for agents
+    without a footing. `first_faces`: the index in `side_by_face` at which the faces of each mesh begin."""
     for n in range(begin, end):
         if mesh[n] >= 0 and face[n] >= 0:
             sides[n] = side_by_face[first_faces[mesh[n]] + face[n]]
@@ -76,8 +78,8 @@ def write_footing_sides(
 
 @kernel
 def find_max_step_and_size(displacements: Array2[F64], sizes: Array1[F64]) -> tuple[F64, F64]:
-    """Return the greatest squared length of the finite vectors (3, n), 0 if there is none, and the greatest size, NaN if all are
-    NaN."""
+    """Return the greatest squared length of the finite vectors (3, n), and the greatest size. Without finite vectors, the length
+    is 0. If all sizes are NaN, the size is NaN."""
     most, widest = 0.0, np.nan
     for k in range(sizes.size):
         square = (displacements[0, k] * displacements[0, k] + displacements[1, k] * displacements[1, k]) + displacements[

@@ -1,4 +1,4 @@
-"""Open borders beyond which there is no other surface. A walk continues along them without a search."""
+"""Finds open borders without another surface beyond them. Agents can walk along these without a search."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _PLANE_TOLERANCE = 1e-4
 
 
 def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundTolerances, max_body_size: float) -> Index:
-    """Return half-edges without a link on either side that have no landing beyond them for bodies of up to `max_body_size` mm.
+    """Return half-edges without a neighbour on either side, beyond which bodies of up to `max_body_size` mm have nowhere to step.
 
-    The landing is that of `find_landing_beyond_border`. The result is incomplete on a ground that is mostly borders, or has faces
-    much finer than the bodies: a complete search would take too long.
+    For them, `find_landing_beyond_border` finds no landing. Some are omitted on a ground that is mostly borders, or has faces
+    much smaller than the bodies: a complete search would take too long.
 
-    The search paths of `find_landing_beyond_border` lie in the plane across the edge, above or below the face, except beyond the
-    border. They meet nothing under two conditions. All other nearby faces lie in the plane of the edge's face, and none extends
-    over the edge's line. Paths along that plane, and paths beyond the line, stay at least the gap away from these faces."""
+    The search paths of `find_landing_beyond_border` are in the vertical plane across the edge: above or below the face, or beyond
+    the border. They hit nothing under two conditions. All other nearby faces are in the plane of the edge's face, and none of
+    them extends beyond the line of the edge. All search paths are then at least one gap away from these faces."""
     half = np.flatnonzero((table.link[0] == NO_LINKED_EDGE) & (table.link[1] == NO_LINKED_EDGE) & np.repeat(table.is_live, 3))[
         :_MAX_BORDERS
     ]
@@ -53,9 +53,9 @@ def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundTolera
 def _select_borders_with_ground_beyond(
     table: MeshTopology, boxes: FaceBoxes, scale: GroundTolerances, reach: float, half: Index
 ) -> tuple[NDArray[np.bool_], int]:
-    """Return a mask of the half-edges `half` that are open borders, and the number of checked pairs.
+    """Return a mask of the half-edges in `half` that have no ground beyond them, and the number of checked pairs.
 
-    A pair is a half-edge and a face within `reach` mm of the half-edge's box."""
+    A pair consists of a half-edge and a face within `reach` mm of the half-edge's box."""
     face, k = half // 3, half % 3
     one, other = _get_corners(table, face, (k + 1) % 3), _get_corners(table, face, (k + 2) % 3)
     edge_rows, near_faces = boxes.find_overlapping_pairs(np.minimum(one, other) - reach, np.maximum(one, other) + reach)
@@ -70,7 +70,7 @@ def _select_borders_with_ground_beyond(
 
 
 def _get_corners(table: MeshTopology, face: Index, k: Index) -> NDArray[np.float64]:
-    """Return corner `k` of each face, (3, n)."""
+    """Return one corner of each face, (3, n). `k`: the number of the corner, 0 to 2."""
     edge = np.where(k == 1, table.edge1.take(face, axis=1), table.edge2.take(face, axis=1))
     corners: NDArray[np.float64] = table.corner.take(face, axis=1) + np.where(k == 0, 0.0, edge)
     return corners

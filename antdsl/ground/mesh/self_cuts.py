@@ -1,6 +1,6 @@
-"""Pairs of faces at which a mesh cuts itself. They are determined once.
+"""Finds pairs of faces at which a mesh cuts itself. This is done once per mesh.
 
-An agent on one face of a pair can cross the other face only at the cut."""
+An agent on one face of a pair can get to the other side of the other face only at their cut."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MAX_CELLS_PER_AXIS = 1 << 20  # along an axis
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SelfIntersections:
-    """Pairs of faces of the same piece that cut each other. Face f is cut by `cutting_faces[first[f]:first[f + 1]]`."""
+    """Pairs of faces of the same piece that cut each other. Face f is cut by `cutting_faces[cut_starts[f]:cut_starts[f + 1]]`."""
 
     cut_starts: Index
     cutting_faces: Index
@@ -37,7 +37,8 @@ class SelfIntersections:
         return np.diff(self.cut_starts) > 0
 
     def list_cutting_faces(self, face: Index) -> tuple[Index, Index]:
-        """Return all pairs of a queried face and a face that cuts it: the index in `face`, and the number of the cutting face."""
+        """Return all pairs of a face in `face` and a face that cuts it, as two arrays: indices into `face`, and numbers of
+        cutting faces."""
         count = np.diff(self.cut_starts).take(face)
         which = np.repeat(np.arange(face.size), count)
         step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
@@ -45,11 +46,11 @@ class SelfIntersections:
 
 
 def find_self_intersections(corners: Floats, weld: Ints, piece: Ints, coordinate_precision: float) -> SelfIntersections:
-    """Return the cuts between faces of the same piece, with corners float64[m,3,3].
+    """Return the cuts between faces of the same piece. `corners`: float64[m,3,3].
 
-    - `weld` (m, 3): numbers of corners by position
+    - `weld` (m, 3): a number for each corner; corners at the same position have the same number
     - `piece` int32[m]: the piece of each face, -1 for none
-    - `coordinate_precision`: faces nearer to each other than this distance (mm) touch, and touching counts as a cut"""
+    - `coordinate_precision`: faces within this distance (mm) of each other touch, which counts as a cut"""
     flat = weld.ravel()
     one_place = np.zeros((int(flat.max(initial=-1)) + 1, 3))
     one_place[flat[::-1]] = corners.reshape(-1, 3)[::-1]  # nearly equal corners get one position, so they cut nothing
@@ -95,8 +96,8 @@ def _find_intersecting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: fl
 
 
 def _iterate_overlapping_pairs(corners: Floats, live_faces: Index) -> Iterator[tuple[Index, Index]]:
-    """Yield pairs of faces in `live_faces` with overlapping boxes, the lower number first. A pair may be yielded more than
-    once."""
+    """Yield pairs of faces in `live_faces` with overlapping boxes, as two arrays with the lower number first. A pair may be
+    yielded more than once."""
     a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
     size = (high - low).max(axis=0)
@@ -114,7 +115,8 @@ def _iterate_overlapping_pairs(corners: Floats, live_faces: Index) -> Iterator[t
 
 
 def _iterate_pairs_in_cells(corners: Floats, faces: Index, smaller_faces: Index, width: float) -> Iterator[tuple[Index, Index]]:
-    """Yield pairs of faces in one cell: of the faces `faces` with each other, and with `smaller_faces` faces."""
+    """Yield pairs of faces that are in the same cell of a grid: pairs within `faces`, and pairs of `faces` with `smaller_faces`.
+    `width`: the width of a cell."""
     listed = np.concatenate([faces, smaller_faces])
     if listed.size < 2:
         return
@@ -144,11 +146,11 @@ def _iterate_pairs_in_cells(corners: Floats, faces: Index, smaller_faces: Index,
 
 
 def _find_piercing_edges(start: Floats, end: Floats, triangle: Floats, grain: float) -> NDArray[np.bool_]:
-    """Return whether edges pass through triangles, or touch them within `grain` mm (Möller, Trumbore, Fast, Minimum Storage
-    Ray/Triangle Intersection, 1997, p. 22-24).
+    """Return whether each edge passes through its triangle, or touches it within `grain` mm (Möller, Trumbore, Fast, Minimum
+    Storage Ray/Triangle Intersection, 1997, p. 22-24).
 
-    For an edge in the plane of a triangle, only its start is tested. Its end is the start of another edge. If it crosses an
-    edge of the triangle, that edge touches it."""
+    For an edge in the plane of the triangle, only its start is tested. Its end is the start of another edge. If it crosses an
+    edge of the triangle, the test of that edge shows it."""
     a, e1, e2 = triangle[:, 0], triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
     normal = np.cross(e1, e2)
     size = length(normal)

@@ -1,4 +1,4 @@
-"""Stretches of a walk: each is the part of a path across one face. A walk pauses where another surface may be in its path or
+"""Moves agents by stretches, the parts of a path across one face each. A walk pauses where another surface may be in the path, or
 beyond a border."""
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ LOOK_AHEAD_EVENT, BORDER_EVENT, OVERHANG_EVENT = 1, 2, 3  # possible obstacle; b
 
 @inlined
 def load_face_frame(table: Array1[F64], row: I64) -> tuple[Vec3, Vec3, Vec3]:
-    """Return both axes of a face, and its normal."""
+    """Return the two axes of a face, and its normal."""
     ax, ay, az, bx, by, bz, nx, ny, nz, _, _, _ = load_consecutive(table, row + AXIS1_OFFSET, 12)
     return (ax, ay, az), (bx, by, bz), (nx, ny, nz)
 
 
 @inlined
 def project_to_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s0: F64) -> tuple[F64, F64, F64]:
-    """Project a vector into a face. Return the unit direction (c, s) in the face's frame, and a length (mm).
+    """Project a vector into the plane of a face. Return its unit direction (c, s) in the face's frame, and a length (mm).
 
-    The length of the vector is preserved up to 60 degrees off the face. At larger angles, the length decreases to 0. If the
-    projection is zero or not finite, the direction is (c0, s0) and the length 0."""
+    The length is that of the vector if its angle to the face is at most 60 degrees. At larger angles it decreases to 0. If the
+    projection is zero or not finite, the direction is (c0, s0) and the length is 0."""
     c = axis1[0] * x + axis1[1] * y + axis1[2] * z
     s = axis2[0] * x + axis2[1] * y + axis2[2] * z
     flat = np.sqrt(c * c + s * s)
@@ -55,8 +55,8 @@ def project_to_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s
 
 @inlined
 def get_face_part_clearance(clearances: ClearanceTables, face: I64, weights: TriangleWeights) -> F64:
-    """Return a distance (mm) around a point of `face` within which there is no other piece, at most `reach`. See
-    `FacePartClearances`."""
+    """Return a distance (mm) around a point of `face` within which there is no other piece. It is at most `reach` (see
+    `FacePartClearances`)."""
     n = clearances.parts_per_edge[face]
     if n == 0:
         return clearances.reach
@@ -74,11 +74,11 @@ def walk_to_next_event(
     walker: FaceWalker,
     progress: WalkProgress,
 ) -> tuple[FaceWalker, WalkProgress, WalkStopReason]:
-    """Walk across faces until no displacement is left, or until an event.
+    """Walk across faces until the displacement is used up, or until an event.
 
-    A stretch is an event if another piece may be within its length and `search_height`. With `skip_first_search`, the first
-    stretch is never an event. With `follow_borders`, the walk continues along open borders with nothing beyond, while no
-    stretch can meet another piece."""
+    An event occurs at a stretch that may meet another piece, within its length and up to `search_height` (mm). With
+    `skip_first_search`, there is no event at the first stretch. With `follow_borders`, the walk continues along open borders with
+    nothing beyond them, as long as no stretch can meet another piece."""
     table, link, forked, _ = surface
     f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
     left, distance, turn = progress
@@ -142,8 +142,8 @@ def walk_to_next_event(
 
 @inlined
 def turn_along_border(edge: FaceDirection, direction: FaceDirection, remaining_length: F64) -> tuple[FaceDirection, F64]:
-    """Return the direction along an open border, and the distance left in that direction. `remaining_length`: the distance left
-    before."""
+    """Return the direction along an open border, and the remaining distance in this direction. `remaining_length`: the remaining
+    distance in the previous direction."""
     (edge_c, edge_s), (c, s) = edge, direction
     along = c * edge_c + s * edge_s
     turn = -1.0 if along < 0 else 1.0
@@ -163,7 +163,8 @@ def cross_edge(
     direction: FaceDirection,
     heading: FaceDirection,
 ) -> FaceWalker:
-    """Move an agent across an edge into the next face. `edge_direction` is the direction of the edge."""
+    """Return the state of an agent after it has crossed an edge into the next face. `half_edge`: the link across the edge.
+    `edge_direction`: the direction of the edge in the frame of the current face."""
     (c1, s1), (b1, b2), (c, s), (heading_c, heading_s) = edge_direction, weights, direction, heading
     f, k2, flip = np.int64(half_edge >> 3), (half_edge >> 1) & 3, (half_edge & 1) == 1
     b0 = 1.0 - b1 - b2
@@ -184,7 +185,7 @@ def cross_edge(
 
 @inlined
 def compute_final_pose(table: Array1[F64], walker: FaceWalker, height: F64) -> AgentPose:
-    """Return position, smooth normal, transported heading and direction of travel in world space.
+    """Return an agent's pose in world space: position, smooth normal, heading and direction of travel.
 
     Heading and direction are unit vectors in the plane of the smooth normal."""
     f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
@@ -232,8 +233,8 @@ def compute_final_pose(table: Array1[F64], walker: FaceWalker, height: F64) -> A
 
 @inlined
 def _rotate_with_surface_normal(vx: F64, vy: F64, vz: F64, bx: F64, rotation: F64, bz: F64, ax: F64, ay: F64, az: F64) -> Vec3:
-    """Return a vector rotated as unit normal b rotates into a. If the normals are opposite, the rotation passes through the
-    vector itself."""
+    """Return the vector v, rotated by the smallest rotation from unit normal b to unit normal a. If the normals are opposite, the
+    rotation goes through v itself."""
     cosine = bx * ax + rotation * ay + bz * az
     if cosine < -1 + 1e-9:
         hx, hy, hz = rotation * vz - bz * vy, bz * vx - bx * vz, bx * vy - rotation * vx

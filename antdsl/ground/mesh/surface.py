@@ -1,4 +1,5 @@
-"""Surfaces that agents stand and walk on, with any side up. A footing is a point of a triangle; `MeshGround.move` moves it."""
+"""Surfaces of triangles, on either side of which agents can stand and walk. A footing is a point of a triangle; `MeshGround.move`
+moves it."""
 
 from __future__ import annotations
 
@@ -29,10 +30,10 @@ SHARP_EDGE_REACH_BODY_LENGTHS, BEND_REACH_BODY_LENGTHS = (
 
 
 class MeshGround:
-    """A ground of one or more named surfaces, in the given order. Each has vertices float64[n,3] (mm) and faces int32[m,3].
+    """A ground of named surfaces, in a fixed order. Each surface has vertices float64[n,3] (mm) and faces int32[m,3].
 
-    An obstacle that agents may climb is a normal surface. Meshes may overlap and need not be closed. With `by_rays`, agents do
-    not walk over triangles, but are placed at ray hits: see `sticking`."""
+    An obstacle that agents may climb is also such a surface. Meshes may overlap and need not be closed. With `by_rays`, agents do
+    not walk over triangles but are placed at ray hits; see `sticking`."""
 
     def __init__(self, surfaces: Mapping[str, MeshArrays], by_rays: bool = False) -> None:
         self.names, self._by_rays = tuple(surfaces), by_rays
@@ -70,7 +71,7 @@ class MeshGround:
         self._slope_map: SlopeMap | None = None  # areas in which bodies may meet walls, computed on first use
 
     def _group_surfaces(self) -> NDArray[np.int32]:
-        """Return a group number for each face; the faces of one group move together."""
+        """Return a group number for each face. Faces of the same group move together."""
         return np.zeros(len(self._faces), np.int32)
 
     # ---- asking
@@ -84,9 +85,9 @@ class MeshGround:
     ) -> tuple[Footing, NDArray[np.bool_]]:
         """Return footings below points [n,3]: the first surface hit by a ray from far above along -`up` ([3] or [n,3]).
 
-        If the ray hits nothing, the footing is the nearest point of the surfaces, with False in the second array. `surface_names`
-        names the allowed surfaces; None means all. Without any surface, no agent gets a footing. Raises KeyError for an unknown
-        name."""
+        If the ray hits nothing, the footing is the nearest point of the surfaces, with False in the second array.
+        `surface_names`: the surfaces to use; None means all. On a ground without surfaces, no agent gets a footing. Raises
+        KeyError for an unknown name."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         up = np.broadcast_to(np.asarray(up, np.float64), points.shape)
         scene, live = self._get_ray_scene(surface_names)
@@ -114,9 +115,9 @@ class MeshGround:
         return self._build_footing(face, *self._topology.compute_weights(np.maximum(face, 0), place.T)), distance
 
     def find_path_hits(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[NDArray[np.bool_], Floats, Footing]:
-        """Return which straight paths from `origin` [n,3] by `displacement` [n,3] hit a surface.
+        """Return a mask of the straight paths from `origin` [n,3] by `displacement` [n,3] that hit a surface.
 
-        The other results are the fraction of the path before the hit, and the footing at the hit."""
+        Also return the fraction of each path before the hit, and the footing at the hit."""
         part, face = self._find_hits_along_steps(
             np.asarray(origin, np.float64).T, np.asarray(displacement, np.float64).T, threads
         )
@@ -129,9 +130,10 @@ class MeshGround:
         )
 
     def find_hit_normals(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
-        """Return the numbers, ascending, of straight paths from `origin` [n,3] by `displacement` [n,3] that hit a surface.
+        """Return the ascending rows of the straight paths from `origin` [n,3] by `displacement` [n,3] that hit a surface.
 
-        The other results are the fraction of the path before the hit, and the face's unit normal (3, k), by its winding."""
+        For these k rows, also return the fraction of the path before the hit, and the face's unit normal (3, k), by its
+        winding."""
         scene, live = self._get_ray_scene(None)
         return scene.find_hit_normals(origin, displacement, self._topology.normal, live, threads)
 
@@ -146,7 +148,7 @@ class MeshGround:
         return positions
 
     def normal(self, footing: Footing) -> Floats:
-        """Return unit normals of the faces, float64[n,3], by their winding; zero for agents without a footing."""
+        """Return the unit normals of the faces, float64[n,3], by their winding. They are zero for agents without a footing."""
         face, known = self._compute_face_numbers(footing)
         if not self._faces.size:
             return np.zeros((len(footing), 3))
@@ -166,7 +168,7 @@ class MeshGround:
         """Return smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for agents without
         a footing.
 
-        Creases are not smoothed. Elsewhere the normal is continuous along the surface, so that bodies do not jerk."""
+        The normal is continuous along the surface, except at creases, so that bodies do not jerk."""
         up = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(footing), 3)).T, order="C")
         face, known = self._compute_face_numbers(footing)
         if not self._faces.size:
@@ -176,7 +178,7 @@ class MeshGround:
 
     @property
     def triangles(self) -> tuple[Floats, NDArray[np.int32], NDArray[np.int32], MeshTopology]:
-        """Return all surfaces as one: vertices (n, 3), faces (m, 3), the surface number of each face, and the topology."""
+        """Return all surfaces as one mesh: vertices (n, 3), faces (m, 3), the surface number of each face, and the topology."""
         return self._vertices, self._faces, self._mesh_of_face, self._topology
 
     @property
@@ -185,15 +187,16 @@ class MeshGround:
         return self
 
     def get_face_numbers(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
-        """Return the face of each footing, numbered over all surfaces (0 for none), and whether the footing is on a face."""
+        """Return each footing's face number, counted over all surfaces (0 for none), and whether it is on a face."""
         known = (footing.face >= 0) & (footing.mesh >= 0) & (footing.mesh < len(self.names))
         return np.where(known, self._first_face.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
 
     def find_rows_near_slopes(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
-        """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm.
+        """Return the ascending rows of the agents that may have a rising surface within `reach` [n] mm. `place`: their positions
+        [n,3].
 
-        A surface rises at an inner crease, at another piece, or at a moving mesh. Agents with a `reach` of 0 or less are left
-        out. All other agents near a rise are included. The result for an agent does not depend on other agents."""
+        A surface rises at an inner crease, at another piece, or at a moving mesh. No agent near a rise is omitted, except agents
+        with a `reach` of 0 or less. The result for an agent does not depend on other agents."""
         if self._slope_map is None:
             corners = self._vertices[self._faces]
             self._slope_map = SlopeMap(
@@ -208,12 +211,12 @@ class MeshGround:
     def mark_bend_levels(
         self, footing: Footing, place: Floats, size: Floats, levels: NDArray[np.uint8], threads: int = 1
     ) -> NDArray[np.bool_]:
-        """Write how the ground bends around agents of `size` [n] mm at positions [n,3] into `levels`. Return a mask of wide
-        faces.
+        """Write to `levels` how much the ground bends around each agent. Return a mask of wide faces. `place`: positions [n,3].
+        `size`: sizes [n], mm.
 
         The level is 2 within 1.6 body lengths of a sharp edge, another piece, a cut or a moving mesh. It is 1 for other agents
-        within 0.9 body lengths of narrow faces that rise or curve much, and 0 for all others. The mask bool[m] has the wide faces
-        at or near an edge at which the ground turns."""
+        within 0.9 body lengths of narrow faces that rise or curve much, and 0 for all others. The mask bool[m] is true for wide
+        faces at or near an edge at which the ground bends."""
         part, power = np.frexp(max(float(np.fmax.reduce(size, initial=0.0)), 1e-6))
         rung = float(np.ldexp(np.ceil(part * 8) / 8, power))  # rounded, so that tables exist for a few sizes only
         own = [mask for mask, _, _ in self.list_moving_boxes()]
@@ -233,12 +236,12 @@ class MeshGround:
         return has_bend
 
     def list_moving_boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
-        """Return for each moving mesh, at its current position: a mask of its faces, and the lowest and highest corner of its
-        box."""
+        """Return a mask of faces for each moving mesh, and the lowest and highest corner of its bounding box at its current
+        position."""
         return []
 
     def to_world_vectors(self, face: Index, c: Floats, s: Floats) -> Floats:
-        """Return vectors (3, n) in the world, from their components along the two axes of their faces."""
+        """Return vectors (3, n) in world space, from their components `c` and `s` along the two axes of their faces."""
         return self._topology.to_world_vectors(face, c, s)
 
     # ---- moving
@@ -253,20 +256,20 @@ class MeshGround:
         threads: int = 1,
         stop_at_borders: bool = False,
     ) -> GroundMove:
-        """Walk every agent along its surface by a displacement [n,3], on the side that its `up` [n,3] points to.
+        """Walk every agent along its surface by its displacement [n,3], on the side that its `up` [n,3] points to.
 
         - `heading` [n,3]: rotates with the surface
-        - `body`: the size (mm) that determines how high and far agents search
-        - `stop_at_borders`: a path ends at an open border
+        - `body`: the size of each agent (mm), which determines how high and how far it searches
+        - `stop_at_borders`: whether a path ends at an open border
 
-        The displacement is projected into the face. Its length is preserved up to 60 degrees off the surface. The path unfolds
-        across edges, so a slope does not change the speed. If another surface is in the path, the agent climbs it. This is the
-        nearest surface within the displacement, seen from slightly above the ground. At an open border, the agent steps over to
-        a surface beyond the border, in as many steps as the height requires. Without such a surface, it follows the border or
-        stops. A displacement that is not finite counts as zero.
+        The displacement is projected into the face. Its length is preserved if its angle to the face is at most 60 degrees. The
+        path is unfolded across edges, so a slope does not change the speed. An agent climbs the nearest other surface in its
+        path, as seen from slightly above the ground. At an open border, it steps over to a surface beyond the border, in as many
+        steps as the height requires. Without such a surface, it follows the border or stops. A displacement that is not finite
+        counts as zero.
 
-        The thesis has two versions of the surface pass: longer ray, and nearest hit. This method uses the nearest surface along
-        the path."""
+        The thesis (see `sticking`) describes the choice of a surface in two ways: longer ray, and nearest hit. This method uses
+        the nearest surface along the path."""
         n = len(footing)
         if not self._faces.size or not n:
             return _make_zero_move(footing, up, heading)
@@ -287,8 +290,8 @@ class MeshGround:
         return GroundMove(moved, place.T, above.T, ahead.T, along.T, distances, blocked, moved.face < 0)
 
     def build_crowd_walk(self, max_displacement: float, max_body_size: float) -> CrowdWalk | None:
-        """Return the walk over triangles for kernels, for displacements up to `max_displacement` and bodies up to
-        `max_body_size` (mm).
+        """Return the data that kernels need to walk agents over triangles. Displacements are at most `max_displacement`, bodies
+        at most `max_body_size` (mm).
 
         Return None if agents are placed by rays, or if there is no surface."""
         if self._by_rays or not self._faces.size:
@@ -311,9 +314,9 @@ class MeshGround:
     # ---- parts
 
     def _find_hits_along_steps(self, origin: Floats, step: Floats, threads: int) -> tuple[Floats, Index]:
-        """Return the fraction of the step at which each ray (3, k) hits, and the number of the face over all meshes.
+        """Return the fraction of each step (3, k) before its first hit, and the hit face, numbered over all meshes.
 
-        Without a hit they are infinite and -1."""
+        For a ray without a hit, they are infinity and -1."""
         scene, live = self._get_ray_scene(None)
         which, t, mesh, local = scene.find_hits_along_step(origin.T, step.T, threads)
         part, face = np.full(origin.shape[1], np.inf), np.full(origin.shape[1], -1, np.int64)
@@ -322,7 +325,7 @@ class MeshGround:
         return part, face
 
     def _get_ray_scene(self, surface_names: Iterable[str] | None) -> tuple[RayScene, Index]:
-        """Return a ray scene of some surfaces, and the ground's face number of each face of that scene."""
+        """Return a ray scene of the named surfaces, and for each face of this scene its face number in the ground."""
         chosen = self._find_surface_numbers(surface_names)
         if chosen not in self._ray_scenes:
             live = np.flatnonzero(self._topology.is_live & np.isin(self._mesh_of_face, chosen))
@@ -339,15 +342,15 @@ class MeshGround:
 
     @staticmethod
     def _to_ground_faces(mesh: NDArray[np.int32], face: NDArray[np.int32], live_faces: Index) -> Index:
-        """Return the ground's numbers of hit faces of a ray scene, -1 for no hit. `live_faces`: number of each scene face."""
+        """Convert faces hit in a ray scene to face numbers of the ground, -1 for no hit. `live_faces`: the number of each scene
+        face."""
         result = np.full(len(face), -1, np.int64)
         hit = mesh >= 0
         result[hit] = live_faces[face[hit]]
         return result
 
     def _compute_face_numbers(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
-        """Return the number of each footing's face, counted over all meshes (0 without a footing), and whether the footing is
-        on a face."""
+        """Return each footing's face number, counted over all surfaces (0 for none), and whether it is on a face."""
         known = (footing.face >= 0) & (footing.mesh >= 0)
         if known.all():
             face: Index = self._first_face.take(footing.mesh) + footing.face
@@ -355,7 +358,7 @@ class MeshGround:
         return np.where(known, self._first_face.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
 
     def _build_footing(self, face: Index, b1: Floats, b2: Floats, heights: Floats | None = None) -> Footing:
-        """Return footings on faces, numbered over all surfaces; -1 is nowhere."""
+        """Return footings on faces, which are numbered over all surfaces. The face -1 means no footing."""
         known = face >= 0
         heights = np.zeros(face.size) if heights is None else heights
         if known.all():
@@ -368,7 +371,7 @@ class MeshGround:
         return Footing.from_faces(mesh, local, *(np.where(known, v, 0.0) for v in (b1, b2, heights)))
 
     def _compute_smooth_normals(self, face: Index, b1: Floats, b2: Floats) -> Floats:
-        """Return smooth unit normals (3, n), by the faces' winding."""
+        """Return smooth unit normals (3, n), on the side given by the winding of faces."""
         n = self._topology.smooth.take(face, axis=1)
         v = n[:3] * (1.0 - b1 - b2) + n[3:6] * b1 + n[6:] * b2
         return v / np.sqrt(np.maximum(dot(v, v), 1e-300))

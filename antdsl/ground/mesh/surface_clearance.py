@@ -1,4 +1,4 @@
-"""Lower bounds of the distance from agents on a surface to other pieces of surface. With these, most searches are unnecessary."""
+"""Lower bounds of the distances between pieces of surface. With these, most agents need no search for other pieces."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ _MAX_PIECES = 500  # with more pieces, faces are not divided and count as touchi
 
 @dataclass(frozen=True, slots=True)
 class FacePartClearances:
-    """Faces cut into parts, and the distance of each part from other pieces.
+    """Faces divided into parts, and the distance of each part from other pieces.
 
-    - `reach`: distances above this (mm) are treated as equal
+    - `reach`: the greatest distance (mm) that is measured
     - `first_parts`: the number of the first part of each face
-    - `parts_per_edge`: face f has `parts_per_edge[f]` by `parts_per_edge[f]` parts along its first and second edge; 0 if no
-      other piece is within `reach`
-    - `clearances`: a distance (mm) around each part without any other piece"""
+    - `parts_per_edge`: the number of parts of each face along its first edge and along its second edge; 0 if no other piece is
+      within `reach`
+    - `clearances`: for each part, a distance (mm) within which there is no other piece"""
 
     reach: float
     first_parts: Index
@@ -40,13 +40,13 @@ class FacePartClearances:
 
 
 class PieceClearances:
-    """Lower bounds of the distance from each face to the nearest other piece. A coarse grid of pieces selects the faces to
+    """Measures lower bounds of the distance from each face to the nearest other piece. A coarse grid selects the faces to
     measure.
 
     - `corners` float64[m,3,3]: the corners of faces
     - `piece` int32[m]: the piece of each face, -1 for none
-    - `cut`: faces that others of their piece cut; they are treated as a separate piece that touches all others
-    - `low`: the lowest corner
+    - `cut`: faces that are cut by others of their piece; they are treated as a separate piece that touches all others
+    - `low`: the lowest corner of the bounding box of all faces
     - `distance_noise`: the measuring error (mm)"""
 
     def __init__(self, corners: Floats, piece: NDArray[np.int32], cut: NDArray[np.bool_], low: Floats, noise: float) -> None:
@@ -59,8 +59,8 @@ class PieceClearances:
         self._has_several_pieces = len(np.unique(piece[piece >= 0])) > 1
 
     def get_face_parts(self, reach: float) -> FacePartClearances:
-        """Return clearances that distinguish distances up to `reach` mm. They are cached, and measured again if the reach has
-        increased."""
+        """Return clearances for distances up to `reach` mm. They are cached, and measured again when a greater reach is
+        requested."""
         if self._parts is None or self._parts.reach < reach:
             # Wider than requested: otherwise a crowd that accelerates slowly would cause repeated measurements.
             self._parts = self._build_face_parts(1.5 * reach if self._has_several_pieces else np.inf)
@@ -73,7 +73,7 @@ class PieceClearances:
         return FacePartClearances(reach, tables["first"], tables["count"], tables["least"])
 
     def _measure_face_parts(self, reach: float) -> stored_tables.Tables:
-        """Measure the arrays of `FacePartClearances` by field name, for distances up to `reach` mm."""
+        """Return the arrays of `FacePartClearances` by field name, measured for distances up to `reach` mm."""
         m = len(self._piece)
         near = (
             np.flatnonzero(self._find_faces_near_pieces(reach) | self._is_cut)
@@ -97,7 +97,8 @@ class PieceClearances:
         return {"first": first, "count": count, "least": least.ravel()}
 
     def _compute_part_clearances(self, own_faces: Index, other_faces: Index, n: int, reach: float) -> Floats:
-        """Return the clearances (k, n*n) of faces `own_faces`, each cut into n*n parts, from faces `other_faces`."""
+        """Return the clearances (k, n*n) of the k faces `own_faces`, each divided into n*n parts, from the faces
+        `other_faces`."""
         a, b, c = (self._corners[own_faces, k] for k in range(3))
         edge1, edge2 = (b - a) / n, (c - a) / n
         middle = np.arange(n) + 0.5
@@ -116,7 +117,8 @@ class PieceClearances:
         return clear
 
     def _find_faces_near_pieces(self, reach: float) -> NDArray[np.bool_]:
-        """Return the faces that may have another piece within `reach` mm: faces in a cell with two pieces nearby."""
+        """Return a mask of the faces that may have another piece within `reach` mm: those in a grid cell with two pieces
+        nearby."""
         grid = self._piece_grid
         mixed = grid.find_mixed_cells(int(min(np.ceil(reach / grid.width), grid.size.max())))
         is_near = np.zeros(len(grid.corners_in_cells), bool)
@@ -145,12 +147,12 @@ class PieceClearances:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PieceNumberGrid:
-    """A grid of the pieces near each cell.
+    """A grid with the pieces that each cell contains.
 
     - `width`: the width of a cell (mm)
-    - `corners_in_cells`: the corners of faces, in cells
+    - `corners_in_cells`: the corners of faces, in units of cells
     - `size`: the number of cells along each axis
-    - `min_piece`, `max_piece`: the least and the greatest piece in each cell"""
+    - `min_piece`, `max_piece`: the least and the greatest piece number in each cell"""
 
     width: float
     corners_in_cells: Floats
@@ -159,12 +161,12 @@ class _PieceNumberGrid:
     max_piece: NDArray[np.int32]
 
     def flatten_cells(self, cell: Index) -> Index:
-        """Return the numbers of cells in the flattened grid."""
+        """Return the indices of cells in the flattened grid."""
         flat: Index = (cell[..., 0] * self.size[1] + cell[..., 1]) * self.size[2] + cell[..., 2]
         return flat
 
     def find_mixed_cells(self, rings: int) -> NDArray[np.bool_]:
-        """Return the cells that have two pieces within `rings` cells."""
+        """Return a mask of the cells that have at least two pieces within `rings` cells."""
         shape = tuple(self.size)
         least = filter_minimum(self.min_piece.reshape(shape), rings)
         most = filter_maximum(self.max_piece.reshape(shape), rings)

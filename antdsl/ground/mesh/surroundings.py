@@ -1,4 +1,5 @@
-"""The surroundings of walkers beyond the next face: obstacles in their path, and continuations beyond a border."""
+"""Searches the surroundings of agents beyond the next face: for other surfaces in their path, and for surfaces beyond a
+border."""
 
 from __future__ import annotations
 
@@ -54,13 +55,13 @@ MIN_COSINE_BETWEEN_NORMALS = -0.17
 
 @dataclass(frozen=True, slots=True)
 class GroundTolerances:
-    """Lengths (mm) that depend on the size of a ground.
+    """Lengths (mm) that are proportional to the size of a ground.
 
-    - `distance_noise`: more than the error of distances to other pieces
-    - `min_eye_height`: the minimal eye height
+    - `distance_noise`: an upper bound of the error of measured distances to other pieces
+    - `min_eye_height`: the least height above the feet from which an agent searches for other surfaces
     - `coincident_distance`: the distance within which surfaces coincide
     - `touch_distance`: the distance within which faces touch
-    - `max_below_height`: a surface with its back towards an agent counts as below the agent up to this height above its feet"""
+    - `max_below_height`: a surface that shows its back to an agent counts as below the agent, up to this height above its feet"""
 
     distance_noise: float
     min_eye_height: float
@@ -93,8 +94,7 @@ class SurfaceStance(NamedTuple):
 
 
 class VisibleSurface(NamedTuple):
-    """A visible face (-1 for none), the weights of its visible point, the distance at eye level, the direction of view, and the
-    eye height."""
+    """A visible face (-1 for none), the weights and distance of its visible point, the direction of view, and the eye height."""
 
     face: I64
     weights: TriangleWeights
@@ -104,7 +104,7 @@ class VisibleSurface(NamedTuple):
 
 
 class BorderFrame(NamedTuple):
-    """The face and the side that an agent leaves over a border, and the local up direction."""
+    """The face that an agent leaves over a border, the side of this face, and the local up direction."""
 
     face: I64
     side: F64
@@ -115,10 +115,10 @@ class BorderFrame(NamedTuple):
 def find_landing_ahead(
     table: Array1[F64], nearby_surfaces: NearbySurfaces, body: F64, walker: FaceWalker, remaining_length: F64, length: F64
 ) -> SurfaceLanding:
-    """Return another piece of surface within the path, as seen from slightly above the ground.
+    """Return the landing on another piece of surface in the path, as seen from slightly above the ground.
 
-    If the agent's own piece hides the other piece, the search is repeated from a minimal eye height. Otherwise feet could pass
-    under the own piece."""
+    If the agent's own piece hides the other piece, the search is repeated from the least eye height. Otherwise feet could pass
+    below the agent's own piece."""
     pieces, boxes, face_list, f = (
         nearby_surfaces.sides.piece_numbers,
         nearby_surfaces.boxes,
@@ -159,9 +159,9 @@ def find_landing_ahead(
 def _find_visible_piece(
     table: Array1[F64], around: NearbySurfaces, face_count: I64, ground: SurfaceStance, length: F64, eye_height: F64
 ) -> VisibleSurface:
-    """Return another piece within the path, seen from height `eye_height`, or from half the height of a low ceiling.
+    """Return another piece in the path, seen from the height `eye_height`, or below a low ceiling from half its height.
 
-    If there is none, search between eye height and ground at the end of the path."""
+    If there is none, search from eye height down to the ground at the end of the path."""
     boxes, face_list, fine, under = (
         around.boxes,
         around.face_list,
@@ -188,7 +188,8 @@ def _find_visible_piece(
 def _is_face_hidden(
     table: Array1[F64], around: NearbySurfaces, f: I64, ground: SurfaceStance, length: F64, eye_height: F64, ray_direction: Vec3
 ) -> BOOL:
-    """Return whether the agent's own piece hides face `f`, seen from eye height `eye_height`."""
+    """Return whether the agent's own piece blocks the view along the search path. `f`: the agent's face. `ray_direction`: the
+    direction of the last part of the path."""
     pieces, boxes, face_list, fine = (
         around.sides.piece_numbers,
         around.boxes,
@@ -215,13 +216,13 @@ def _is_face_hidden(
 def find_landing_beyond_border(
     table: Array1[F64], nearby_surfaces: NearbySurfaces, body: F64, edge: I64, walker: FaceWalker
 ) -> SurfaceLanding:
-    """Return the landing beyond an open border at which an agent stands: the first hit of a search path.
+    """Return the landing for an agent at an open border. It is the first surface that a search path beyond the border hits.
 
-    The path goes up from the face, out over the border and down beyond it. It then returns from below, first at a small and
-    then at a larger depth. The landing contains the face to step onto, the distance to it, and its height.
+    The search path goes up from the face, out over the border and down beyond it. It then goes back below the border, first at a
+    small depth and then at a larger one. The landing contains the face to step onto, the distance to it, and its height.
 
-    Each part of the path begins at the end of the previous part, and stops at the first surface. So the agent never steps onto
-    anything behind a sheet. On both sides of the border, the path is one gap away from it."""
+    Each part of the search path begins at the end of the previous part, and ends at the first surface. So an agent never steps
+    onto a surface behind another one. The path extends one gap beyond the border, and one gap back below it."""
     sides, boxes, face_list, f = nearby_surfaces.sides, nearby_surfaces.boxes, nearby_surfaces.face_list, walker.face
     pieces, least, fine = (
         sides.piece_numbers,
@@ -311,7 +312,7 @@ def find_landing_beyond_border(
 def project_directions_to_face(
     table: Array1[F64], walker: FaceWalker, face: I64, side: F64
 ) -> tuple[FaceDirection, FaceDirection]:
-    """Return direction and heading in the frame of the face `face`, rotated with the normal."""
+    """Return a walker's direction and heading in the frame of another face, rotated with the normal."""
     row, other_row = FLOATS_PER_FACE_ROW * walker.face, FLOATS_PER_FACE_ROW * face
     old_normal, new_normal = (
         times(load_vector(table, row + NORMAL_OFFSET), walker.side),
@@ -328,7 +329,7 @@ def project_directions_to_face(
 
 @inlined
 def compute_surface_stance(table: Array1[F64], walker: FaceWalker) -> SurfaceStance:
-    """Return the stance of a walker."""
+    """Return the position, up direction and direction of travel of a walker in world space."""
     row, side = FLOATS_PER_FACE_ROW * walker.face, walker.side
     place = compute_position_on_face(table, row, walker.weights, side)
     return SurfaceStance(
@@ -338,7 +339,7 @@ def compute_surface_stance(table: Array1[F64], walker: FaceWalker) -> SurfaceSta
 
 @inlined
 def compute_position_on_face(table: Array1[F64], row: I64, weights: TriangleWeights, side: F64) -> Vec3:
-    """Return the position of a point on a face."""
+    """Return the position of a point on a face, given by its weights."""
     return plus(
         plus(load_vector(table, row + CORNER_OFFSET), times(load_vector(table, row + EDGE1_OFFSET), weights[0])),
         times(load_vector(table, row + EDGE2_OFFSET), weights[1]),
@@ -347,7 +348,7 @@ def compute_position_on_face(table: Array1[F64], row: I64, weights: TriangleWeig
 
 @inlined
 def _to_world_direction(table: Array1[F64], row: I64, direction: FaceDirection) -> Vec3:
-    """Return a direction in a face's frame as a vector in space."""
+    """Convert a direction in the frame of a face to a vector in world space."""
     return plus(
         times(load_vector(table, row + AXIS1_OFFSET), direction[0]), times(load_vector(table, row + AXIS2_OFFSET), direction[1])
     )
@@ -355,7 +356,7 @@ def _to_world_direction(table: Array1[F64], row: I64, direction: FaceDirection) 
 
 @inlined
 def _find_approached_side(table: Array1[F64], face: I64, direction: Vec3) -> F64:
-    """Return the side of a face that a path in direction `direction` arrives at. The agent walks on that side."""
+    """Return the side (1 or -1) of a face on which a path in `direction` arrives. The agent then walks on this side."""
     return -1.0 if dot(load_vector(table, FLOATS_PER_FACE_ROW * face + NORMAL_OFFSET), direction) > 0 else 1.0
 
 
@@ -363,7 +364,7 @@ def _find_approached_side(table: Array1[F64], face: I64, direction: Vec3) -> F64
 def _can_land_on_face(table: Array1[F64], sides: SideGroups, border: BorderFrame, face: I64, direction: Vec3) -> BOOL:
     """Return whether an agent may step over a border to a face.
 
-    It may not step to the other side of the surface it walks on, nor to a face that turns back below that surface."""
+    It may step neither to the other side of the surface on which it walks, nor to a face that turns back below this surface."""
     pieces, side_groups = sides
     to_side = _find_approached_side(table, face, direction)
     own_side, other = 1 if border.side < 0 else 0, 1 if to_side < 0 else 0
@@ -386,7 +387,7 @@ def _build_landing(
     distance: F64,
     rise: F64,
 ) -> SurfaceLanding:
-    """Return the landing of `find_landing_beyond_border` on a face; no landing if the agent may not step there."""
+    """Return the landing of `find_landing_beyond_border` on a face. If the agent may not step there, its face is -1."""
     if not _can_land_on_face(table, sides, border, face, direction):
         return SurfaceLanding(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     return SurfaceLanding(

@@ -1,6 +1,6 @@
 """The topology of triangle meshes: frames of faces, links across edges, connected pieces, and smooth normals.
 
-Input is vertices float64[n,3] and faces int32[m,3] of one or more meshes, already joined."""
+The input is vertices float64[n,3] and faces int32[m,3], in which one or more meshes are concatenated."""
 
 from __future__ import annotations
 
@@ -31,18 +31,19 @@ _FLOAT_COLUMNS = tuple(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshTopology:
-    """Tables over all m faces. Vectors are (3, m), so that each component is contiguous.
+    """The topology and shape of all m faces, as tables. Vectors are (3, m), so that each component is contiguous.
 
-    - `is_live`: whether a face is ground. `weld` (m, 3): the number of each corner by position.
+    - `is_live`: whether agents can stand on a face. `weld` (m, 3): a number for each corner; corners at one position share it.
     - A point of face f is `corner + b1 * edge1 + b2 * edge2`.
     - `axis1`, `axis2`, `normal`: the frame of a face. A direction (c, s) in it changes b1 by `c * rate1 - s * shear` and b2 by `s
-      * rate2`.
+      * rate2` per mm.
     - `edge_c`, `edge_s`: the direction of each half-edge in the frame. Half-edge 3f+k is opposite corner k, and goes from corner
       k+1 to k+2.
-    - `link[side, 3f+k]`: the neighbour across half-edge 3f+k, or NO_LINKED_EDGE, for an agent on the side of the normal (0) or
-      the other side (1). A link is 8 times the neighbouring face, plus twice the corner opposite its half-edge, plus one if that
-      face has opposite winding.
-    - `piece`: the connected piece of each face; `side_groups` (2, m): the group of each side of a face.
+    - `link[side, 3f+k]`: the neighbour across half-edge 3f+k, or NO_LINKED_EDGE. `side` is 0 for an agent on the side of the
+      normal, 1 for the other side. A link is 8 times the neighbouring face, plus 2 times its corner opposite the edge, plus 1 if
+      its winding is opposite.
+    - `piece`: the connected piece of each face. `side_groups` (2, m): a number for each side of a face; agents can walk between
+      sides with the same number.
     - `smooth` (9, m): the smooth normals at the three corners."""
 
     is_live: NDArray[np.bool_]
@@ -69,11 +70,11 @@ class MeshTopology:
     weld: Ints  # (m, 3): vertex numbers of corners; corners at one position share a number
 
     def to_world_vectors(self, face: Index, c: Floats, s: Floats) -> Floats:
-        """Return vectors (3, k) in space, from their components in the frames of faces."""
+        """Return vectors (3, k) in world space, from their components `c` and `s` in the frames of faces."""
         return self.axis1.take(face, axis=1) * c + self.axis2.take(face, axis=1) * s
 
     def compute_weights(self, face: Index, place: Floats) -> tuple[Floats, Floats]:
-        """Project nearby positions (3, k) onto faces. Return the corner weights, clamped to the triangle."""
+        """Project nearby positions (3, k) onto faces. Return their barycentric weights, clamped to the triangles."""
         if not self.corner.shape[1]:
             return np.zeros(len(face)), np.zeros(len(face))
         off = place - self.corner.take(face, axis=1)
@@ -89,8 +90,8 @@ class MeshTopology:
 
 
 def build_topology(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> MeshTopology:
-    """Return the tables of faces. `mesh` int32[m] is the mesh of each face. Corners are joined within a mesh only. The tables are
-    stored for other runs."""
+    """Return the topology of faces. `mesh`: int32[m], the mesh of each face; only corners of the same mesh are joined. `extent`:
+    the size of the ground (mm). The tables are stored for later runs."""
     inputs = (vertices, faces, mesh, extent)
     tables = stored_tables.get_or_compute("topology", len(faces), inputs, partial(_build_tables, *inputs))
     cut = SelfIntersections(tables.pop("first_cut"), tables.pop("cut_by"))
@@ -101,8 +102,7 @@ def build_topology(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> 
 
 
 def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> stored_tables.Tables:
-    """Return the arrays of `build_topology`, by the field names of `MeshTopology`. The arrays of its cuts are `first_cut` and
-    `cut_by`."""
+    """Return the arrays of a `MeshTopology` by field name. Those of its cuts are called `first_cut` and `cut_by`."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     weld = number_welded_corners(vertices, faces, mesh, extent)
     live = find_faces_with_area(weld, a, b, c)
@@ -123,9 +123,9 @@ def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> s
 
 
 def update_face_shapes(table: MeshTopology, vertices: Floats, faces: Ints, rows: slice) -> None:
-    """Update the shape of the faces in `rows`, all faces of one mesh, after vertices moved. This changes the table's arrays.
+    """Update the arrays of `table` after vertices have moved. `rows`: the faces that moved, all faces of one mesh.
 
-    The connections between faces do not change. A face with an area of zero now retains its normal and has zero width."""
+    Connections between faces do not change. A face that now has no area retains its normal and has zero width."""
     live, weld = table.is_live[rows], table.weld[rows]
     old_frames = {name: getattr(table, name)[:, rows].copy() for name in ("normal", "axis1", "axis2")}
     edges = {name: getattr(table, name).reshape(-1, 3)[rows].copy() for name in ("edge_c", "edge_s")}
@@ -148,7 +148,7 @@ def update_face_shapes(table: MeshTopology, vertices: Floats, faces: Ints, rows:
 
 
 def _compute_shape_arrays(vertices: Floats, faces: Ints, weld: Ints, is_live: NDArray[np.bool_]) -> dict[str, Floats]:
-    """Return all arrays of a table that depend on corner positions, by the names in _FLOAT_COLUMNS."""
+    """Return the arrays that depend on the positions of corners, by the names in _FLOAT_COLUMNS."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     edge1, edge2 = b - a, c - a
     across = np.cross(edge1, edge2)
@@ -172,7 +172,7 @@ def _compute_lengths(v: Floats) -> Floats:
 
 
 def _compute_edge_directions(length1: Floats, x2: Floats, y2: Floats) -> tuple[Floats, Floats]:
-    """Return the unit directions of the half-edges in their face's frame, as two arrays of 3m."""
+    """Return the unit directions of all half-edges in the frames of their faces, as two arrays of 3m numbers."""
     c = np.stack([x2 - length1, -x2, length1], axis=1)
     s = np.stack([y2, -y2, np.zeros_like(y2)], axis=1)
     size = np.sqrt(c * c + s * s)
@@ -181,9 +181,10 @@ def _compute_edge_directions(length1: Floats, x2: Floats, y2: Floats) -> tuple[F
 
 
 def _link_edges(vertices: Floats, faces: Ints, weld: Ints, is_live: NDArray[np.bool_]) -> Ints:
-    """Return the neighbour of each half-edge for either side: the next face around the edge on that side.
+    """Return the links of all half-edges for both sides of the faces (2, 3m). The neighbour on a side is the next face around the
+    edge on this side.
 
-    If more than two faces meet at an edge (a wall on a floor), an agent thus stays in the wedge that it walks in."""
+    So if more than two faces meet at an edge, such as a wall on a floor, an agent stays in its wedge."""
     m = len(faces)
     link = np.full((2, 3 * m), NO_LINKED_EDGE, np.int32)
     half = np.flatnonzero(np.repeat(is_live, 3))
@@ -223,7 +224,8 @@ def _link_edges(vertices: Floats, faces: Ints, weld: Ints, is_live: NDArray[np.b
 
 
 def _number_pieces(link: Ints, is_live: NDArray[np.bool_]) -> Ints:
-    """Return the number of each face's connected piece, counted from 0 by first faces; -1 for faces that are not live."""
+    """Return the number of each face's connected piece, or -1 for faces that are not live. Pieces are numbered from 0 in the
+    order of their first faces."""
     half = np.flatnonzero(link[0] != NO_LINKED_EDGE)
     piece = number_connected_components(np.stack([half // 3, link[0, half] >> 3], axis=1), len(is_live))
     result = np.full(len(is_live), -1, np.int32)
@@ -232,11 +234,11 @@ def _number_pieces(link: Ints, is_live: NDArray[np.bool_]) -> Ints:
 
 
 def _group_face_sides(link: Ints, is_live: NDArray[np.bool_], piece: Ints) -> Ints:
-    """Return a group number per side and face (2, m).
+    """Return a group number for each side of each face (2, m).
 
-    Sides that are connected across edges have the same number: an agent can walk from one to the other. The two sides of a
-    sheet have different numbers, those of a Möbius strip do not. A piece without an open border has an unambiguous inside and
-    outside, even where it cuts itself: its sides share one number."""
+    Agents can walk between sides with the same number, which are connected across edges. The two sides of a sheet have different
+    numbers, but those of a Möbius strip have the same. A piece without an open border has an unambiguous inside and outside, even
+    where it cuts itself; all its sides share one number."""
     m = len(is_live)
     if not (link[0].reshape(-1, 3)[is_live] == NO_LINKED_EDGE).any():
         return np.zeros((2, m), np.int32)
@@ -254,9 +256,9 @@ def _group_face_sides(link: Ints, is_live: NDArray[np.bool_], piece: Ints) -> In
 
 
 def _compute_smooth_normals(vertices: Floats, faces: Ints, weld: Ints, is_live: NDArray[np.bool_], normal: Floats) -> Floats:
-    """Return normals at the corners of faces, (9, m): the mean of the surrounding faces, weighted by their angle at the
-    corner. Faces across a crease are excluded (Thürmer, Wüthrich, Computing Vertex Normals from Polygonal Facets, 1998, p.
-    43-46)."""
+    """Return the smooth normals at the corners of faces, (9, m). Each is the mean normal of the faces around the corner, weighted
+    by their angles there. Faces across a crease are excluded (Thürmer, Wüthrich, Computing Vertex Normals from Polygonal Facets,
+    1998, p. 43-46)."""
     m = len(faces)
     corners = vertices[faces]
     weight = np.zeros((m, 3))
@@ -280,8 +282,8 @@ def _compute_smooth_normals(vertices: Floats, faces: Ints, weld: Ints, is_live: 
 
 
 def _compute_crease_normals(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Floats) -> Floats:
-    """Return the normals of corners, which are sorted by their point. Each is a mean over the corners at the same point with
-    faces that meet its own face without a crease."""
+    """Return the smooth normals of corners, which are sorted by their `point`. Each is a mean over those corners at the same
+    point of which the faces meet its own face without a crease."""
     count = np.bincount(point[corner])[point[corner]]
     begin = np.searchsorted(point[corner], point[corner], side="left")
     one = np.repeat(np.arange(corner.size), count)
@@ -295,8 +297,8 @@ def _compute_crease_normals(corner: NDArray[np.int64], point: Ints, weight: Floa
 
 
 def classify_normal_directions(normals: Floats) -> NDArray[np.int8]:
-    """Return the axis direction nearest to each of the normals [n,3]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z. If several are
-    equally near, the first is returned."""
+    """Return the axis direction nearest to each normal [n,3], int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z. Of equally near
+    directions, the first is returned."""
     n = np.asarray(normals)
     axis = np.abs(n).argmax(axis=1)
     side: NDArray[np.int64] = 2 * axis + (n[np.arange(len(n)), axis] < 0)

@@ -1,7 +1,7 @@
-"""Walking over triangles: straight lines that unfold across edges, climb obstacles and stop at open borders.
+"""Walking over triangles along straight lines that are unfolded across edges, climb other surfaces and stop at open borders.
 
-The walk is exact in float64: the point never leaves its triangle, and the path is as long as requested. A first loop processes
-all agents. Agents that may meet anything but the next face of their own surface are left to a second loop."""
+The walk is exact in float64: the point never leaves its triangle, and the path is as long as requested. A first loop walks all
+agents. Agents that may reach anything other than the next face of their own surface wait for a second loop."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ PREFETCH_GROUP_SIZE = 64  # agents with rows prefetched together; they fit into 
 
 @inlined
 def prefetch_faces(surface: SurfaceTables, mesh: Array1[I32], face: Array1[I32], begin: I64, end: I64) -> None:
-    """Prefetch the rows of the faces that agents `begin` to `end` (exclusive) stand on."""
+    """Prefetch the table rows of the faces on which agents `begin` to `end` (exclusive) stand."""
     table, first = surface.face_table, surface.first_faces
     for i in simd_range(begin, end):
         if mesh[i] >= 0:
@@ -101,9 +101,11 @@ def walk_agent(
     heading: Vec3,
     up: Vec3,
 ) -> AgentWalkResult:
-    """Walk an agent over face `face` and the faces beyond its edges, starting at `weights`, `height` mm above the face.
+    """Walk an agent from the point `weights` of `face` over this and the following faces. It starts `height` mm off the face
+    along its normal.
 
-    Returns the result of `walk_to_next_event`. With `follow_borders`, the agent follows open borders."""
+    `wish`: the displacement. `follow_borders`: whether the agent continues along open borders. Returns the state at the end or at
+    the first event."""
     axis1, axis2, normal = load_face_frame(surface.face_table, FLOATS_PER_FACE_ROW * face)
     along_up = up[0] * normal[0] + up[1] * normal[1] + up[2] * normal[2]
     side = -1.0 if along_up < 0 else 1.0
@@ -128,9 +130,11 @@ def walk_agent(
 def move_waiting_agents_to_front(
     statuses: Array1[U8], float_rows: Array2[F64], integer_rows: Array2[I64], begin: I64, end: I64
 ) -> tuple[I64, I64]:
-    """Move the columns of waiting agents in `float_rows` and `integer_rows` together, from column `begin` on.
+    """Move the columns of waiting agents in `float_rows` and `integer_rows` to the front, so that they are adjacent from column
+    `begin` on.
 
-    Return how many of the agents `begin` to `end` (exclusive) wait, and how many are left out."""
+    Return how many of the agents `begin` to `end` (exclusive) wait (WAITING_STATUS), and how many are left out
+    (LEFT_OUT_STATUS)."""
     waiting, left = 0, 0
     for k in range(begin, end):
         if statuses[k] == WAITING_STATUS:
@@ -159,13 +163,13 @@ def walk_all_agents(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """Make one step of agents `begin` to `end` (exclusive).
+    """Make one step of agents `begin` to `end` (exclusive), as far as it needs no search for other surfaces.
 
     - `footings`: the initial footings; an agent without a footing, or with weights that are not finite, has none afterwards
-    - `vectors`: wish, heading and up (3, n); a wish that is not finite counts as zero
-    - `statuses`: written for each agent: whether it has been moved (FINISHED_STATUS) or waits (WAITING_STATUS)
-    - `float_rows`, `integer_rows` (.., n): the waiting agents, from column `begin` on
-    - `end_footings`, `poses`: the results
+    - `vectors`: displacement, heading and up (3, n); a displacement that is not finite counts as zero
+    - `statuses`: receives FINISHED_STATUS for agents that have been moved, WAITING_STATUS for agents that wait
+    - `float_rows`, `integer_rows` (.., n): receive the states of waiting agents, from column `begin` on
+    - `end_footings`, `poses`: receive the results of moved agents
 
     Returns `begin`, how many agents wait, and how many are left out (0 in this function)."""
     mesh, face, b1s, b2s, overs = footings
@@ -211,7 +215,7 @@ def continue_walks(
     begin: I64,
     end: I64,
 ) -> None:
-    """Complete the step of waiting agents `begin` to `end` (exclusive). With `stop_at_borders`, paths end at open borders."""
+    """Complete the step of the waiting agents `begin` to `end` (exclusive). With `stop_at_borders`, paths end at open borders."""
     table, first, boxes = surface.face_table, surface.first_faces, piece_tables.boxes
     face_list = FaceList(
         piece_tables.face_buffer,
@@ -314,7 +318,7 @@ def continue_walks(
 
 @inlined
 def store_footing(footings: FootingArrays, i: I64, mesh: I64, face: I64, height: F64, walker: FaceWalker) -> None:
-    """Write the footing of agent `i` after a walk: on a face of a mesh, `height` mm above the face on the agent's side."""
+    """Write the footing of agent `i` after a walk. `height`: its height above the face (mm), on the agent's side."""
     footings.mesh[i], footings.face[i], footings.over[i] = mesh, face, height * walker.side + 0.0
     footings.b1[i], footings.b2[i] = walker.weights
 
@@ -329,7 +333,7 @@ def _store_pose(poses: PoseArrays, i: I64, pose: AgentPose) -> None:
 
 @inlined
 def _compute_search_margin(noise: F64, body: F64) -> F64:
-    """Return how near (mm) to the path a piece of surface must be for the walk to consider it."""
+    """Return the distance (mm) from the path within which an agent searches for other pieces."""
     high = EYE_HEIGHT_BODY_LENGTHS * body
     if not high > noise:
         high = noise
@@ -338,7 +342,7 @@ def _compute_search_margin(noise: F64, body: F64) -> F64:
 
 @kernel_helper
 def store_waiting_agent(float_rows: Array2[F64], integer_rows: Array2[I64], i: I64, body: F64, walk: AgentWalkResult) -> None:
-    """Record an agent that waits. If it has followed borders, their number and the fact that it is blocked are recorded too."""
+    """Store the state of agent `i`, which waits. An agent that has followed borders is marked as blocked."""
     high, over, walker, progress, stop = walk
     (
         integer_rows[AGENT_ROW, i],
@@ -361,9 +365,10 @@ def store_waiting_agent(float_rows: Array2[F64], integer_rows: Array2[I64], i: I
 
 @inlined
 def _climb_over_border(height: F64, level: F64, remaining_length: F64, distance: F64) -> tuple[F64, F64, F64]:
-    """Move an agent up or down at a border towards `level` (mm above the current face), as far as the distance left allows.
+    """Move an agent up or down at a border towards the height `level` (mm above the current face), as far as its remaining
+    distance allows.
 
-    Returns the new height, and the distance left and travelled."""
+    Returns the new height, the remaining distance and the distance travelled."""
     most = level - height
     climb = min(abs(most), remaining_length)
     to = level if climb >= abs(most) else height + (-climb if most < 0 else climb)
@@ -372,7 +377,7 @@ def _climb_over_border(height: F64, level: F64, remaining_length: F64, distance:
 
 @inlined
 def _find_open_border(table: Array1[F64], link: Array2[I32], walker: FaceWalker) -> tuple[I64, BOOL]:
-    """Return the open border that an agent is stepping over, and whether the agent is moving outwards over it."""
+    """Return the open border that an agent steps over, as an edge number 0 to 2, and whether the agent moves outwards."""
     f, (b1, b2), side, (c, s), _ = walker
     weights, edge, least = (1.0 - b1 - b2, b1, b2), 0, np.inf
     for k in range(3):

@@ -1,4 +1,5 @@
-"""Moves a crowd over triangles in two loops: first all agents, then agents that may meet another surface or a border."""
+"""Moves a crowd over triangles in two loops: the first over all agents, the second over agents that may reach another surface or
+a border."""
 
 from __future__ import annotations
 
@@ -25,9 +26,9 @@ _WAITING_AGENTS_PER_THREAD = 16  # fewer waiting agents are not worth another th
 
 @dataclass(frozen=True, slots=True)
 class PendingWalkArrays:
-    """Agents that wait after the first loop. `float_rows`, `integer_rows`: their values, one column per agent.
+    """The agents that wait after the first loop. `float_rows`, `integer_rows`: their states, one column per agent.
 
-    `left_out_count`: the number of agents that are left out."""
+    `left_out_count`: the number of agents that the loop has left out (LEFT_OUT_STATUS)."""
 
     float_rows: Floats
     integer_rows: NDArray[np.int64]
@@ -35,14 +36,14 @@ class PendingWalkArrays:
 
     @staticmethod
     def merge_parts(parts: list[tuple[int, int, int]], float_rows: Floats, integer_rows: NDArray[np.int64]) -> PendingWalkArrays:
-        """Merge the results of kernels that ran the loop in parts."""
+        """Merge the results of a loop that kernels ran in several parts."""
         own = parallel.join_parts(parts, float_rows, integer_rows)
         return PendingWalkArrays(own[0], own[1], sum([left for _, _, left in parts]))
 
 
 class WalkTables:
-    """The tables of a walk: the `table` of faces, the mesh int32[m] of each face, the first face of each mesh, and the packed
-    table."""
+    """The tables for walks over meshes. `table`: the topology. `first`: the first face of each mesh. `packed_table`: the table
+    that kernels read."""
 
     def __init__(self, table: MeshTopology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
         self.table, self.first, self._mesh = table, first, mesh
@@ -55,14 +56,15 @@ class WalkTables:
         )  # marked half-edges, and the body size (mm) they are valid for
 
     def update_faces(self, faces: slice) -> None:
-        """Update faces that have changed shape. Discard the stored walk, because open borders depend on the shape."""
+        """Update the tables for faces that have changed shape. The cached walk is discarded, because open borders depend on the
+        shape."""
         if self._is_unchanged:
             self._is_unchanged = False
             mark_border_links(self.packed_table, self._open_half_edges, NO_LINKED_EDGE)
         pack_face_rows(self.packed_table, self.table, self._mesh, faces)
 
     def combine_with_clearances(self, parts: FacePartClearances, boxes: FaceBoxes, scale: GroundTolerances) -> CrowdWalk:
-        """Return the walk over these tables with clearances `parts`, the tree `boxes` and the tolerances of `scale`."""
+        """Return a walk over these tables, with the clearances `parts`, the box tree `boxes` and the tolerances `scale`."""
         return CrowdWalk(self, parts, boxes, scale)
 
     def build_crowd_walk(
@@ -73,8 +75,8 @@ class WalkTables:
         max_displacement: float,
         max_body_size: float,
     ) -> CrowdWalk:
-        """Return the walk for displacements up to `max_displacement` and bodies up to `max_body_size` (mm), with the distances to
-        surrounding surfaces."""
+        """Return a walk for displacements up to `max_displacement` and bodies up to `max_body_size` (mm). It includes the
+        clearances from surrounding surfaces."""
         if self._is_unchanged and max_body_size > self._max_body_size:
             # For larger bodies than needed: otherwise a growing crowd would cause frequent searches.
             self._max_body_size = 1.5 * max_body_size
@@ -92,8 +94,8 @@ class WalkTables:
 
 @dataclass(frozen=True, slots=True)
 class CrowdWalk:
-    """A walk of a crowd. `walk_tables`: the tables of faces. `part_clearances`: distances to other surfaces. `boxes`: a box
-    tree of these surfaces. `tolerances`: lengths that depend on the size of the ground."""
+    """Everything that a crowd needs for steps over meshes. `walk_tables`: the tables of faces. `part_clearances`: distances to
+    other pieces. `boxes`: the box tree of all faces. `tolerances`: lengths that depend on the size of the ground."""
 
     walk_tables: WalkTables
     part_clearances: FacePartClearances
@@ -101,7 +103,7 @@ class CrowdWalk:
     tolerances: GroundTolerances
 
     def build_tables(self) -> tuple[walkers.SurfaceTables, walkers.ClearanceTables]:
-        """Return the tables that kernels read: the faces, and the distances to other surfaces."""
+        """Return the tables that kernels read: those of faces, and those of distances to other pieces."""
         walk, parts = self.walk_tables, self.part_clearances
         surface = walkers.SurfaceTables(walk.packed_table, walk.table.link, walk.table.has_forked_edges, walk.first)
         return surface, walkers.ClearanceTables(
@@ -117,7 +119,7 @@ class CrowdWalk:
         threads: int,
         stop_at_borders: bool,
     ) -> None:
-        """Make one step of agents. `start`: the arrays of their footings. `vectors`: wish, heading and up (3, n).
+        """Make one step of all agents. `start`: the arrays of their footings. `vectors`: displacement, heading and up (3, n).
 
         `results`: the arrays that receive the results. With `stop_at_borders`, paths end at open borders."""
         n = body.size
@@ -138,7 +140,7 @@ class CrowdWalk:
         threads: int,
         stop_at_borders: bool = False,
     ) -> NDArray[np.int64]:
-        """Complete the step of waiting agents, and return their rows.
+        """Complete the step of the waiting agents, and return their rows.
 
         `footings`, `poses`: receive the results. `is_blocked`: receives whether each agent is blocked."""
         reals, wholes = waiting_agents.float_rows, waiting_agents.integer_rows

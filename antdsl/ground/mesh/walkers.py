@@ -1,4 +1,4 @@
-"""Records that walks over triangles use: tables of faces, and the state of an agent."""
+"""Records for walks over triangles: tables of faces, and the state of an agent."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ FaceDirection = tuple[F64, F64]  # cosine and sine in the frame of a face
 
 
 class SurfaceTables(NamedTuple):
-    """Tables of faces for a walk: the packed table, `edge_links` and `has_forked_edges` of the topology, and the `first_faces`
-    face of each mesh."""
+    """Tables of faces for a walk: the packed `face_table`, `link` and `has_forked_edges` of the topology, and the first face of
+    each mesh."""
 
     face_table: Array1[F64]
     edge_links: Array2[I32]
@@ -25,7 +25,7 @@ class SurfaceTables(NamedTuple):
 class ClearanceTables(NamedTuple):
     """Distances to other pieces: the arrays of `FacePartClearances`.
 
-    An agent searches for pieces within its path, plus EYE_HEIGHT_PER_BODY times its body, plus `distance_noise`."""
+    An agent searches for other pieces within the length of its path, plus its eye height, plus `distance_noise`."""
 
     first_parts: Array1[I64]
     parts_per_edge: Array1[I32]
@@ -35,15 +35,15 @@ class ClearanceTables(NamedTuple):
 
 
 class SideGroups(NamedTuple):
-    """`piece_numbers` and `side_groups` of the topology: the piece of each face, and a group number for both sides of each
-    face."""
+    """The pieces and sides of faces. `piece_numbers`: the piece of each face. `side_groups` (2, m): the group number of both
+    sides of each face."""
 
     piece_numbers: Array1[I32]
     side_groups: Array2[I32]
 
 
 class CutTables(NamedTuple):
-    """Faces of the same piece that cut each face: `cutting_faces` from `cut_starts[face]` to `cut_starts[face + 1]`
+    """For each face, the faces of the same piece that cut it: `cutting_faces` from `cut_starts[face]` to `cut_starts[face + 1]`
     (exclusive)."""
 
     cut_starts: Array1[I64]
@@ -51,7 +51,7 @@ class CutTables(NamedTuple):
 
 
 class LengthTolerances(NamedTuple):
-    """`min_eye_height`, `coincident_distance`, `max_below_height` and `touch_distance` of `GroundTolerances` (mm)."""
+    """The lengths of `GroundTolerances` (mm) that kernels read."""
 
     min_eye_height: F64
     coincident_distance: F64
@@ -60,7 +60,7 @@ class LengthTolerances(NamedTuple):
 
 
 class NearbySurfaces(NamedTuple):
-    """The tables for a search of other pieces, with a buffer for the faces that are found."""
+    """The tables for a search for other pieces, with a buffer for the faces near the search path."""
 
     sides: SideGroups
     boxes: FaceBoxTree
@@ -69,8 +69,8 @@ class NearbySurfaces(NamedTuple):
 
 
 class FaceWalker(NamedTuple):
-    """The state of an agent on a side (1 or -1) of a face: corner weights, direction of travel, and heading in the face's
-    frame."""
+    """The state of an agent on one side (1 or -1) of a face: barycentric weights, and direction of travel and heading in the
+    frame of the face."""
 
     face: I64
     weights: TriangleWeights
@@ -80,7 +80,7 @@ class FaceWalker(NamedTuple):
 
 
 class WalkProgress(NamedTuple):
-    """The distances that an agent has left and has travelled (mm), and the number of edges it has crossed."""
+    """The remaining and the travelled distance of an agent (mm), and the number of edges that it has crossed."""
 
     remaining_length: F64
     travelled_length: F64
@@ -88,7 +88,7 @@ class WalkProgress(NamedTuple):
 
 
 class WalkStopReason(NamedTuple):
-    """The reason why a walk paused (0: it did not), the edge and length of the last stretch, and the number of followed
+    """The reason why a walk paused (0 if it did not), the edge and length of the last stretch, and the number of followed
     borders."""
 
     event: I64
@@ -98,10 +98,10 @@ class WalkStopReason(NamedTuple):
 
 
 class SurfaceLanding(NamedTuple):
-    """The face on which an agent continues (-1 for none), with the weights of the landing point and the side of the face.
+    """The point at which an agent continues on another face (-1 for none): the weights of the point and the side of the face.
 
-    `distance`, `height`: the distance to the landing point and its height over the current face (mm). `ends_walk`: whether the
-    agent stops there."""
+    `distance`, `height`: the distance to this point and its height over the current face (mm). `ends_walk`: whether the agent
+    stops there."""
 
     face: I64
     weights: TriangleWeights
@@ -112,9 +112,9 @@ class SurfaceLanding(NamedTuple):
 
 
 class PieceSearchTables(NamedTuple):
-    """The tables for a search of other pieces.
+    """The tables for searches for other pieces by several threads.
 
-    - `face_buffer`: `buffer_count` parts, each with space for all faces
+    - `face_buffer`: `buffer_count` buffers in sequence, each with space for all faces
     - `agent_count`: the number of agents"""
 
     sides: SideGroups
@@ -127,7 +127,8 @@ class PieceSearchTables(NamedTuple):
 
 
 class FootingArrays(NamedTuple):
-    """The footings of agents: mesh, face, two weights, and the height over the face (mm). The names are those of columns."""
+    """The footings of agents as arrays: mesh, face, two weights, and the height over the face (mm). Fields have the names of the
+    columns of `Footing`."""
 
     mesh: Array1[I32]
     face: Array1[I32]
@@ -137,12 +138,12 @@ class FootingArrays(NamedTuple):
 
 
 def get_footing_arrays(footing: Footing) -> FootingArrays:
-    """Return the arrays of footings on meshes, as kernels read and write them."""
+    """Return the arrays of footings on meshes that kernels read and write."""
     return FootingArrays._make(map(footing.columns.__getitem__, FootingArrays._fields))
 
 
 class PoseArrays(NamedTuple):
-    """Position, up, heading and direction of agents (3, n), and the distance that they have travelled (mm)."""
+    """Position, up, heading and direction of travel of n agents (3, n), and the distances that they have travelled [n] (mm)."""
 
     place: Array2[F64]
     up: Array2[F64]
@@ -152,9 +153,9 @@ class PoseArrays(NamedTuple):
 
 
 class AgentWalkResult(NamedTuple):
-    """An agent during a walk.
+    """The state of an agent at the end or at a pause of its walk.
 
-    - `search_height`: the distance (mm), on the agent's side, within which it searches for other surfaces
+    - `search_height`: the height (mm), on the agent's side, up to which it searches for other surfaces
     - `height`: its height (mm) over its face, on its side"""
 
     search_height: F64

@@ -1,12 +1,12 @@
-"""Solids: volumes that agents can dig. A solid is a sparse signed distance field that can be sampled, carved, meshed and
-walked on.
+"""Solids: volumes that agents can dig. A solid is a sparse signed distance field that can be sampled, carved, meshed and walked
+on.
 
-- `voxelising`: turns a closed mesh into `bricks` of nodes. Winding numbers decide what is inside; `triangles` measures
-  distances near the surface
-- `volume`: the interface for other packages; it also returns the zero level as triangles
-- `trilinear`: samples between nodes
+- `voxelising`: converts a closed mesh to `bricks` of nodes. Winding numbers show which nodes are inside; `triangles` measures
+  their distances from the surface
+- `volume`: the interface for other packages; it also returns the surface (the zero level of the field) as triangles
+- `trilinear`: interpolates between nodes
 - `carving`: digs balls out of the solid
-- `walking`: moves feet along the zero level"""
+- `walking`: moves agents along the surface"""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Storage of a solid: a table of bricks, and a pool of slots that hold the nodes of bricks.
+"""Stores a solid as a table of bricks, and a pool of slots that hold the nodes of bricks.
 
-Slot 0 is air, slot 1 is undug solid; each other slot belongs to one brick."""
+Slot 0 stands for bricks of air, slot 1 for bricks of undug solid. Every other slot belongs to one brick."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UINT64_MASK = (1 << 64) - 1
 
 @dataclass(frozen=True, slots=True)
 class UnusableMeshReason:
-    """Error for a mesh that cannot be a solid: one line for artists with the reason and a remedy."""
+    """The reason why a mesh cannot be a solid, as a one-line message for artists, with a remedy."""
 
     message: str
     help: str
@@ -32,14 +32,16 @@ class UnusableMeshReason:
 
 @dataclass(slots=True)
 class BrickGrid:
-    """Distances of a solid's nodes. Node (i, j, k) is at `origin + (i, j, k) * voxel` and belongs to brick (i // 16, ...).
+    """The signed distances at the nodes of a solid. Node (i, j, k) is at `origin + (i, j, k) * voxel`. It belongs to brick (i //
+    16, j // 16, k // 16).
 
     - `table`: the slot of each brick
-    - `values` float32[slots * 4096]: the distances of each slot's nodes, the last axis fastest, limited to `min_distance` ..
-      `max_distance`
+    - `values` float32[slots * 4096]: the distances of the nodes of each slot, limited to the range from `min_distance` to
+      `max_distance`; the last axis varies fastest
     - `volume_steps`, `start_volume_steps`: the solid volume now and before digging, in steps of `step_volume`
 
-    The outermost nodes are all air. So a point outside the grid can use the distance of the nearest grid point."""
+    The outermost nodes are all in air. So the distance of a point outside the grid can be that of the nearest point in the
+    grid."""
 
     origin: NDArray[np.float64]
     voxel: float
@@ -98,7 +100,8 @@ class BrickGrid:
         self.start_digest = hasher.digest()
 
     def allocate_bricks(self, bricks: Index) -> None:
-        """Prepare bricks for writing: each gets its own slot of nodes. `bricks` are ascending, without duplicates."""
+        """Give each of `bricks` its own slot of nodes, so that they can be written. `bricks` must be ascending, without
+        duplicates."""
         shared = bricks[self.table[bricks] < 2]
         for brick in bricks:
             if int(brick) not in self.original_values:
@@ -116,7 +119,7 @@ class BrickGrid:
         self.mark_for_meshing(bricks)
 
     def _reserve_slots(self, slots: int) -> None:
-        """Extend the array of values so that it has space for `slots` slots."""
+        """Extend `values` so that it has space for `slots` slots."""
         capacity = self.values.size // NODES_PER_BRICK
         if slots > capacity:
             new_values = np.empty(max(slots, capacity + capacity // 4) * NODES_PER_BRICK, np.float32)
@@ -126,8 +129,7 @@ class BrickGrid:
     # ---- keeping
 
     def compute_digest(self) -> bytes:
-        """Return a digest of all distances. It does not depend on the slots in which bricks are stored, and is fast to
-        compute."""
+        """Return a digest of all distances. It does not depend on the order of slots, and is fast to compute."""
         counts = np.array([self.node_hash_sum, self.volume_steps], np.uint64)
         return sha256(self.start_digest + counts.tobytes()).digest()
 
@@ -164,7 +166,7 @@ class BrickGrid:
         self.volume_steps = int(arrays["steps"])
 
     def mark_for_meshing(self, bricks: Index) -> None:
-        """Mark changed bricks for meshing. The preceding bricks along each axis (also diagonally) are marked too: their last
+        """Mark changed bricks for meshing. The previous bricks along each axis and diagonal are also marked, because their last
         cells extend into the changed bricks."""
         grid = self.needs_meshing.reshape(self.shape)
         i, j, k = np.unravel_index(bricks, self.shape)
@@ -175,11 +177,11 @@ class BrickGrid:
 
 
 def hash_nodes(node: Index, distance: Distances) -> NDArray[np.uint64]:
-    """Return a pseudorandom number for each node and its distance (Steele, Lea, Flood, Fast Splittable Pseudorandom Number
-    Generators, 2014, p. 459).
+    """Return a pseudorandom number for each pair of a node and its distance (Steele, Lea, Flood, Fast Splittable Pseudorandom
+    Number Generators, 2014, p. 459).
 
-    The sum of these numbers distinguishes states of a solid. When nodes change, the sum changes by the difference of their
-    numbers."""
+    The sum of all these numbers identifies the state of a solid. When nodes change, only their old and new numbers are needed to
+    update the sum."""
     bits = np.ascontiguousarray(distance, np.float32).view(np.uint32).astype(np.uint64)
     x = (node.astype(np.uint64) << np.uint64(32)) ^ bits
     x *= np.uint64(0x9E3779B97F4A7C15)
@@ -190,9 +192,9 @@ def hash_nodes(node: Index, distance: Distances) -> NDArray[np.uint64]:
 
 
 def compute_fill_steps(distance: NDArray[np.float32], voxel: float) -> NDArray[np.int32]:
-    """Return the solid fraction of the voxel around each node, in steps of 1/256: 0 .. 256.
+    """Return the solid fraction of the voxel around each node, in units of 1/256: from 0 to 256.
 
-    It is 128 at the surface, and 0 or 256 at half a voxel or more from it."""
+    It is 128 for a node on the surface, and 0 or 256 for a node at least half a voxel away from it."""
     part = np.float32(0.5) - distance * np.float32(1.0 / voxel)
     steps: NDArray[np.int32] = np.round(np.clip(part, np.float32(0), np.float32(1)) * np.float32(FILL_STEPS_PER_VOXEL)).astype(
         np.int32

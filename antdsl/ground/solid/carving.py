@@ -1,6 +1,6 @@
-"""Digging balls out of a solid. Each node takes the maximum of its old distance and the distances that the balls require.
+"""Digs balls out of a solid. The new distance of a node is the maximum of its old distance and the distances that the balls give.
 
-The order of the balls does not matter."""
+So the order of the balls does not matter."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ _FILL_STEPS_OF_FULL_VOXEL = np.float32(FILL_STEPS_PER_VOXEL)
 
 @dataclass(frozen=True, slots=True)
 class ChangedNodes:
-    """Nodes that balls change, one row per ball and node.
+    """The changes of nodes by balls, one row for each pair of a ball and a node.
 
-    - `nodes`: brick * 4096 + index in the brick
+    - `nodes`: brick number * 4096 + index of the node in the brick
     - `values`: the new distances
     - `balls`: the number of the ball"""
 
@@ -76,7 +76,8 @@ def carve_balls(bricks: BrickGrid, centres: Floats, radii: Floats, owners: Index
 
 
 def _select_balls_near_grid(bricks: BrickGrid, centres: Floats, radii: Floats) -> tuple[Index, Index]:
-    """Return the balls, ascending, that may reach into the grid, and the radius of influence of each in voxels, rounded up."""
+    """Return the balls that may change the grid, in ascending order, and the radius of influence of each, in voxels, rounded
+    up."""
     local = (centres - bricks.origin) / bricks.voxel
     reach = (radii - bricks.min_distance) / bricks.voxel
     with np.errstate(invalid="ignore"):
@@ -88,7 +89,7 @@ def _select_balls_near_grid(bricks: BrickGrid, centres: Floats, radii: Floats) -
 
 
 def _find_changed_nodes(bricks: BrickGrid, centres: Floats, radii: Floats) -> ChangedNodes:
-    """Return the nodes that balls change, one ball after another."""
+    """Return the nodes that balls change, in the order of the balls."""
     rows, steps = _select_balls_near_grid(bricks, centres, radii)
     great = np.flatnonzero(steps > _LARGE_BALL_VOXELS)
     parts = [_carve_large_ball(bricks, centres, radii, int(ball)) for ball in rows[great]]
@@ -99,7 +100,7 @@ def _find_changed_nodes(bricks: BrickGrid, centres: Floats, radii: Floats) -> Ch
 
 
 def _carve_large_ball(bricks: BrickGrid, centres: Floats, radii: Floats, ball: int) -> NodeChanges:
-    """Return the changes of one large ball, brick by brick, so that only changed nodes need memory."""
+    """Return the changes by one large ball. They are computed brick by brick, so that only changed nodes need memory."""
     centre, radius = centres[ball], radii[ball]
     ends = []
     for axis in range(3):
@@ -129,7 +130,7 @@ def _carve_large_ball(bricks: BrickGrid, centres: Floats, radii: Floats, ball: i
 
 
 def _carve_small_balls(bricks: BrickGrid, centres: Floats, radii: Floats, rows: Index, steps: Index) -> NodeChanges:
-    """Return the changes of small balls."""
+    """Return the changes by the small balls `rows`. `steps`: the radius of influence of each ball, in voxels."""
     capacity = int(((2 * steps + 2) ** 3).sum())
     nodes, values, balls = np.empty(capacity, np.int64), np.empty(capacity, np.float32), np.empty(capacity, np.int64)
     tables = (bricks.table, bricks.values, bricks.origin, bricks.voxel, bricks.shape, bricks.min_distance, bricks.max_distance)
@@ -138,7 +139,8 @@ def _carve_small_balls(bricks: BrickGrid, centres: Floats, radii: Floats, rows: 
 
 
 def _write_node_changes_to_bricks(bricks: BrickGrid, value_indices: Index, changed_nodes: ChangedNodes, count: int) -> Index:
-    """Store the maximum of the old and the new distances in each changed node. Return the volume steps that each ball removed."""
+    """Store the maximum of the old and the new distances in each changed node. Return the number of volume steps that each of
+    `count` balls removed."""
     old_values = bricks.values.take(value_indices)
     lost = np.zeros(count, np.int64)
     best = np.full(1 << (2 * value_indices.size - 1).bit_length(), -1, np.int32)
@@ -155,8 +157,8 @@ def _write_node_changes_to_bricks(bricks: BrickGrid, value_indices: Index, chang
 def find_node_changes(
     bricks: BrickTables, all_balls: BallArrays, rows: Array1[I64], steps: Array1[I64], changes: ChangeArrays
 ) -> I64:
-    """Write the changes of the balls in `rows` to `changes`, and return their number. The reach of each ball, in voxels, is in
-    `steps`."""
+    """Write the changes by the balls `rows` to `changes`, and return their number. `steps`: the radius of influence of each ball,
+    in voxels."""
     table, values, origin, voxel, shape, least, most = bricks
     centres, radii = all_balls
     nodes, news, balls = changes
@@ -208,8 +210,8 @@ def write_node_changes(
     strongest_rows: Array1[I32],
     removed_steps: Array1[I64],
 ) -> U64:
-    """Store the greatest new value at each index `value_indices`. Add to `removed_steps` the volume steps that each ball removed.
-    Return the change of `node_hash_sum`.
+    """Raise the value at each of `value_indices` to the greatest new value. Add the volume steps that each ball removes to
+    `removed_steps`. Return the change of `node_hash_sum`.
 
     - `bits`: the bits of the new distances and of the `old_values`
     - `strongest_rows`: a hash table of row numbers; its size is a power of two, and all entries are -1 at the start"""
@@ -235,7 +237,7 @@ def write_node_changes(
 
 @inlined
 def _compute_fill_step(distance: F32, scale: F32) -> I64:
-    """Return the fill step of one node. Same as `bricks.compute_fill_steps`."""
+    """Return the solid fraction of the voxel around one node, as `bricks.compute_fill_steps` does."""
     part = np.float32(0.5) - distance * scale
     part = min(max(part, np.float32(0)), np.float32(1))
     return np.int64(np.rint(part * _FILL_STEPS_OF_FULL_VOXEL))
@@ -243,7 +245,7 @@ def _compute_fill_step(distance: F32, scale: F32) -> I64:
 
 @inlined
 def _hash_node(node: I64, bits: I64) -> U64:
-    """Return the pseudorandom number of one node. Same as `bricks.hash_nodes`."""
+    """Return the pseudorandom number of one node and its distance, as `bricks.hash_nodes` does."""
     x = (np.uint64(node) << np.uint64(32)) ^ np.uint64(bits)
     x *= _HASH_MULTIPLIER1
     x = (x ^ (x >> np.uint64(30))) * _HASH_MULTIPLIER2

@@ -1,6 +1,6 @@
-"""Distances of nodes from the nearest triangle, in a narrow band around the surface.
+"""Measures the distances of nodes from the nearest triangle, in a narrow band around the surface.
 
-They are exact next to triangles. Farther away, they are propagated from node to node."""
+Distances are exact next to triangles. Farther away, the nearest triangle is propagated from node to node."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _NEIGHBOUR_STEPS = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0,
 
 
 def compute_node_distances(shape: tuple[int, int, int], near_bricks: Index, corners: Floats, band: float) -> Distances:
-    """Return the distances (voxels) of the nodes of bricks `near_bricks`, float32[len(near) * 4096]; FAR_DISTANCE for nodes
-    beyond `band`.
+    """Return the distances (voxels) of the nodes of the bricks `near_bricks`, float32[bricks * 4096]. Nodes beyond `band` have
+    FAR_DISTANCE.
 
-    `corners` float64[n,3,3] are the triangles in voxels. The distance of a node next to a triangle is measured to that triangle.
-    From these nodes outwards, layer by layer, nodes are measured to their neighbours' nearest triangles (Bridson, Fluid
-    Simulation for Computer Graphics, 2015, section 4.2)."""
+    `corners`: float64[n,3,3], the triangles in voxels. Nodes next to a triangle are measured first. Then the other nodes are
+    measured, layer by layer outwards. Each is measured to the nearest triangles of its neighbours (Bridson, Fluid Simulation for
+    Computer Graphics, 2015, section 4.2)."""
     field = _NodeDistanceField(shape, near_bricks, corners)
     for nodes, triangle in iterate_nodes_near_triangles(corners):
         field.measure_distances(nodes, triangle, False)
@@ -51,9 +51,9 @@ def _shift_columns(columns: list[Index], step: tuple[int, ...]) -> list[Index]:
 
 
 def iterate_nodes_near_triangles(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
-    """Yield the nodes near each triangle, as the columns of their coordinates, and the triangle of each node. The nodes are
-    near the plane of the triangle, and within about the same distance of its outline. The search follows lines of nodes along
-    the axis nearest to the triangle's normal: a triangle crosses few such lines, and few nodes of each line are near."""
+    """Yield the nodes near each triangle: the columns of their coordinates, and the triangle of each node. They are near the
+    triangle's plane, and project into the triangle or near its outline. The search goes along grid lines parallel to the axis
+    nearest to the normal, because a triangle crosses few of these."""
     edges = corners[:, [1, 2]] - corners[:, :1]
     normal = np.cross(edges[:, 0], edges[:, 1])
     # a triangle without area is skipped: its sides belong to other triangles
@@ -86,10 +86,10 @@ def iterate_nodes_near_triangles(corners: Floats) -> Iterator[tuple[list[Index],
 
 
 def _select_projected_inside(projected_points: Floats, t: Index, u: Index, v: Index) -> Index:
-    """Return the indices of points that project into their triangle, or near its outline.
+    """Return the indices of the points that are inside their projected triangle, or near its outline.
 
-    `projected_points` (k, 3, 2): the corners of triangles in a plane. `t`, `u`, `v`: the triangle and the coordinates of each
-    point."""
+    `projected_points` (k, 3, 2): the corners of triangles in a plane. `t`, `u`, `v`: the triangle and the plane coordinates of
+    each point."""
     inside = np.ones(t.size, bool)
     turn = np.sign(
         (projected_points[:, 1, 0] - projected_points[:, 0, 0]) * (projected_points[:, 2, 1] - projected_points[:, 0, 1])
@@ -123,20 +123,21 @@ class _NodeDistanceField:
         self.nearest_triangles = np.full(near_bricks.size * NODES_PER_BRICK, -1, np.int32)
 
     def pop_nearer_nodes(self) -> Index:
-        """Return the array positions of nodes that have become nearer since the last call."""
+        """Return the nodes of which the distance has decreased since the last call, as indices into the arrays."""
         changed_nodes = np.flatnonzero(self._has_come_nearer)
         self._has_come_nearer[changed_nodes] = False
         return changed_nodes
 
     def split_node_numbers(self, at: Index) -> list[Index]:
-        """Return the node coordinates for array positions, as columns."""
+        """Convert indices into the arrays to node coordinates, as columns."""
         local = at & (NODES_PER_BRICK - 1)
         brick = np.unravel_index(self._near_bricks[at >> 12], self._shape)
         within = (local >> 8, (local >> 4) & 15, local & 15)
         return [(b << 4) + w for b, w in zip(brick, within, strict=True)]
 
     def measure_distances(self, nodes: list[Index], triangle: NDArray[np.integer], only_unmeasured: bool) -> None:
-        """Measure each node's distance to its triangle. With `only_unmeasured`, measure only the nodes without a distance."""
+        """Measure the distance of each node from its triangle, and store it if it is less than before. With `only_unmeasured`,
+        omit nodes that already have a distance."""
         parts = [
             self._compute_nearer_distances(
                 [n[a : a + _PAIRS_PER_CHUNK] for n in nodes], triangle[a : a + _PAIRS_PER_CHUNK], only_unmeasured
@@ -154,9 +155,9 @@ class _NodeDistanceField:
     def _compute_nearer_distances(
         self, nodes: list[Index], triangle: NDArray[np.integer], only_unmeasured: bool
     ) -> tuple[Index, Distances, NDArray[np.integer]]:
-        """Return the array positions, distances and triangles of the nodes that lie in the bricks.
+        """Return the array indices, distances and triangles of the nodes that are in the bricks and become nearer.
 
-        With `only_unmeasured`, nodes that already have a distance to a close triangle are omitted. Otherwise, distances above
+        With `only_unmeasured`, nodes that already have a distance from a close triangle are omitted. Otherwise, distances above
         EXACT_DISTANCE_VOXELS are omitted."""
         x, y, z = nodes
         nx, ny, nz = self._shape
@@ -180,8 +181,8 @@ class _NodeDistanceField:
 
 
 def _pack_triangle_data(corners: Floats) -> Floats:
-    """Return the data of triangles for distance measurements, (27, n): corners, edges, edge normals in the plane, and inverse
-    squares."""
+    """Return the values that distance measurements need of each triangle, (27, n): corners, edges, in-plane normals of edges, and
+    inverse squared lengths."""
     a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
     edges = (b - a, c - b, a - c)
     normal = np.cross(edges[0], edges[1], axis=0)
@@ -196,7 +197,7 @@ def _pack_triangle_data(corners: Floats) -> Floats:
 
 
 def _compute_distances(measures: Floats, triangle: NDArray[np.integer], nodes: list[Index]) -> Distances:
-    """Return the distance of each node to its triangle: to the plane if the node projects inside the triangle, else to the
+    """Return the distance of each node from its triangle: from the plane if the node projects into the triangle, else from the
     nearest edge."""
     m = measures.take(triangle, axis=1)
     nx, ny, nz = m[0], m[1], m[2]
@@ -222,8 +223,8 @@ def _compute_distances(measures: Floats, triangle: NDArray[np.integer], nodes: l
 
 
 def iterate_lattice_points(low: Index, count: Index, batch_size: int) -> Iterator[tuple[Index, Index, Index]]:
-    """Yield all lattice points of rectangles, about `batch_size` at once: the rectangle's number and the two coordinates of each
-    point.
+    """Yield all lattice points of rectangles, in batches of about `batch_size`: the number of each point's rectangle, and its two
+    coordinates.
 
     Rectangles start at `low` (n, 2) and have `count` (n, 2) points along each axis."""
     count = np.maximum(count, 0)
@@ -240,5 +241,5 @@ def iterate_lattice_points(low: Index, count: Index, batch_size: int) -> Iterato
 
 
 def enumerate_within_groups(counts: Index) -> Index:
-    """Return the numbers 0, 1 .. below each count, concatenated."""
+    """Return the numbers from 0 to each count (exclusive), concatenated: counts [2, 3] give [0, 1, 0, 1, 2]."""
     return np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)

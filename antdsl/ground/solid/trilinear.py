@@ -1,6 +1,6 @@
-"""Interpolation of the distance field between nodes, in float64. It is trilinear in each cell and continuous everywhere, and
-its gradient is exact. Newton steps of limited length along the gradient move points onto the zero level. Where the field is
-flat, they follow a given hint."""
+"""Interpolates the distance field between nodes, in float64. The field is trilinear in each cell and continuous everywhere, and
+its gradient is exact. Points are projected onto the zero level by Newton steps of limited length along the gradient. Where the
+field is flat, these steps follow a hint."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def make_brick_tables(bricks: BrickGrid) -> tuple[Any, ...]:
 
 
 def sample_distances(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) -> Floats:
-    """Return the signed distance at positions (mm)."""
+    """Return the signed distances (mm) at positions (mm)."""
     signed_distances = np.empty(len(x))
     write_distances(make_brick_tables(bricks), _make_columns_contiguous(x, y, z), signed_distances)
     return signed_distances
 
 
 def sample_with_gradients(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the signed distance at positions (mm), and the x, y and z of its gradient."""
+    """Return the signed distances (mm) at positions (mm), and the x, y and z of their gradients."""
     d, gx, gy, gz = np.empty((4, len(x)))
     write_distance_and_gradient(make_brick_tables(bricks), _make_columns_contiguous(x, y, z), d, (gx, gy, gz))
     return d, gx, gy, gz
@@ -48,8 +48,8 @@ def sample_with_gradients(bricks: BrickGrid, x: Floats, y: Floats, z: Floats) ->
 def sample_smooth_gradients(
     bricks: BrickGrid, x: Floats, y: Floats, z: Floats, reach_voxels: float = SMOOTH_NORMAL_REACH_VOXELS
 ) -> list[Floats]:
-    """Return a gradient that varies smoothly, unlike the exact gradient. Along each axis, it is the difference between the
-    points `reach_voxels` voxels ahead and behind."""
+    """Return gradients that vary smoothly, unlike the exact gradients. Along each axis, they are central differences over
+    `reach_voxels` voxels on either side."""
     a = reach_voxels * bricks.voxel
     scale = 0.5 / a
     return [
@@ -60,7 +60,7 @@ def sample_smooth_gradients(
 
 
 def _make_columns_contiguous(*columns: Floats) -> list[Floats]:
-    """Return columns in the form that kernels need: contiguous in memory, all of one type."""
+    """Return columns in the form that kernels need: contiguous in memory, and all of the same type."""
     return [np.ascontiguousarray(c, np.float64) for c in columns]
 
 
@@ -101,7 +101,7 @@ def compute_smooth_gradient(
 
 @inlined
 def _clamp_to_node(place: F64, low: F64, inverse_voxel: F64, nodes: I64) -> tuple[I64, F64]:
-    """Return the node below a point along one axis, and the offset of the point from that node."""
+    """Return the index of the node below a point along one axis, and the offset of the point from this node, in voxels."""
     at = (place - low) * inverse_voxel
     at = at if at >= 0.0 else 0.0
     at = min(at, nodes - 1.0)
@@ -113,9 +113,9 @@ def _clamp_to_node(place: F64, low: F64, inverse_voxel: F64, nodes: I64) -> tupl
 def load_cell_corners(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3
 ) -> tuple[tuple[F64, F64, F64, F64], tuple[F64, F64, F64, F64], Vec3]:
-    """Return the values at the corners of the cell that contains a point, and the point's position in the cell, 0 .. 1.
+    """Return the values at the corners of the cell around a point, and the position of the point in the cell, from 0 to 1.
 
-    The first four values are at the lower x, the next four at the upper x. A point outside the grid, or with NaN, is moved to
+    The first four values are at the lower x, the other four at the upper x. A point outside the grid, or with NaN, is moved to
     the border of the grid."""
     over = 1.0 / grid[3]
     i, fx = _clamp_to_node(p[0], grid[0], over, grid[4] * 16)
@@ -150,7 +150,7 @@ def _load_node_value(table: Array1[I32], values: Array1[F32], brick: I64, place:
 
 @inlined
 def interpolate_distance(table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3) -> F64:
-    """Return the signed distance at a position (mm)."""
+    """Return the signed distance (mm) at a position (mm)."""
     a, b, f = load_cell_corners(table, values, grid, p)
     v00, v01 = a[0] + (a[1] - a[0]) * f[2], a[2] + (a[3] - a[2]) * f[2]
     v10, v11 = b[0] + (b[1] - b[0]) * f[2], b[2] + (b[3] - b[2]) * f[2]
@@ -162,7 +162,7 @@ def interpolate_distance(table: Array1[I32], values: Array1[F32], grid: tuple[F6
 def interpolate_distance_and_gradient(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3
 ) -> tuple[F64, Vec3]:
-    """Return the signed distance at a position (mm), and its gradient."""
+    """Return the signed distance (mm) at a position (mm), and its gradient."""
     a, b, f = load_cell_corners(table, values, grid, p)
     d00, d01, d10, d11 = a[1] - a[0], a[3] - a[2], b[1] - b[0], b[3] - b[2]
     v00, v01, v10, v11 = a[0] + d00 * f[2], a[2] + d01 * f[2], b[0] + d10 * f[2], b[2] + d11 * f[2]
@@ -176,7 +176,7 @@ def interpolate_distance_and_gradient(
 
 @dataclass(frozen=True, slots=True)
 class SurfacePoints:
-    """Points on the surface float64[n,3], unit normals out of the solid float64[n,3], and whether a point is within reach."""
+    """Points on the surface float64[n,3], unit normals out of the solid float64[n,3], and whether each point is within reach."""
 
     points: Floats
     normals: Floats
@@ -184,7 +184,7 @@ class SurfacePoints:
 
 
 def project_to_surface(bricks: BrickGrid, points: Floats, hints: Floats, reach: float | None = None) -> SurfacePoints:
-    """Project points onto the surface, like `Volume.project_to_surface`. A point without a projection is returned unchanged,
+    """Project points onto the surface, as `Volume.project_to_surface` does. A point that has no projection is returned unchanged,
     with its hint as the normal."""
     start = np.array(points, np.float64, order="C").reshape(-1, 3)
     hint = np.array(np.broadcast_to(np.asarray(hints, np.float64), start.shape), order="C")
@@ -207,7 +207,8 @@ def project_points_to_surface(
     normals: Array2[F64],
     is_on_surface: Array1[BOOL],
 ) -> None:
-    """Apply `project_point_to_surface` to points and hints [n,3]; write the results to the last three arrays."""
+    """Apply `project_point_to_surface` to the points `start` and their `hints` [n,3]. Write the results to the last three
+    arrays."""
     for i in range(is_on_surface.size):
         p, hint = (start[i, 0], start[i, 1], start[i, 2]), (hints[i, 0], hints[i, 1], hints[i, 2])
         is_on_surface[i], q, normal = project_point_to_surface(bricks[0], bricks[1], bricks[2:], p, hint, tolerance)
@@ -219,11 +220,12 @@ def project_points_to_surface(
 def project_point_to_surface(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3, hint: Vec3, tolerance: F64
 ) -> tuple[BOOL, Vec3, Vec3]:
-    """Return whether the surface was found, a point within `tolerance` (mm) of it, and the normal at that point.
+    """Project the point `p` onto the surface. Return whether this succeeded, a point within `tolerance` (mm) of the surface, and
+    the normal there.
 
-    If no surface was found, the point and normal are `p` and `hint`. Each step is as long as the distance, but at most one
-    voxel, along the gradient. Where the field is flat (in the middle of a cave, deep in the solid), steps follow the hint:
-    down in air, up in the solid."""
+    If it failed, the point and the normal are `p` and `hint`. Each Newton step is as long as the distance, but at most one voxel,
+    along the gradient. Where the field is flat, as in the middle of a cave or deep in the solid, steps follow the hint: against
+    it in air, along it in the solid."""
     voxel = grid[3]
     q = p
     if not np.isfinite(p[0] + p[1] + p[2]):

@@ -28,7 +28,7 @@ __all__ = ["UnusableMeshReason", "Volume"]
 
 @dataclass(slots=True)
 class Volume:
-    """Soft ground that can be dug. It is created by `from_mesh`; only `carve_balls` and `restore_changes` change it."""
+    """A solid that agents can dig. It is created by `from_mesh`; only `carve_balls` and `restore_changes` change it."""
 
     bricks: BrickGrid
 
@@ -36,11 +36,11 @@ class Volume:
     def from_mesh(
         vertices: Floats, faces: NDArray[np.integer[Any]], voxel: float, *, cap: int = limits.MAX_VOXELS
     ) -> Volume | UnusableMeshReason:
-        """Return the solid inside a closed mesh, vertices float64[n,3] mm and faces int[m,3], sampled every `voxel` mm.
+        """Return the solid inside a closed mesh with vertices float64[n,3] (mm) and faces int[m,3], sampled every `voxel` mm.
 
-        A point is inside if its winding number is not 0, or is odd if the faces have inconsistent winding. `cap` is the maximum
-        number of voxels in the mesh's bounding box. For a mesh that cannot be a solid (open, too many voxels), the result is
-        `UnusableMeshReason`."""
+        A point is inside if its winding number is not 0; if faces have inconsistent winding, the number must be odd. `cap`: the
+        greatest number of voxels in the mesh's bounding box. For a mesh that cannot be a solid, because it is open or has too
+        many voxels, the result is an `UnusableMeshReason`."""
         bricks = voxelising.voxelise_mesh(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), float(voxel), cap)
         return bricks if isinstance(bricks, UnusableMeshReason) else Volume(bricks)
 
@@ -51,7 +51,7 @@ class Volume:
 
     @property
     def distance_band(self) -> tuple[float, float]:
-        """Return the least and the greatest distance that the field stores, mm. Beyond this band, the field is flat."""
+        """Return the least and the greatest distance that the field stores, in mm. Beyond this band, the field is constant."""
         return self.bricks.min_distance, self.bricks.max_distance
 
     def make_dense_distances(self) -> NDArray[np.float32]:
@@ -76,20 +76,20 @@ class Volume:
         return trilinear.sample_distances(self.bricks, *_split_columns(points)).astype(np.float32)
 
     def sample_gradients(self, points: Floats) -> Distances:
-        """Return the gradient float32[n,3] of the trilinear field at points [n,3]. Its length is about 1 near the surface, 0
+        """Return the gradient float32[n,3] of the trilinear field at points [n,3]. Its length is about 1 near the surface, and 0
         where the field is flat."""
         return self.sample_with_gradients(points)[1]
 
     def sample_with_gradients(self, points: Floats) -> tuple[Distances, Distances]:
-        """Return both the distances and the gradients at points, for little more than the cost of one of them."""
+        """Return both the distances and the gradients at points [n,3]. This takes little more time than computing one of them."""
         distance, *gradient = trilinear.sample_with_gradients(self.bricks, *_split_columns(points))
         return distance.astype(np.float32), np.stack(gradient).astype(np.float32).T
 
     def compute_upright_normals(self, points: Floats, default_normals: Floats) -> Floats:
-        """Return unit normals float64[n,3] out of the solid that vary smoothly along the surface. Bodies are oriented by these
-        normals.
+        """Return unit normals float64[n,3] that point out of the solid and vary smoothly along the surface. Bodies are oriented
+        by these normals.
 
-        Where the field is flat, the result is `default_normals` ([3] or [n,3])."""
+        Where the field is flat, they are `default_normals` ([3] or [n,3])."""
         slope = trilinear.sample_smooth_gradients(self.bricks, *_split_columns(points))
         size = np.sqrt((slope[0] * slope[0] + slope[1] * slope[1]) + slope[2] * slope[2])
         clear = size > 1e-3
@@ -99,24 +99,24 @@ class Volume:
     def project_to_surface(self, points: Floats, hints: Floats, reach: float | None = None) -> trilinear.SurfacePoints:
         """Return points on the surface near points [n,3], with normals that point out of the solid.
 
-        `hints` [n,3] are unit vectors out of the intended surface, such as an agent's up: a wall that faces the opposite
-        direction is rejected. A surface point beyond `reach` (mm, two voxels if None) is also rejected. `is_in_reach` of the
-        result is false for rejected points."""
+        `hints`: [n,3], unit vectors that point out of the expected surface, such as the agents' up. `is_in_reach` of the result
+        is false in two cases: if the surface faces away from the hint, or if it is beyond `reach` (mm; None means two voxels)."""
         return trilinear.project_to_surface(self.bricks, points, hints, reach)
 
     # ---- digging
 
     def carve_balls(self, centres: Floats, radii: Floats, owners: NDArray[np.int64]) -> Floats:
-        """Dig balls out of the solid, and return the volume that each removed, float64[k] mm³. Centres [k,3] and radii [k] are
-        in mm. `owners` int64[k] are the ids of the diggers.
+        """Dig balls out of the solid, and return the volume that each ball removed, float64[k] (mm³). Centres [k,3] and radii [k]
+        are in mm. `owners`: int64[k], the ids of the agents that dig.
 
-        Each node becomes max(distance, radius - distance to the centre), so the order does not matter. A voxel's loss is
-        attributed to the ball that reaches deepest there; at a tie, to the lowest owner. The sum of the result is `volume()`
-        before minus `volume()` after, to the last bit."""
+        The distance of each node becomes max(distance, radius - distance from the centre), so the order of the balls does not
+        matter. The loss of a voxel is attributed to the ball that reaches deepest there, or at a tie to the lowest owner. The sum
+        of the result equals the decrease of `measure_volume()`, to the last bit."""
         return carving.carve_balls(self.bricks, centres, radii, owners)
 
     def measure_volume(self) -> float:
-        """Return the solid volume in mm³. Each voxel counts in steps of 1/256, by the depth of its node."""
+        """Return the solid volume in mm³. The solid fraction of each voxel is estimated from the distance of its node, in steps
+        of 1/256."""
         return self.bricks.volume_steps * self.bricks.step_volume
 
     @property
@@ -127,26 +127,28 @@ class Volume:
     # ---- showing
 
     def iterate_brick_meshes(self, changed_only: bool = True) -> Iterator[tuple[int, Floats, NDArray[np.int32]]]:
-        """Yield the triangles of the zero level by brick: (key, vertices float64[n,3] mm, faces int32[m,3] seen from the air).
+        """Yield the surface as triangles, brick by brick: (key of the brick, vertices float64[n,3] in mm, faces int32[m,3] with
+        winding seen from the air).
 
-        With `changed_only`, only bricks that changed since the last call are yielded (all bricks at the first call). A brick
-        without faces has lost its earlier faces. Vertices on a side that two bricks share have the same coordinates, so the
-        meshes of bricks fit."""
+        With `changed_only`, only bricks that changed since the last call are yielded; the first call yields all bricks. A brick
+        is also yielded if it has lost all its faces. Vertices on the side between two bricks have the same coordinates in both,
+        so their meshes fit together."""
         return iterate_brick_meshes(self.bricks, changed_only)
 
     # ---- keeping
 
     def get_changes(self) -> Arrays:
-        """Return the changes by digging, as arrays by name: the bricks that differ from those of `from_mesh`, and the number of
-        volume steps."""
+        """Return the changes by digging, as arrays by name: the bricks that differ from those of `from_mesh`, and the volume in
+        steps."""
         return self.bricks.get_changes()
 
     def restore_changes(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Restore a state of a volume made from the same mesh. Raises ValueError if the arrays belong to another volume."""
+        """Restore the state that `get_changes` returned for a volume from the same mesh. Raises ValueError if the arrays belong
+        to another volume."""
         self.bricks.restore_changes(arrays)
 
     def compute_digest(self) -> bytes:
-        """Return a digest of 32 bytes; equal solids have equal digests. Only bricks changed since the last call are read."""
+        """Return a digest of 32 bytes. Equal solids have equal digests. Only bricks that changed since the last call are read."""
         return self.bricks.compute_digest()
 
     @property
@@ -161,7 +163,7 @@ def _split_columns(points: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def iterate_brick_meshes(bricks: BrickGrid, changed_only: bool) -> Iterator[BrickMesh]:
-    """Yield the triangles of the zero level. Same as `Volume.iterate_brick_meshes`."""
+    """Yield the surface as triangles, brick by brick. Same as `Volume.iterate_brick_meshes`."""
     chosen_bricks = np.flatnonzero(bricks.needs_meshing) if changed_only else np.arange(bricks.table.size)
     if not changed_only:
         chosen_bricks = np.flatnonzero(_find_bricks_to_mesh(bricks))
@@ -171,7 +173,7 @@ def iterate_brick_meshes(bricks: BrickGrid, changed_only: bool) -> Iterator[Bric
 
 
 def _find_bricks_to_mesh(bricks: BrickGrid) -> NDArray[np.bool_]:
-    """Return the bricks that have a cell with at least one stored node."""
+    """Return a mask of the bricks that have a cell with at least one stored node."""
     stored = (bricks.table >= 2).reshape(bricks.shape)
     reach = stored.copy()
     for axis in range(3):
@@ -185,7 +187,7 @@ def _find_bricks_to_mesh(bricks: BrickGrid) -> NDArray[np.bool_]:
 
 
 def load_corner_values(bricks: BrickGrid, brick: int) -> NDArray[np.float32]:
-    """Return the values (17, 17, 17) at the corners of a brick's cells; fewer at the end of the grid."""
+    """Return the values (17, 17, 17) at the corners of a brick's cells. There are fewer at the end of the grid."""
     at = np.unravel_index(brick, bricks.shape)
     pool = bricks.values.reshape(-1, NODES_PER_BRICK)
     sizes = [NODES_PER_BRICK_SIDE + (1 if at[axis] + 1 < bricks.shape[axis] else 0) for axis in range(3)]

@@ -1,7 +1,7 @@
-"""Conversion of a closed mesh to bricks.
+"""Converts a closed mesh to bricks of signed distances.
 
-The winding number along lines through the nodes decides which nodes are inside: each crossed triangle adds or subtracts one. The
-nearest triangle gives the distance."""
+The winding number decides whether a node is inside. It is counted along grid lines: each crossed triangle adds or subtracts 1.
+The nearest triangle gives the distance."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def voxelise_mesh(vertices: Floats, faces: Index, voxel: float, cap: int) -> Bri
 
 
 def _describe_too_many_voxels(voxel_count: float, cap: float, voxel: float) -> UnusableMeshReason:
-    """Return an explanation that a mesh has too many voxels, with a suggested voxel size."""
+    """Return the reason that a mesh has too many voxels, with a suggested voxel size."""
     least = voxel * max((voxel_count / cap) ** (1 / 3), 1.1)
     digits = 1 - math.floor(math.log10(least))
     size = math.ceil(least * 10**digits) / 10**digits
@@ -86,7 +86,7 @@ def _describe_too_many_voxels(voxel_count: float, cap: float, voxel: float) -> U
 
 
 def _find_near_bricks(bricks: BrickGrid, corners: Floats) -> Index:
-    """Return the bricks, ascending, that may have a node in the band around the triangles."""
+    """Return the bricks that may have a node in the band around the triangles, in ascending order."""
     grid = np.zeros(bricks.shape, bool)
     wide = _OUTER_BAND_VOXELS + 1.0
     for cells, _ in iterate_triangle_cells(corners / _BLOCK_WIDTH_VOXELS):
@@ -119,8 +119,8 @@ def _write_brick_distances(bricks: BrickGrid, shell: TriangleShell, near_bricks:
 
 
 class TriangleShell:
-    """A mesh with integer coordinates. With these, the side of a line on which a point lies is computed exactly. It is built
-    from corners float64[n,3,3] in voxels."""
+    """A mesh with integer coordinates, so that it is computed exactly on which side of a line a point is. It is built from
+    corners float64[n,3,3] in voxels."""
 
     def __init__(self, corners: Floats) -> None:
         self.corners, self.units_per_voxel = round_to_voxels(corners)
@@ -130,10 +130,10 @@ class TriangleShell:
 def compute_brick_signs(
     shell: TriangleShell, shape: tuple[int, int, int], near_bricks: Index
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return whether the first node of each brick is inside, and whether each node of the bricks `near_bricks` (ascending) is
-    inside, bool[len(near), 4096].
+    """Return two masks: whether the first node of each brick is inside, and whether each node of the bricks `near_bricks`
+    (ascending) is inside, bool[bricks, 4096].
 
-    A node is inside if its winding number is not 0, or is odd if faces have inconsistent winding."""
+    A node is inside if its winding number is not 0; if faces have inconsistent winding, the number must be odd."""
     x, y, z, windings = _find_line_crossings(shell)
     nodes = [n * NODES_PER_BRICK_SIDE for n in shape]
     slab = x >> 4
@@ -162,7 +162,8 @@ def compute_brick_signs(
 
 
 def _find_line_crossings(shell: TriangleShell) -> tuple[Index, Index, Index, NDArray[np.int16]]:
-    """Return where lines along the last axis cross triangles."""
+    """Return the crossings of triangles with grid lines along the last axis: the coordinates of the lines and nodes, and the
+    change of the winding number."""
     tri = shell.corners
     grain = shell.units_per_voxel
     low = -((-tri.min(axis=1)) // grain)
@@ -180,7 +181,7 @@ def _find_line_crossings(shell: TriangleShell) -> tuple[Index, Index, Index, NDA
 def _find_crossings_in_batch(
     tri: Index, units_per_voxel: int, t: Index, x: Index, y: Index
 ) -> tuple[Index, Index, Index, NDArray[np.int16]]:
-    """Return the crossings of some pairs of triangle `t` and line `x`, `y`, in the form that `_find_line_crossings` returns."""
+    """Return the crossings of pairs of a triangle `t` and a grid line `x`, `y`, in the form of `_find_line_crossings`."""
     px, py = x * units_per_voxel, y * units_per_voxel
     areas, above, below = [], np.ones(t.size, bool), np.ones(t.size, bool)
     for i, j in ((1, 2), (2, 0), (0, 1)):

@@ -1,4 +1,5 @@
-"""Walking on a solid: short steps along the tangent, each projected onto the zero level. Headings rotate with the normal."""
+"""Walking on a solid, in short steps along the tangent plane, each of which is projected onto the zero level. Headings rotate
+with the normal."""
 
 from __future__ import annotations
 
@@ -46,19 +47,19 @@ _PREFETCH_GROUP_SIZE = 16  # agents with cells prefetched together
 def move_over_solid(
     volume: Volume, points: Floats, steps: Floats, heading: Floats, up: Floats, size: Floats | float, number: int = 0
 ) -> GroundMove:
-    """Walk agents on the zero level from `points` [n,3] by `steps` [n,3], which are rotated into the surface at the same
-    length.
+    """Walk agents on the surface of a solid, from `points` [n,3] by `steps` [n,3]. Steps are rotated into the surface, with the
+    same length.
 
     - `up` [n,3]: the unit normal of the body before the step
-    - `heading` [n,3]: the direction that the body faces; it rotates as the body tilts, not with each crumb under the feet
-    - `size`: the size of the body (mm, one or [n]); positions stay within a ten-thousandth of it off the zero level
+    - `heading` [n,3]: the direction that the body faces; it rotates with the smooth normal of the body, not with each small bump
+    - `size`: the size of the body (mm, one or [n]); positions are within a ten-thousandth of it from the surface
     - `number`: the number of the solid in the footings
 
-    An agent in air, because the ground was dug away, first goes to the surface. A step that is not finite is treated as zero.
-    So is the part of a step that is more than 60 degrees off the surface.
+    An agent in air, because the ground was dug away, is first moved to the surface. A step that is not finite counts as zero. A
+    step at more than 60 degrees to the surface is shortened.
 
-    `up` of the result is the outward normal of the body, smoothed over the body's length. So the body begins to tilt before an
-    edge and does not jerk. A lost agent stays at its position."""
+    `up` of the result is the outward normal, smoothed over the length of the body. So the body begins to tilt before an edge and
+    does not jerk. A lost agent stays at its position."""
     bricks = volume.bricks
     columns = [np.ascontiguousarray(np.asarray(v, np.float64).reshape(-1, 3).T) for v in (points, steps, heading, up)]
     count = columns[0].shape[1]
@@ -94,12 +95,12 @@ def walk_all_agents_on_solid(
     is_blocked: Array1[BOOL],
     is_lost: Array1[BOOL],
 ) -> None:
-    """Move all agents. Inputs (3, n): positions, steps, headings and up vectors.
+    """Move all agents by one step. Inputs are (3, n): positions, steps, headings and up vectors.
 
-    - `tolerances`: the tolerance to the surface (mm)
-    - `normal_reaches`: the radius over which normals are measured (voxels)
-    - `results` (4, 3, n): position, up, heading and direction
-    - `distances`, `is_blocked`, `is_lost`: the travelled distances, and the flags"""
+    - `tolerances`: the greatest distance of each agent from the surface (mm)
+    - `normal_reaches`: the radius over which the normal of each agent is measured (voxels)
+    - `results` (4, 3, n): receives position, up, heading and direction
+    - `distances`, `is_blocked`, `is_lost`: receive the distances travelled, and the flags of `GroundMove`"""
     table, values = bricks[:2]
     grid = bricks[2:]
     for i in range(distances.size):
@@ -133,8 +134,8 @@ def _prefetch_cells(
     first: I64,
     last: I64,
 ) -> F64:
-    """Read the cells around the positions of some agents, so that they are in the cache. The reads are independent of each
-    other. The returned sum only prevents the compiler from removing the reads."""
+    """Read the cells around the positions of agents `first` to `last`, so that they are in the processor's cache. The reads are
+    independent of each other. The returned sum has no meaning; it prevents the compiler from removing the reads."""
     total = 0.0
     for i in range(first, last):
         a, b, _ = load_cell_corners(table, values, grid, (points[0, i], points[1, i], points[2, i]))
@@ -143,8 +144,8 @@ def _prefetch_cells(
 
 
 class WalkResult(NamedTuple):
-    """The result of an agent's steps: position, normal, direction, distance travelled (mm), and whether the agent is blocked or
-    lost."""
+    """The result of the short steps of one agent: position, normal, direction, distance travelled (mm), and whether it is blocked
+    or lost."""
 
     position: Vec3
     normal: Vec3
@@ -164,7 +165,7 @@ def _walk_agent(
     wish: Vec3,
     tolerance: F64,
 ) -> WalkResult:
-    """Return the result of all steps of one agent."""
+    """Move one agent from `p`, with the normal `n`, by `wish` in short steps along the surface."""
     voxel = grid[3]
     direction, flat = _project_on_tangent_plane(wish, n)
     left = min(np.sqrt(dot(wish, wish)), 2 * flat)
@@ -234,11 +235,11 @@ def _project_to_surface(
     length: F64,
     tolerance: F64,
 ) -> tuple[Vec3, Vec3, F64]:
-    """Project the end of a path of `length` from `p`, a point on the zero level. Return the projected point, the gradient and
-    the signed distance there.
+    """Project the end of a short step of `length` from `p`, a point on the surface. Return the projected point, and the gradient
+    and signed distance there.
 
-    The method is Newton's. Where the gradient jumps between cells, as at a sharp edge, Newton steps may oscillate and never
-    converge. In this case, the point just below the start is in solid and the one just above is in air. So the surface lies
+    It uses Newton's method. Where the gradient jumps between cells, as at a sharp edge, Newton steps may oscillate. The search
+    then uses two points: one just below the start, which is in the solid, and one just above, which is in air. The surface is
     between the current point and one of these two."""
     voxel = grid[3]
     far = (p[0] + direction[0] * length, p[1] + direction[1] * length, p[2] + direction[2] * length)
@@ -277,7 +278,7 @@ def _project_to_surface(
 
 @inlined
 def _rotate_direction(direction: Vec3, old_normal: Vec3, new_normal: Vec3) -> Vec3:
-    """Return a direction rotated from the old to the new normal, projected onto the new tangent plane."""
+    """Return a direction after the rotation from the old to the new normal, projected onto the new tangent plane."""
     direction, _ = _project_on_tangent_plane(
         _rotate_from_normal_to_normal(direction, old_normal, new_normal, direction), new_normal
     )
@@ -286,8 +287,8 @@ def _rotate_direction(direction: Vec3, old_normal: Vec3, new_normal: Vec3) -> Ve
 
 @kernel_helper
 def _rotate_from_normal_to_normal(v: Vec3, old_normal: Vec3, new_normal: Vec3, direction: Vec3) -> Vec3:
-    """Return a vector rotated by the smallest rotation from one unit normal to the other. For opposite normals, the rotation
-    passes through `direction`."""
+    """Return the vector `v` after the smallest rotation from the old to the new unit normal. For opposite normals, the rotation
+    goes through `direction`."""
     cosine = dot(old_normal, new_normal)
     if cosine < -1 + 1e-9:
         hinge = cross(old_normal, direction)
@@ -305,8 +306,7 @@ def _rotate_from_normal_to_normal(v: Vec3, old_normal: Vec3, new_normal: Vec3, d
 
 @kernel_helper
 def _project_on_tangent_plane(v: Vec3, normal: Vec3) -> tuple[Vec3, F64]:
-    """Return the unit vector perpendicular to the normal and nearest to `v`, and the length of the component of `v` perpendicular
-    to the normal."""
+    """Project `v` onto the plane perpendicular to the normal. Return the unit direction of the projection, and its length."""
     along = dot(v, normal)
     flat = (v[0] - along * normal[0], v[1] - along * normal[1], v[2] - along * normal[2])
     size = np.sqrt(dot(flat, flat))
