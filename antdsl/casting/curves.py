@@ -1,4 +1,4 @@
-"""Curves drawn by an artist: evenly resampled, with queries for the nearest point and its tangent."""
+"""Curves drawn by artists. They are resampled at equal spacing, and queried for the nearest point and its tangent."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ _NEAREST_SAMPLE_COUNT = 6  # samples of the first query; sufficient except for a
 
 @dataclass(frozen=True, slots=True)
 class ClosestCurvePoints:
-    """The nearest point of a curve to each query point: distance and position (mm), and the unit tangent, all float32[n]."""
+    """The curve point nearest to each query point: its distance (mm), its position (mm) and the unit tangent there, all
+    float32[n]."""
 
     distance: NDArray[np.float32]
     px: NDArray[np.float32]
@@ -31,8 +32,9 @@ class ClosestCurvePoints:
 class SampledCurve:
     """A polyline float64[n,3] (mm), n >= 1, resampled into pieces of equal length, at most `spacing` mm.
 
-    The number of samples is limited. The curve's direction is from the first point to the last; `reverse` flips it. A curve of
-    one point has no direction: its tangent is 0. Raises ValueError if there is no point, or a point is not finite."""
+    The spacing is larger if the curve would have too many samples. Tangents point from the first point to the last, or with
+    `reverse` from the last to the first. The tangent of a curve with one point is 0. Raises ValueError if there is no point, or a
+    point is not finite."""
 
     def __init__(self, points: Vectors, spacing: float, reverse: bool = False) -> None:
         points = np.asarray(points, np.float64).reshape(-1, 3)
@@ -49,11 +51,12 @@ class SampledCurve:
         self._sample_tree: Any = None
 
     def find_closest(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> ClosestCurvePoints:
-        """Return the nearest points of the curve to positions (1-D arrays, mm). If several points are equally near, the first
-        along the curve is returned.
+        """Return the nearest point of the curve to each position (1-D arrays, mm). Of equally near points, the first along the
+        curve is returned.
 
-        The result is exact for the resampled curve. The nearest sample bounds the distance, and only segments within that bound
-        plus one piece can contain the nearest point. Positions that are not finite get an infinite distance."""
+        The result is exact for the resampled curve. The nearest sample gives an upper bound of the distance. Only segments within
+        this bound, plus the length of one piece, can contain the nearest point. Positions that are not finite get an infinite
+        distance."""
         from scipy.spatial import cKDTree
 
         if self._sample_tree is None:
@@ -71,7 +74,7 @@ class SampledCurve:
         return ClosestCurvePoints(*(np.ascontiguousarray(c, np.float32) for c in columns))
 
     def _find_nearest_points(self, positions: Vectors) -> tuple[Vectors, Vectors]:
-        """Return the nearest point [n,3] of the curve to each position, and the tangent [n,3] there."""
+        """Return the nearest points [n,3] of the curve to positions [n,3], and the tangents [n,3] there."""
         neighbour_count = min(_NEAREST_SAMPLE_COUNT, len(self.samples))
         gap, sample = self._sample_tree.query(positions, k=list(range(1, neighbour_count + 1)))
         best = self._find_nearest_segment(positions, sample)
@@ -86,8 +89,8 @@ class SampledCurve:
         return self.samples[best] + part * self._segment_vectors[best], normalise(tangent)
 
     def _find_nearest_segment(self, positions: Vectors, sample: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the number of the segment nearest to each position. Only segments next to the samples int[n,k] are searched.
-        Of equally near segments, the first counts."""
+        """Return the number of the segment nearest to each position. `sample`: int[n,k], the samples next to which segments are
+        searched. Of equally near segments, the first is returned."""
         segment = np.sort(np.clip(np.concatenate([sample - 1, sample], axis=1), 0, len(self._segment_vectors) - 1), axis=1)
         gaps = np.stack([self._project_on_segment(positions, column)[1] for column in segment.T], axis=1)
         best: NDArray[np.int64] = segment[np.arange(len(positions)), gaps.argmin(axis=1)]
@@ -106,8 +109,8 @@ class SampledCurve:
 
 
 def resample_curve(points: Vectors, spacing: float) -> Vectors:
-    """Return points [k,3] at equal spacing along a polyline [n,3], both ends included. The spacing is at most `spacing`, or
-    larger if there would be too many points."""
+    """Return points [k,3] at equal spacing along a polyline [n,3], including both ends. The spacing is at most `spacing`, unless
+    this would give too many points."""
     step = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
     has_length = np.concatenate(([True], step > 0))
     points, arc_lengths = points[has_length], np.concatenate(([0.0], np.cumsum(step[step > 0])))

@@ -1,5 +1,5 @@
-"""Lower bounds of the distance to the nearest triangle. With this coarse grid, a few array operations exclude all agents far
-from triangles."""
+"""A coarse grid with lower bounds of the distance to the nearest triangle. With it, a few array operations exclude all agents
+that are far from triangles."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ class DistanceGrid:
         ]
 
     def _compute_cell_bounds(self, corners: NDArray[np.float64]) -> stored_tables.Tables:
-        """Return the table of lower bounds (mm). No point of a cell has a triangle within the cell's bound."""
+        """Return the table of lower bounds (mm). For every point of a cell, all triangles are at least as far away as the cell's
+        bound."""
         free = np.ones(tuple(self._size), bool)
         for cell, _ in iterate_triangle_cells((corners - self._low) / self._width, exact=False):
             cell = np.minimum(cell, self._size - 1)
@@ -55,11 +56,11 @@ class DistanceGrid:
         return {"least": bounds}
 
     def refine_near_cells(self, distance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> None:
-        """Raise the lower bounds of cells near triangles. `distance` returns the distance (mm) of cell centres [n,3] to the
-        nearest triangle.
+        """Measure cells near triangles, which raises their lower bounds. `distance`: a function that returns the distances (mm)
+        of points [n,3] from the nearest triangle.
 
-        Refined bounds are too low by at most half the diagonal of a cell, others by twice as much. Nothing is done if the
-        measurement would take longer than a crowd saves by it in a few hundred steps."""
+        Measured bounds are too low by at most half the diagonal of a cell, others by at most twice as much. Nothing is measured
+        if this would take longer than a crowd can save by it in a few hundred steps."""
         near = np.flatnonzero(self._cell_bounds < 2 * self._width)
         if near.size > _MAX_REFINED_CELLS:
             return
@@ -70,7 +71,8 @@ class DistanceGrid:
         self._cell_bounds[near] = np.maximum(self._cell_bounds[near], refined_bounds.astype(np.float32))
 
     def compute_lower_bounds(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
-        """Return a lower bound (mm, float32[n]) of the distance from each position to the nearest triangle; 0 near triangles."""
+        """Return a lower bound (mm, float32[n]) of the distance from each position to the nearest triangle. It is 0 near
+        triangles."""
         least_distances, columns = np.empty(len(x), np.float32), (x, y, z)
         single = all(each.dtype == np.float32 for each in columns)
         if not single:
@@ -123,7 +125,7 @@ def write_lower_bounds(
 def write_lower_bounds64(
     positions: PointColumns64, cells: CellLayout, cell_bounds: Array1[F32], bounds: Array1[F32], begin: I64, end: I64
 ) -> None:
-    """Write the results of `write_lower_bounds` for positions in float64."""
+    """Write lower bounds for positions in float64. Otherwise the same as `write_lower_bounds`."""
     x, y, z = positions
     for n in simd_range(begin, end):
         bounds[n] = _compute_lower_bound(cells, cell_bounds, x[n], y[n], z[n])
@@ -131,19 +133,20 @@ def write_lower_bounds64(
 
 @inlined
 def _to_cell_number(place: F64) -> I64:
-    """Return the number of the cell at the coordinate `place` (in cells), which must not be negative."""
+    """Return the cell number along one axis for the coordinate `place` (in cells), which must not be negative."""
     return round_to_int(np.floor(place))
 
 
 @inlined
 def _clamp_coordinate(place: F64, low: F64, high: F64) -> F64:
-    """Return the coordinate `place`, clamped to `low` … `high` as by fmin and fmax: NaN becomes `low`."""
+    """Return the coordinate `place`, clamped to the range from `low` to `high`. NaN becomes `low`."""
     inside = place if place > low else low
     return inside if inside < high else high
 
 
 def choose_cell_width(extent: NDArray[np.float64], cells: int) -> float:
-    """Return the cube size at which about `cells` cubes fill a box. For a thin box, only its long sides count."""
+    """Return the edge length of cubes of which about `cells` fill a box with the sides `extent`. A short side counts as one
+    cube."""
     longest = float(extent.max())
     if not longest > 0:
         return 1.0
@@ -158,8 +161,8 @@ def choose_cell_width(extent: NDArray[np.float64], cells: int) -> float:
 
 
 def limit_cell_width(corners: NDArray[np.float64], width: float) -> float:
-    """Return a cube width of at least `width`, large enough that listing the touched cubes takes a few seconds at most. The
-    triangles have corners float64[m,3,3]."""
+    """Return an edge length of cubes, at least `width`, with which listing the cubes that triangles touch takes a few seconds at
+    most. `corners`: float64[m,3,3], those of the triangles."""
     lengths, area = measure_sides_and_area(corners)
     perimeter = float(lengths.sum())
     while 3 * area / width**2 + 2 * perimeter / width > _MAX_LISTED_CELLS + 8.0 * len(corners):

@@ -1,5 +1,5 @@
-"""Triangles in float64: ray intersections, nearest points, and the faces that share a corner. Each element is computed
-separately, with sums, products, quotients and roots in a fixed order. Results therefore have the same bits on every processor."""
+"""Queries of triangles in float64: ray intersections, nearest points, and the faces that share a corner. Sums, products,
+quotients and roots are in a fixed order. So results have the same bits on every processor and for any batch of queries."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ FaceTable = tuple[Array3[F64], Array1[F64], Array1[I64], Array1[I64], Array1[I64
 
 
 class TriangleFaces:
-    """Triangles with corners float64[m,3,3] (mm). `is_short_lived`: build no tables, because few faces are queried. `tolerance`
-    is relative to `largest_coordinate` (mm), by default the largest coordinate of all corners."""
+    """Triangles with corners float64[m,3,3] (mm). `is_short_lived`: build no tables, because few faces will be queried.
+    `tolerance` (mm) is proportional to `largest_coordinate` (mm), by default the largest coordinate of all corners."""
 
     def __init__(self, corners: Floats, is_short_lived: bool = False, largest_coordinate: float | None = None) -> None:
         self.corners = corners
@@ -43,8 +43,8 @@ class TriangleFaces:
         self._corner_tables: tuple[Index, Index, Index] | None = None
 
     def compute_widened_corners(self) -> NDArray[np.float32]:
-        """Return corners float32[3m,3] of slightly enlarged triangles, so that float32 rays miss no face. Each side is moved out
-        by a few times the tolerance."""
+        """Return the corners float32[3m,3] of slightly enlarged triangles, so that rays in float32 miss no face. Each side is
+        moved outwards by a few times the tolerance."""
         a, b, c = (self.corners[:, k] for k in range(3))
         normal = normalise(np.cross(b - a, c - a))
         ab, bc, ca = (np.cross(normalise(side), normal) for side in (b - a, c - b, a - c))
@@ -58,7 +58,7 @@ class TriangleFaces:
         return np.stack(moved_corners, axis=1).reshape(-1, 3).astype(np.float32)
 
     def get_normals(self, face: Index) -> Floats:
-        """Return unit normals [k,3] of faces, by their winding; 0 for faces without area."""
+        """Return unit normals [k,3] of faces, by their winding. They are 0 for faces without area."""
         if self._is_short_lived:
             corners = self.corners.take(face, axis=0)
             return normalise(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
@@ -67,8 +67,8 @@ class TriangleFaces:
         return self._normals.take(face, axis=0)
 
     def _get_planes_and_borders(self, face: Index) -> tuple[Floats, Floats]:
-        """Return the planes of faces (`compute_planes`), and for each face the weight below which a point is treated as near
-        the border."""
+        """Return the planes of faces (`compute_planes`), and the barycentric weight below which a point counts as near a face's
+        border."""
         if self._is_short_lived:
             return self._compute_planes(self.corners.take(face, axis=0))
         if self._planes is None:
@@ -79,7 +79,7 @@ class TriangleFaces:
         return rows.take(face, axis=0), rims.take(face)
 
     def _compute_planes(self, corners: Floats) -> tuple[Floats, Floats]:
-        """Compute the planes and border weights of triangles [k,3,3], for `_get_planes_and_borders`."""
+        """Compute the results of `_get_planes_and_borders` for triangles [k,3,3]."""
         rows = compute_planes(corners)
         one, two = rows[:, 1, :3], rows[:, 2, :3]
         both = one + two
@@ -91,8 +91,8 @@ class TriangleFaces:
     ) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.bool_]]:
         """Intersect rays from `origin` [k,3] along `displacement` [k,3] with the planes of faces.
 
-        Returns the ray parameter in lengths of `displacement`; the corner weights [k,3] of the intersection; whether it is in the
-        face; and whether it is within float32 error of the border."""
+        Returns the ray parameter in lengths of `displacement`, and the barycentric weights [k,3] of the intersection. Two masks
+        tell whether it is inside the face, and whether it is within float32 error of the face's border."""
         rows, rim = self._get_planes_and_borders(face)
         base = ((rows[:, :, 0] * origin[:, 0:1] + rows[:, :, 1] * origin[:, 1:2]) + rows[:, :, 2] * origin[:, 2:]) + rows[:, :, 3]
         rate = (rows[:, :, 0] * displacement[:, 0:1] + rows[:, :, 1] * displacement[:, 1:2]) + rows[:, :, 2] * displacement[:, 2:]
@@ -106,12 +106,11 @@ class TriangleFaces:
     def recompute_reported_hits(
         self, reported_faces: Index, origin: Floats, displacement: Floats, ray_parameters: NDArray[np.floating]
     ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
-        """Check hits that Open3D reports: on the faces `reported_faces`, at approximate ray parameters `ray_parameters` (in
-        lengths of `displacement`).
+        """Recompute hits that Open3D reports, on `reported_faces` at approximate `ray_parameters` (in lengths of `displacement`).
 
-        Returns the exact ray parameter, the corner weights, whether the ray hits, and the tolerance in lengths of `displacement`.
-        Near the border of a reported face, the first hit among the faces that meet there counts, and `reported_faces` is changed
-        to that face."""
+        Returns the exact ray parameter, the barycentric weights, whether the ray hits, and the tolerance in lengths of
+        `displacement`. Near the border of a reported face, all faces that meet there are tested. The first hit counts, and its
+        face replaces that in `reported_faces`."""
         tables = self.build_kernel_tables()
         if tables is not None:
             n = len(reported_faces)
@@ -142,8 +141,8 @@ class TriangleFaces:
         return fractions, weights, hit, tolerances
 
     def build_kernel_tables(self) -> tuple[Floats, Floats, Index, Index, Index] | None:
-        """Return the tables that kernels read, for all faces: planes, border widths, and the results of `_weld_corners`. None for
-        short-lived faces."""
+        """Return the tables of all faces that kernels read: planes, border weights, and the results of `_weld_corners`. Return
+        None for short-lived faces."""
         if self._is_short_lived:
             return None
         self._get_planes_and_borders(np.empty(0, np.int64))
@@ -151,9 +150,8 @@ class TriangleFaces:
         return *self._planes, *self._corner_tables
 
     def find_nearest(self, points: Floats, face: Index) -> tuple[Floats, Floats, Index]:
-        """For each point [k,3], return the nearest surface position, its squared distance and its face. The argument `face` is
-        the nearest face in float32. The result is that face or one that meets it at the position: of equally near faces, the
-        first."""
+        """Return the surface position nearest to each point [k,3], its squared distance and its face. `face`: the nearest face as
+        found in float32. The result is this face, or a face that meets it there. Of equally near faces, the first is returned."""
         tables = self.build_kernel_tables()
         if tables is not None:
             face, place, square = face.copy(), np.empty((len(points), 3)), np.empty(len(points))
@@ -178,8 +176,8 @@ class TriangleFaces:
         return place, square, face
 
     def find_faces_at_corner(self, face: Index, weights: Floats) -> tuple[Index, Index]:
-        """Return the faces that share a corner with each queried face: the corner with the largest weight. The result is pairs:
-        the index in `face`, and the number of a sharing face, ascending."""
+        """Return all faces that share with a face its corner with the largest weight. The result is ascending pairs, as two
+        arrays: an index into `face`, and the number of a face with this corner."""
         if self._corner_tables is None:
             self._corner_tables = self._weld_corners()
         weld, first, faces = self._corner_tables
@@ -213,9 +211,9 @@ class TriangleFaces:
 
 
 def compute_planes(corners: Floats) -> Floats:
-    """Return the planes [k,3,4] of triangles [k,3,3]; 0 without area. A triangle's rows, times a point's coordinates and 1, give
-    the height along the normal and the weights of the second and third corner (D. Baldwin, M. Weber, Fast Ray-Triangle
-    Intersections by Coordinate Transformation, JCGT 5(3), 2016)."""
+    """Return the planes [k,3,4] of triangles [k,3,3], 0 for those without area. The rows of a triangle, multiplied by (x, y, z,
+    1), give three values: the height along the normal, and the weights of the second and third corner (D. Baldwin, M. Weber, Fast
+    Ray-Triangle Intersections by Coordinate Transformation, JCGT 5(3), 2016)."""
     a, one, two = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(one, two)
     size = dot(normal, normal)[:, None]
@@ -228,8 +226,8 @@ def compute_planes(corners: Floats) -> Floats:
 
 
 def find_nearest_on_triangle(points: Floats, corners: Floats) -> Floats:
-    """Return the nearest point of each triangle [n,3,3] to each point [n,3] (Ericson, Real-Time Collision Detection, 2005, p.
-    136-142)."""
+    """Return the point of each triangle [n,3,3] that is nearest to the corresponding point [n,3] (Ericson, Real-Time Collision
+    Detection, 2005, p. 136-142)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     u, v, w = b - a, c - a, points - a
     uu, uv, vv, wu, wv = dot(u, u), dot(u, v), dot(v, v), dot(w, u), dot(w, v)
@@ -267,8 +265,8 @@ def write_checked_hits(
     displacement: Strided2[F64], reported_faces: Array1[I64], fractions: Array1[F64], weights: Array2[F64], hit: Array1[BOOL],
     ray_tolerances: Array1[F64],
 ) -> None:  # fmt: skip
-    """Write recomputed hits to the last five arrays: face, ray parameter, corner weights, hit flag, and tolerance in lengths
-    of `displacement`."""
+    """Write the results of `recompute_reported_hits` to the last five arrays: faces, ray parameters, barycentric weights, hit
+    flags, and tolerances in lengths of `displacement`."""
     planes, rims, weld, first, faces = table
     for i in range(reported_faces.size):
         x, y, z = displacement[i, 0], displacement[i, 1], displacement[i, 2]
@@ -301,8 +299,8 @@ def write_nearest_points_on_faces(
     positions: Array2[F64],
     squared_distances: Array1[F64],
 ) -> None:
-    """Write the results of `Faces.find_nearest` to the last three arrays: face, nearest position and squared distance. `face`
-    must contain the faces that Open3D reports."""
+    """Write the results of `TriangleFaces.find_nearest` to the last three arrays: face, nearest position and squared distance.
+    `face` must initially contain the faces that Open3D reports."""
     planes, rims, weld, first, faces = table
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
@@ -325,13 +323,13 @@ def write_nearest_points_on_faces(
 
 @inlined
 def evaluate_plane(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
-    """Evaluate one row of a face's planes at a point: the product with (x, y, z, 1)."""
+    """Return the value of one row of a face's planes at a point: its product with (x, y, z, 1)."""
     return ((planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z) + planes[face, row, 3]
 
 
 @inlined
 def evaluate_plane_slope(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
-    """Evaluate one row of a face's planes for a direction: the product with (x, y, z, 0)."""
+    """Return how much one row of a face's planes changes along a vector: its product with (x, y, z, 0)."""
     return (planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z
 
 
@@ -345,7 +343,7 @@ def _find_minimum_of_three(a: F64, b: F64, c: F64) -> F64:
 
 @inlined
 def _find_largest_index(a: F64, b: F64, c: F64) -> I64:
-    """Return the index of the largest number, like `np.argmax`. NaN counts as the largest; of equal numbers, the first counts."""
+    """Return the index of the largest number, like `np.argmax`. NaN counts as the largest. Of equal numbers, the first counts."""
     if a != a or (not (b > a or b != b) and not (c > a or c != c)):
         return 0
     if b != b or (b >= c and c == c):
@@ -355,7 +353,7 @@ def _find_largest_index(a: F64, b: F64, c: F64) -> I64:
 
 @inlined
 def _intersect_plane(planes: Array3[F64], face: I64, a: F64, b: F64, c: F64, x: F64, y: F64, z: F64) -> tuple[F64, Vec3, F64]:
-    """Return the ray parameter at a face's plane, the corner weights there, and the smallest of these weights."""
+    """Return the ray parameter at a face's plane, the barycentric weights there, and the smallest of these weights."""
     t = -evaluate_plane(planes, face, 0, a, b, c) / evaluate_plane_slope(planes, face, 0, x, y, z)
     w1 = evaluate_plane(planes, face, 1, a, b, c) + t * evaluate_plane_slope(planes, face, 1, x, y, z)
     w2 = evaluate_plane(planes, face, 2, a, b, c) + t * evaluate_plane_slope(planes, face, 2, x, y, z)

@@ -1,5 +1,6 @@
-"""Filters of grids: minimum or maximum of the surrounding cells, and distance to the nearest cell that is not free. Results are
-bit-identical to those of SciPy's `ndimage`. SciPy is not used because its import takes longer than all filters of a scene."""
+"""Filters of grids: the minimum or maximum of surrounding cells, and the distance to the nearest cell that is not free. Results
+are bit-identical to those of SciPy's `ndimage`. SciPy is not used, because its import takes longer than all filters of a
+scene."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ def filter_minimum(grid: NDArray[GridValue], rings: int) -> NDArray[GridValue]:
 
 
 def _filter_neighbourhood(grid: NDArray[GridValue], rings: int, combine: Any) -> NDArray[GridValue]:
-    """Combine each cell with the cells at most `rings` cells away, axis by axis, by the function `combine`."""
+    """Combine each cell with the cells at most `rings` cells away along every axis. `combine`: a function of two arrays, such as
+    `np.maximum`."""
     for axis in range(grid.ndim):
         for flip in (False, True):  # first the following cells, then the preceding ones
             line = np.moveaxis(grid, axis, 0)
@@ -40,10 +42,10 @@ def _filter_neighbourhood(grid: NDArray[GridValue], rings: int, combine: Any) ->
 
 
 def compute_blocked_distances(is_free: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return, for each cell, the distance to the nearest cell that is not `is_free`, measured in cells, from centre to centre.
+    """Return, for each cell, the distance to the nearest cell that is not free. It is in cells, from centre to centre.
 
-    At least one cell must not be free. The axes are processed one after another. For each cell, the result is the minimum over
-    its line of two terms: the squared value of a cell of the line, plus its squared distance along the line."""
+    At least one cell must not be free. The axes are processed one after another. In each pass, the new squared distance of a cell
+    is a minimum over all cells on its line: their previous squared distance plus the square of the offset along the line."""
     square = np.where(is_free, np.int32(_MAX_SQUARED_DISTANCE), np.int32(0))
     for axis in np.argsort(is_free.shape, kind="stable"):  # after the shortest axis, few cells are far from all blocked cells
         line = np.moveaxis(square, axis, 0)

@@ -1,4 +1,4 @@
-"""The first face that each ray hits in a grid of triangles (`triangle_grid`): each ray is followed from cube to cube."""
+"""Finds the first face that each ray hits in a grid of triangles (`triangle_grid`). A ray is followed from cube to cube."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def write_first_hits(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write the results of `TriangleGrid.find_first_faces` to `ray_parameters` and `face`, for rays `begin` to `end`
-    (exclusive)."""
+    """Write the results of `TriangleGrid.find_first_faces` for rays `begin` to `end` (exclusive) to `ray_parameters` and
+    `face`."""
     cells = allocate_scratch(2 * PREFETCH_GROUP_SIZE, I64)
     for low in range(begin, end, PREFETCH_GROUP_SIZE):
         high = min(low + PREFETCH_GROUP_SIZE, end)
@@ -62,13 +62,13 @@ def write_hit_normals(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """Write the results of `TriangleGrid.find_hit_normals` for rays `begin` to `end` (exclusive), to the last two arrays from
-    index `begin` on.
+    """Write the results of `TriangleGrid.find_hit_normals` for rays `begin` to `end` (exclusive). They are written to `hit_rays`
+    and `results` from index `begin` on.
 
-    - `hit_rays`: the rays that hit
+    - `hit_rays`: the numbers of the rays that hit
     - `results` [4, n]: ray parameter and normal (x y z)
 
-    Returns `begin`, the number of hits, and the number of rays beyond the grid's reach."""
+    Returns `begin`, the number of hits, and the number of rays that the grid cannot resolve."""
     shape, count, left = grid[0], 0, 0
     zero = shape[6], shape[7], shape[8]
     cells, faces, column_count = (
@@ -104,7 +104,8 @@ def write_hit_normals(
 def _prefetch_faces(
     grid: GridTables, origin: Strided2[F64], zero: Vec3, displacement: Strided2[F64], cells: Array1[I64], low: I64, high: I64
 ) -> None:
-    """Prefetch the faces near both ends of rays `low` to `high` (exclusive); origins are relative to `zero`."""
+    """Prefetch the faces near both ends of rays `low` to `high` (exclusive). `zero`: the grid's origin, which is subtracted from
+    `origin`."""
     for i in range(low, high):
         a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
         _append_end_cubes(grid, a, (displacement[i, 0], displacement[i, 1], displacement[i, 2]), cells, i - low)
@@ -113,7 +114,7 @@ def _prefetch_faces(
 
 @kernel
 def write_feeler_hits(grid: GridTables, rays: SevenColumns, results: Array2[F32]) -> I64:
-    """Write the results of `TriangleGrid.cast_feelers` to the last array: distance and normal.
+    """Write the results of `TriangleGrid.cast_feelers` to `results`: distances and normals.
 
     Feelers that the grid cannot resolve get the distance NaN. Returns the number of such feelers."""
     x, y, z, dx, dy, dz, reach = rays
@@ -165,8 +166,8 @@ def write_requested_feelers(
 
 @kernel_helper
 def cast_feeler(grid: GridTables, position: Vec3F32, direction: Vec3F32, reach: F32) -> tuple[tuple[F64, F64, F64, F64], I64]:
-    """Return the first hit of a feeler, as distance (mm) and unit normal towards the feeler's origin, and the face that was
-    hit. The distance is infinite for no hit, NaN if the grid cannot answer."""
+    """Return the first hit of a feeler: its distance (mm), the unit normal on the side of the feeler's origin, and the face. The
+    distance is infinite without a hit, and NaN if the grid cannot resolve the feeler."""
     shape, normals = grid[0], grid[7]
     far = np.float64(reach)
     a = np.float64(position[0]) - shape[6], np.float64(position[1]) - shape[7], np.float64(position[2]) - shape[8]
@@ -182,8 +183,8 @@ def cast_feeler(grid: GridTables, position: Vec3F32, direction: Vec3F32, reach: 
 
 @kernel_helper
 def find_first_hit(grid: GridTables, start: Vec3, displacement: Vec3) -> tuple[F64, I64]:
-    """Return the first face that a ray hits, and the ray parameter (0 to 1) of the hit. The ray goes from `start` along
-    `displacement`."""
+    """Return the ray parameter (0 to 1) of a ray's first hit, and the face. The ray goes from `start` to `start +
+    displacement`."""
     shape, size, first, face_list, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
     part = 1.0 / shape[3]
     px, py, pz = (start[0] - shape[0]) * part, (start[1] - shape[1]) * part, (start[2] - shape[2]) * part
@@ -274,8 +275,8 @@ def prefetch_rays(
     cells: Array1[I64],
     count: I64,
 ) -> None:
-    """Prefetch the faces near both ends of the rays with the numbers `rays`. Origins and displacements are float64[3,k], and
-    origins are relative to `zero`."""
+    """Prefetch the faces near both ends of the first `count` rays in `rays`. Origins and displacements are float64[3,k]. `zero`:
+    the grid's origin, which is subtracted from `origins`."""
     for n in range(count):
         _append_end_cubes(grid, minus(get_column(origins, rays[n]), zero), get_column(displacements, rays[n]), cells, n)
     _prefetch_face_lists(grid, cells, count)
@@ -290,15 +291,15 @@ def _append_end_cubes(grid: GridTables, a: Vec3, w: Vec3, cells: Array1[I64], n:
 
 @inlined
 def _prefetch_face_lists(grid: GridTables, cells: Array1[I64], count: I64) -> None:
-    """Prefetch the first faces of the cubes of `count` rays."""
+    """Prefetch the first faces of the cubes that `_append_end_cubes` has appended for `count` rays."""
     for n in range(2 * count):
         _prefetch_face_list(grid, cells[n])
 
 
 @inlined
 def _prefetch_cube_of_point(grid: GridTables, a: Vec3) -> I64:
-    """Return the number of the cube that contains a position, or of the nearest cube in the grid. Prefetch the start of its
-    list."""
+    """Return the number of the cube that contains a position, or outside the grid that of the nearest cube. Prefetch the start of
+    its face list."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
     x = min(max(round_to_int(np.floor((a[0] - shape[0]) * part)), 0), size[0] - 1)

@@ -1,4 +1,4 @@
-"""Lamps as spheres that emit light: how much light reaches a surface, and the target points of rays towards a lamp.
+"""Lamps, which are spheres that emit light. Computes how much light reaches a surface, and target points for rays towards a lamp.
 
 Pictures and the sense `light` use the same lamps. Light decreases with the square of the distance to the centre and with the
 cosine of the angle to the surface's normal."""
@@ -40,10 +40,11 @@ class LightSphere:
     strength: float
 
     def aim_rays(self, points: AnyFloats, numbers: NDArray[np.integer], count: int) -> AnyFloats:
-        """Return vectors (n, 3) from `points` (n, 3) to target points on the sphere. A ray reaches its target at the parameter 1.
+        """Return vectors (n, 3) from `points` (n, 3) to target points on the sphere. As ray directions, they reach the target at
+        the ray parameter 1.
 
-        `count` target points are evenly spread over the half sphere that faces a point; `numbers` (n,) selects one for each
-        point."""
+        There are `count` target points, spread evenly over the hemisphere that faces a point. `numbers` (n,): which of them each
+        point uses."""
         towards = points - self.centre.astype(points.dtype)
         height = 1 - (np.arange(count) + 0.5) / count
         turn, flat = np.arange(count) * _GOLDEN_ANGLE, np.sqrt(1 - height * height)
@@ -75,11 +76,11 @@ def place_bulb(
 ) -> tuple[NDArray[np.float64], float]:
     """Return the centre (3,) and the radius of the part of an item that emits light.
 
-    `shape`: the item's shape in pictures. `position` (3,), `size`: its position and its radius. `up` (3,): a unit vector."""
+    `shape`: the name of the item's shape. `position` (3,), `size`: the item's position and radius. `up` (3,): a unit vector."""
     height, bulb = _BULB_BY_SHAPE.get(shape, _DEFAULT_BULB)
     return position + up * (height * size), bulb * size
 
 
 def select_brightest_lamps(lamps: Iterable[LightSphereType]) -> tuple[LightSphereType, ...]:
-    """Return the largest MAX_LAMPS lamps, from large to small."""
+    """Return the MAX_LAMPS lamps with the greatest radius, in descending order."""
     return tuple(sorted(lamps, key=lambda lamp: -lamp.radius)[:MAX_LAMPS])

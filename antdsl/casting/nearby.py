@@ -1,7 +1,6 @@
-"""Queries about triangles near agents: distance, feeler hits, and the direction away from the triangles.
+"""Queries about the triangles near agents: distances, hits of feelers, and directions away from the triangles.
 
-For performance, agents that are too far from all triangles are skipped, by a grid of lower distance bounds. This applies to
-most agents."""
+Most agents are too far from all triangles. They are skipped, using a grid of lower bounds of the distance."""
 
 from __future__ import annotations
 
@@ -34,8 +33,8 @@ class FeelerHits:
     """Hits of feelers.
 
     - `hit`: whether a feeler hits
-    - `t`: the distance (mm); infinite for no hit
-    - `nx`, `ny`, `nz`: the face's normal, on the side of the feeler's origin"""
+    - `t`: the distance of the hit (mm), infinite without a hit
+    - `nx`, `ny`, `nz`: the unit normal of the face, on the side of the feeler's origin"""
 
     hit: NDArray[np.bool_]
     t: NDArray[np.float32]
@@ -50,7 +49,7 @@ def list_query_rows(queries: Sequence[FeelerQuery]) -> list[tuple[int, NDArray[n
 
 
 class ProximityQueries(ABC):
-    """Queries about the triangles near positions. The basic queries are implemented by the subclass in `casting.rays`."""
+    """Queries about the triangles near positions. The subclass in `casting.rays` implements the basic queries."""
 
     origin: Vectors
     _is_short_lived: bool
@@ -63,20 +62,21 @@ class ProximityQueries(ABC):
 
     @property
     def corners(self) -> Vectors:
-        """Return the corners of all faces in the world (mm, float64[m,3,3])."""
+        """Return the corners of all faces in world space, float64[m,3,3] (mm)."""
         return self._faces.corners + self.origin
 
     @abstractmethod
     def find_closest(
         self, points: Vectors, threads: int = 1, max_distance: NDArray[Any] | float = np.inf
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], Vectors, Vectors]:
-        """Return mesh, face, position and distance of the nearest face to each point."""
+        """Return the surface point nearest to each point: its mesh, its face, its position and its distance."""
 
     @abstractmethod
     def _find_hits_within(
         self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
     ) -> tuple[Index, Vectors, Index]:
-        """Return the rays that hit within one length of `displacement`: their numbers, ascending, ray parameters and faces."""
+        """Return the ascending numbers of the rays that hit within one length of `displacement`, with ray parameters and
+        faces."""
 
     @abstractmethod
     def _get_facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
@@ -91,8 +91,8 @@ class ProximityQueries(ABC):
         """Return approximate distances [n] (mm) from points [n,3] to the nearest face, which limit later searches."""
 
     def measure_clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
-        """Return a distance (mm, float32[n]) from each position within which there is no face: 0 near a face, infinite if
-        there are no faces."""
+        """Return a distance (mm), float32[n], around each position within which there is no face. It is 0 near a face, and
+        infinite if there are no faces."""
         if self._is_empty:
             return np.full(len(x), np.inf, np.float32)
         if self._grid is None:
@@ -114,11 +114,11 @@ class ProximityQueries(ABC):
     def cast_feelers(
         self, positions: VectorComponents, directions: VectorComponents, reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """Return the first hits of feelers from positions (x y z) along unit directions (x y z), within `reach` (mm, one or
+        """Return the first hits of feelers from `positions` along the unit vectors `directions`, within `reach` (mm, one or
         float[n]).
 
-        All arrays are 1-D and of one length. For performance, agents that are too far from all faces are skipped. This does
-        not change the result."""
+        Positions and directions are given as three arrays [n], x, y and z. Agents that are too far from all faces are skipped,
+        which does not change the result."""
         (x, y, z), (dx, dy, dz) = positions, directions
         if np.ndim(reach) == 0 or reach.dtype != np.float32:  # type: ignore[union-attr]
             reach = np.broadcast_to(np.asarray(reach, np.float32), (len(x),))
@@ -139,15 +139,15 @@ class ProximityQueries(ABC):
     def cast_feeler_batch(
         self, positions: Arrays, queries: Sequence[FeelerQuery], threads: int = 1
     ) -> list[tuple[int, NDArray[np.intp]]]:
-        """Write the results of `cast_feelers` for several queries together, each for some of n agents.
+        """Answer several queries of feelers at once, each for some of n agents. Write the results to the arrays of the queries.
 
-        - `positions`: x y z, and a distance (mm) within which there is no face, [n] each
-        - `queries`: for each query, which agents request it; directions (x y z) of any length and their reach; and its result
+        - `positions`: four arrays [n]: x, y, z, and a distance (mm) within which there is no face
+        - `queries`: for each query, a mask of the agents, the directions (x, y, z, of any length), the reach, and the result
           arrays
-        - result arrays: hit, distance and normal (x y z), [n] each, initialised to no hit
+        - result arrays: five arrays [n], hit, distance and normal (x, y, z), which the caller has initialised to no hit
 
-        All arrays are contiguous float32. Returns, for each query, its number and the rows that still need `cast_feelers`; these
-        are all rows if there is no grid."""
+        All arrays are contiguous float32. Returns the number of each query and the rows for which `cast_feelers` must still be
+        called. Without a grid, these are all rows of the query."""
         grid = self._get_triangle_grid()
         if grid is None:
             return list_query_rows(queries)
@@ -160,18 +160,19 @@ class ProximityQueries(ABC):
         return left
 
     def get_tables(self) -> GridTableArrays | None:
-        """Return the arrays of the triangle grid that kernels read; None if there is no grid."""
+        """Return the arrays of the triangle grid that kernels read, or None if there is no grid."""
         grid = self._get_triangle_grid()
         return None if grid is None else grid.tables
 
     def _get_usable_grid(self, columns: tuple[NDArray[Any], ...]) -> TriangleGrid | None:
-        """Return the grid if its kernels accept these columns; else None."""
+        """Return the grid if there is one and its kernels accept these columns, else None."""
         return self._get_triangle_grid() if all(each.dtype == np.float32 for each in columns) else None
 
     def _cast_rays(
         self, rays: tuple[NDArray[Any], ...], reach: NDArray[np.float32], threads: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return distances and normals of the first hits of feelers (given as six columns), by array operations."""
+        """Return distances and normals of the first hits of feelers, using array operations. `rays`: six columns, origins and
+        directions."""
         x, y, z, dx, dy, dz = rays
         t = np.full(len(x), np.inf, np.float32)
         normal = np.zeros((3, len(x)), np.float32)
@@ -214,7 +215,7 @@ class ProximityQueries(ABC):
     def measure_signed_distances(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], max_distance: NDArray[Any] | float, threads: int = 1
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the signed distance (mm, float32[n]) of positions from the meshes, and the unit direction out of them,
+        """Return the signed distance (mm), float32[n], of each position from the meshes, and the unit direction out of them,
         float32[3,n].
 
         The distance is negative inside a mesh, which means behind the nearest face. The query is slow far from the surface."""
@@ -234,7 +235,7 @@ class ProximityQueries(ABC):
     def _measure_signed_distances_to_faces(
         self, points: Vectors, max_distance: NDArray[Any] | float, threads: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the results of `measure_signed_distances` for points [n,3], from their nearest faces."""
+        """Return the results of `measure_signed_distances` for points [n,3], computed from their nearest faces."""
         mesh, face, place, distance = self.find_closest(points, threads, max_distance)
         if self._is_empty or not len(points):
             return distance.astype(np.float32), np.zeros((3, len(points)), np.float32)
@@ -246,8 +247,8 @@ class ProximityQueries(ABC):
         return (distance * side).astype(np.float32), np.ascontiguousarray(outward.T, np.float32)
 
     def _select_possible_hits(self, rays: Arrays, reach: NDArray[Any]) -> NDArray[np.int64]:
-        """Return the rows of feelers that may hit. A feeler is excluded if the smallest ball around it contains no face,
-        according to the lower bounds."""
+        """Return the rows of feelers that may hit. A feeler is excluded if, by the lower bounds, there is no face in the smallest
+        ball around it."""
         if self._is_empty:
             return np.empty(0, np.int64)
         if self._grid is None:

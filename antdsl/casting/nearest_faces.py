@@ -22,8 +22,8 @@ _PREFETCHED_FACE_COUNT = 12  # prefetched faces of a row of cubes
 
 @kernel
 def write_signed_distances(grid: GridTables, positions: ThreeColumns, results: Array2[F32], begin: I64, end: I64) -> I64:
-    """Write the signed distance and the direction out of the surface into `results`, for positions `begin` to `end`
-    (exclusive). The distance is NaN if the grid cannot answer. Returns the number of positions with NaN."""
+    """Write the signed distance and the direction out of the surface to `results`, for positions `begin` to `end` (exclusive).
+    The distance is NaN if the grid cannot resolve a position. Returns the number of such positions."""
     x, y, z = positions
     count = 0
     for i in range(begin, end):
@@ -37,7 +37,7 @@ def write_signed_distances(grid: GridTables, positions: ThreeColumns, results: A
 def measure_signed_distance(grid: GridTables, place: Vec3F32, max_distance: F64) -> tuple[F32, Vec3F32]:
     """Return the signed distance (mm) of one position to the faces, and the direction out of the surface.
 
-    The distance is NaN if the grid cannot answer, and infinite if it is more than `max_distance` mm."""
+    The distance is NaN if the grid cannot resolve the position, and infinite if it is more than `max_distance` mm."""
     shape, normals = grid[0], grid[7]
     p = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
     a = p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]
@@ -74,8 +74,8 @@ def write_nearest_points(
 
 @inlined
 def prefetch_cells_around(grid: GridTables, place: Vec3F32, rows: Array1[I64], k: I64) -> None:
-    """Prefetch the start of the face lists of the cubes around a position. Write these cubes, as nine rows of three, to `rows`
-    from index 9 * `k` on."""
+    """Prefetch the starts of the face lists of the 27 cubes around a position. They are nine rows of three cubes. Write the first
+    cube of each row to `rows`, from index 9 * `k` on."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
     mx = _find_cell_layer(np.float64(place[0]) - shape[6], shape[0], part, size[0])
@@ -91,7 +91,7 @@ def prefetch_cells_around(grid: GridTables, place: Vec3F32, rows: Array1[I64], k
 
 @inlined
 def prefetch_face_lists_of_rows(grid: GridTables, rows: Array1[I64], count: I64) -> None:
-    """Prefetch the first faces of `count` rows of three cubes."""
+    """Prefetch the first faces of the first `count` of `rows`, which are rows of three cubes."""
     first, face_list, bound = grid[2], grid[3], grid[4]
     last = first.size - 1
     for n in range(count):
@@ -104,17 +104,17 @@ def prefetch_face_lists_of_rows(grid: GridTables, rows: Array1[I64], count: I64)
 
 @inlined
 def _find_cell_layer(coordinate: F64, low: F64, offset: F64, size: I64) -> I64:
-    """Return the number of the layer of cubes at a coordinate (mm), limited to the grid. `offset`: cubes per mm."""
+    """Return the number of the layer of cubes at a coordinate (mm), clamped to the grid. `offset`: cubes per mm."""
     return min(max(round_to_int(np.floor((coordinate - low) * offset)), 0), size - 1)
 
 
 @kernel_helper
 def find_nearest_face(grid: GridTables, p: Vec3, max_distance: F64) -> tuple[F64, I64, Vec3]:
-    """Return the squared distance to a point's nearest face, that face, and the nearest position on it.
+    """Return the squared distance from a point to its nearest face, this face, and the nearest position on it.
 
-    If all faces are farther than `max_distance` (mm), the result may be NEAREST_FACE_BEYOND_RANGE or NEAREST_FACE_UNKNOWN
-    instead of a face. NEAREST_FACE_BEYOND_RANGE means that the point is in front of the nearest face, but the distance was not
-    measured. Lower and upper bounds of the distances are enough to know this."""
+    If all faces are farther than `max_distance` (mm), the result may be NEAREST_FACE_BEYOND_RANGE or NEAREST_FACE_UNKNOWN instead
+    of a face. NEAREST_FACE_BEYOND_RANGE means that the point is in front of its nearest face, but the distance was not measured.
+    Bounds of the distances are enough to know this."""
     shape, size, first, face_list, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
     width, slack = shape[3], shape[4]
     part = 1.0 / width
@@ -195,8 +195,8 @@ def _measure_distances_to_plane_and_ball(bound: Array2[F32], k: I64, p: Vec3) ->
 def _is_face_farther(radius: F64, height: F64, square: F64, distance: F64) -> BOOL:
     """Return whether a face is certainly farther from a point than `distance`, by the bounds of the face.
 
-    `height` is the point's height above the face's plane, `square` its squared distance from the centre of the face's bounding
-    ball, `radius` that of the ball."""
+    `height`: the point's height above the face's plane. `square`: its squared distance from the centre of the face's bounding
+    ball. `radius`: the radius of this ball."""
     if abs(height) > distance:
         return True
     square_in_plane = square - height * height
@@ -207,20 +207,20 @@ def _is_face_farther(radius: F64, height: F64, square: F64, distance: F64) -> BO
 
 @inlined
 def _is_near_grid(coordinate: F64, size: I64) -> BOOL:
-    """Return whether a coordinate (in cubes) is at most the search range outside the grid."""
+    """Return whether a coordinate (in cubes) is in the grid, or outside it by at most the search range."""
     return coordinate >= -MAX_SEARCH_RINGS and coordinate <= size + MAX_SEARCH_RINGS
 
 
 @inlined
 def _clamp_index(coordinate: F64, size: I64) -> I64:
-    """Return the number of the layer of cubes at a coordinate (in cubes), limited to the grid."""
+    """Return the number of the layer of cubes at a coordinate (in cubes), clamped to the grid."""
     return min(np.int64(np.floor(max(coordinate, 0.0))), size - 1)
 
 
 @inlined
 def _measure_searched_distance(coordinate: F64, middle: I64, ring: I64, size: I64) -> F64:
-    """Return the distance (in cubes) along an axis that has been searched completely: all nearer faces are in the rings
-    searched so far."""
+    """Return the distance (in cubes) along an axis up to which the search is complete: all nearer faces are in the rings searched
+    so far."""
     begin, end = middle - ring, middle + ring + 1
     low = np.inf if begin <= 0 else coordinate - np.float64(begin)
     high = np.inf if end >= size else np.float64(end) - coordinate

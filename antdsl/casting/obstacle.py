@@ -16,28 +16,28 @@ from antdsl.numerics.vectors import VectorComponents
 class Obstacle(Protocol):
     """A surface that agents can sense ahead: a mesh (`RayScene`) or a solid (`SolidProximityQueries`).
 
-    Positions and directions are 1-D arrays of one length n; lengths are in mm."""
+    Positions and directions are given as three arrays [n], x, y and z. Lengths are in mm."""
 
     def measure_clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
-        """Return a distance (float32[n]) from each position within which there is no surface; 0 near a surface."""
+        """Return a distance, float32[n], around each position within which there is no surface. It is 0 near a surface."""
 
     def cast_feelers(
         self, positions: VectorComponents, directions: VectorComponents, reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """Return the first hits of feelers from positions (x y z) along unit directions (x y z), within `reach` (one or
+        """Return the first hits of feelers from `positions` along the unit vectors `directions`, within `reach` (one or
         float[n])."""
 
     def cast_feeler_batch(
         self, positions: Arrays, queries: Sequence[FeelerQuery], threads: int = 1
     ) -> list[tuple[int, NDArray[np.intp]]]:
-        """Write the hits of feelers for several queries together, each for some of n agents.
+        """Answer several queries of feelers at once, each for some of n agents. Write the results to the arrays of the queries.
 
-        - `positions`: x y z, and a distance (mm) within which there is no surface
-        - `queries`: for each query, which agents request it; directions (x y z) of any length and their reach; and its result
+        - `positions`: four arrays [n]: x, y, z, and a distance within which there is no surface
+        - `queries`: for each query, a mask of the agents, the directions (x, y, z, of any length), the reach, and the result
           arrays
-        - result arrays: hit, distance and normal (x y z), initialised to no hit
+        - result arrays: five arrays [n], hit, distance and normal (x, y, z), which the caller has initialised to no hit
 
-        Returns, for each query, its number and the rows that still need `cast_feelers`."""
+        Returns the number of each query and the rows for which `cast_feelers` must still be called."""
 
     def find_nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1

@@ -1,4 +1,4 @@
-"""Open3D, imported when it is first used."""
+"""Imports Open3D when it is first used."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PLOTLY_MODULE = "open3d.visualization.draw_plotly"
 
 
 class _DeferredModule(ModuleType):
-    """A placeholder for a module. It imports the module when one of its functions is called."""
+    """A placeholder for a module, which is imported when one of its functions is called."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
@@ -30,9 +30,9 @@ class _DeferredModule(ModuleType):
 
 @cache
 def load_open3d() -> Any:
-    """Return the Open3D module, imported at first use.
+    """Return the Open3D module. The first call imports it.
 
-    Its plotting parts are not imported. They need a web server and an HTTP client (dash, requests), open a socket, and take
+    Its plotting parts are not imported. They would need a web server and an HTTP client (dash, requests), open a socket, and take
     half of the import time."""
     if "open3d" not in sys.modules:
         # In a notebook, Open3D would otherwise start its web viewer and print about it.
@@ -57,6 +57,6 @@ def _describe_load_failure(reason: str) -> str:
 def require_open3d() -> None:
     """Raise ImportError if Open3D is not installed.
 
-    The check itself is fast. Open3D is slow to import, and may be needed only late in a run."""
+    This check is fast. Without it, a run might fail late, when it first needs Open3D."""
     if find_spec("open3d") is None:
         raise ImportError(_describe_load_failure("the package is not installed"), name="open3d")

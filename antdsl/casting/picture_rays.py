@@ -1,4 +1,4 @@
-"""Rays for pictures: Open3D's float32 results without further checks, for speed. The simulation uses `RayScene` instead."""
+"""Rays for pictures. For speed, they use Open3D's float32 results without checks. The simulation uses `RayScene` instead."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _RAYS_PER_CHUNK = 1 << 17  # rays per chunk
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureHits:
-    """The hits of n rays.
+    """The first hits of n rays.
 
-    - `t` float32[n]: the distance in lengths of the direction (infinite for no hit)
-    - `face` int32[n]: the face (-1 for no hit)
-    - `u`, `v`: the weights of the face's second and third corner
+    - `t` float32[n]: the distance of the hit, in lengths of the ray's direction (infinite without a hit)
+    - `face` int32[n]: the face (-1 without a hit)
+    - `u`, `v` float32[n]: the weights of the face's second and third corner
     - `normal` float32[n,3]: the face's unit normal, on the side of the ray's origin"""
 
     t: NDArray[np.float32]
@@ -29,15 +29,15 @@ class PictureHits:
     normal: NDArray[np.float32]
 
     def select_rows(self, rows: Any) -> PictureHits:
-        """Return the hits in `rows`, which are numbers or a slice."""
+        """Return the hits of the given rows, which may be indices or a slice."""
         return PictureHits(*(getattr(self, each.name)[rows] for each in fields(self)))
 
 
 class PictureRays:
     """Triangles (vertices [n,3], faces [m,3]) for the rays of a camera.
 
-    Positions are converted to float32 relative to the centre of the mesh. A ray's result is bit-identical for any threads and
-    other rays."""
+    Positions are converted to float32 relative to the centre of the mesh. The result for a ray is bit-identical for any number of
+    threads, and does not depend on other rays."""
 
     def __init__(self, vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> None:
         self.faces = len(faces)
@@ -69,7 +69,7 @@ class PictureRays:
     def find_occluded_rays(
         self, origin: NDArray[Any], direction: NDArray[np.float32], max_parameter: float = np.inf, threads: int = 1
     ) -> NDArray[np.bool_]:
-        """Return whether each ray hits anything before `max_parameter` lengths of its direction."""
+        """Return whether each ray hits anything within `max_parameter` lengths of its direction."""
         n = len(direction)
         is_occluded = np.zeros(n, np.bool_)
         for start in range(0, n if self.faces else 0, _RAYS_PER_CHUNK):
@@ -79,7 +79,7 @@ class PictureRays:
         return is_occluded
 
     def _prepare_rays(self, origin: NDArray[Any], direction: NDArray[np.float32], rows: slice) -> NDArray[np.float32]:
-        """Return rays float32[k,6] for Open3D: origin relative to the mesh's centre, and direction."""
+        """Return the rays `rows` in Open3D's form, float32[k,6]: origin relative to the centre of the mesh, and direction."""
         rays = np.empty((rows.stop - rows.start, 6), np.float32)
         np.subtract(origin if origin.ndim == 1 else origin[rows], self.origin, out=rays[:, :3], casting="unsafe")
         rays[:, 3:] = direction[rows]

@@ -1,4 +1,5 @@
-"""Lists the cells of a regular lattice that triangles touch. The test is exact, and works in batches that need little memory."""
+"""Lists the cells of a regular lattice that triangles touch. The test is exact, and is done in batches that need little
+memory."""
 
 from __future__ import annotations
 
@@ -20,14 +21,14 @@ _THIN_TRIANGLE_RATIO = 64.0  # ratio of length in cells to touched cells; above 
 def iterate_triangle_cells(
     corners: NDArray[np.float64], exact: bool = True, margin: float = 0.0
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield batches of pairs until all cells that triangles touch are listed: cells int64[k,3], and triangle numbers int64[k].
+    """Yield all pairs of a triangle and a cell that it touches, in batches of k: cells int64[k,3], and triangle numbers int64[k].
 
     - `corners`: float64[n,3,3] (triangle, corner, axis) in units of cells; cell (i,j,k) is [i,i+1)×[j,j+1)×[k,k+1)
-    - `exact`: if false, yield all cells of a small box around each part of a triangle
-    - `margin`: yield also the cells within this distance (in cells) of a triangle
+    - `exact`: if false, yield instead all cells of a small box around each part of a triangle
+    - `margin`: also yield the cells within this distance (in cells) of a triangle
 
-    A cell may be yielded more than once for a large triangle. Triangle against box: Akenine-Möller, Fast 3D Triangle-Box Overlap
-    Testing, 2001, p. 2-4."""
+    A pair may be yielded more than once if the triangle is large. The test of a triangle against a box is that of Akenine-Möller,
+    Fast 3D Triangle-Box Overlap Testing, 2001, p. 2-4."""
     for a in range(0, len(corners), _TRIANGLES_PER_CHUNK):
         yield from _iterate_touched_cells(
             corners[a : a + _TRIANGLES_PER_CHUNK], np.arange(a, min(a + _TRIANGLES_PER_CHUNK, len(corners))), exact, margin
@@ -37,10 +38,11 @@ def iterate_triangle_cells(
 def _iterate_touched_cells(
     tri: NDArray[np.float64], triangle_numbers: NDArray[np.int64], exact: bool, margin: float
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield cells as `iterate_triangle_cells`, for at most `_TRIANGLES_PER_CHUNK` triangles with numbers `triangle_numbers`.
+    """Yield the pairs of `iterate_triangle_cells`, for at most `_TRIANGLES_PER_CHUNK` triangles with the numbers
+    `triangle_numbers`.
 
-    A long thin triangle is cut across its length into slices as long as they are wide. Cutting it into quarters would give
-    thin triangles again, n²/4 of them for a length of n cells."""
+    A long thin triangle is cut across its length into slices that are about as long as wide. Cutting it into quarters repeatedly
+    would give thin triangles again, n²/4 of them for a length of n cells."""
     todo = [(tri, triangle_numbers)]
     while todo:
         tri, triangle_numbers = todo.pop()
@@ -66,8 +68,8 @@ def _iterate_touched_cells(
 def _drop_repeated_pairs(
     cells: NDArray[np.int64], triangle_numbers: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the pairs of cell and triangle without most duplicates. Duplicates occur because halves of a slice, and neighbouring
-    parts, share cells."""
+    """Return the pairs of a cell and a triangle with most duplicates removed. Duplicates occur because the parts into which a
+    triangle is cut share cells."""
     lowest = cells.min(axis=0, initial=np.iinfo(np.int64).max)
     key = triangle_numbers - triangle_numbers.min(initial=0)
     key_count = float(key.max(initial=0)) + 1
@@ -81,7 +83,7 @@ def _drop_repeated_pairs(
 
 
 def _find_thin_triangles(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask of thin triangles. Cut into quarters repeatedly, these would have far more parts than cells."""
+    """Return a mask of thin triangles. If these were cut into quarters repeatedly, they would have far more parts than cells."""
     sides = [tri[:, (k + 1) % 3] - tri[:, k] for k in range(3)]
     square = np.max([(side * side).sum(axis=1) for side in sides], axis=0)
     normal = np.cross(sides[0], sides[1])
@@ -90,10 +92,10 @@ def _find_thin_triangles(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def _iterate_triangle_chunks(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-    """Yield batches of slices of triangles, cut across their longest side, and the triangle number of each slice.
+    """Cut triangles into slices across their longest side. Yield the slices in batches, with the triangle number of each slice.
 
-    A batch has at most `_TRIANGLES_PER_CHUNK` slices. The height cuts a triangle in two. Each half is cut along the height, from
-    its tip on, and each slice into two triangles."""
+    A batch has at most `_TRIANGLES_PER_CHUNK` slices. Each triangle is first cut in two along its height. Each half is cut into
+    slices parallel to the height, beginning at its tip, and each slice into two triangles."""
     sides = np.stack([((tri[:, (k + 1) % 3] - tri[:, k]) ** 2).sum(axis=1) for k in range(3)])
     first, row = sides.argmax(axis=0), np.arange(len(tri))
     start, end, apex = (tri[row, (first + k) % 3] for k in range(3))
@@ -117,7 +119,7 @@ def _iterate_triangle_chunks(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray
 
 
 def _split_triangles_in_four(tri: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return each triangle divided into four at the middles of its sides."""
+    """Divide each triangle into four at the midpoints of its sides. Return the parts, float64[4n,3,3]."""
     a, b, c = tri[:, 0], tri[:, 1], tri[:, 2]
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
     parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
@@ -125,9 +127,9 @@ def _split_triangles_in_four(tri: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _compute_bounds(tri: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lowest and highest coordinates of triangles, each float64[n,3].
+    """Return the lowest and highest coordinates of triangles, both float64[n,3].
 
-    It handles three separate corners, which is faster than a reduction along an axis."""
+    It combines the three corners one by one, which is faster than a reduction along an axis."""
     a, b, c = tri[:, 0], tri[:, 1], tri[:, 2]
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
@@ -135,7 +137,8 @@ def _compute_bounds(tri: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
 def _find_cells_by_box(
     tri: NDArray[np.float64], triangle_numbers: NDArray[np.int64], exact: bool, margin: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the touched cells in the bounding box of each triangle, and the triangle number of each cell."""
+    """Return the cells that triangles touch, and the triangle number of each cell. All cells in the bounding box of a triangle
+    are tested."""
     lowest, highest = _compute_bounds(tri)
     low, high = np.floor(lowest - margin).astype(np.int64), np.floor(highest + margin).astype(np.int64)
     size = high - low + 1
@@ -159,11 +162,11 @@ def _find_cells_by_box(
 def _find_touching_cells(
     tri: NDArray[np.float64], triangle_rows: NDArray[np.int64], cells: NDArray[np.int64], half: float
 ) -> NDArray[np.bool_]:
-    """Return whether each triangle touches its cell, as bool[k]. The bounding boxes of both must touch.
+    """Return whether each of k pairs of a triangle and a cell touches, bool[k]. Their bounding boxes must touch.
 
     - `tri`: the corners of triangles, float64[9,n]; `triangle_rows` int64[k]: the triangle of each pair
     - `cells` int64[k,3]: the cell of each pair
-    - `half`: half the edge of the tested cells"""
+    - `half`: half the edge length of the cells"""
     middle = cells.T + 0.5
     v = [[tri[3 * corner + axis].take(triangle_rows) - middle[axis] for axis in range(3)] for corner in range(3)]
     e = [[w - u for u, w in zip(v[one], v[other], strict=True)] for one, other in ((0, 1), (1, 2), (2, 0))]

@@ -1,12 +1,12 @@
-"""Hits of short rays on a static mesh, by a walk over the faces below the ray. No search in the grid of triangles is needed.
+"""Finds hits of short rays on a static mesh by walking over the faces below the ray, without a search in the grid of triangles.
 
-The ring of a face is all faces that share a corner with it. A face has a ball around its middle if its ring is flat: seen along
-the face's normal, all faces of the ring show the same side, and none overlaps another. No face outside the ring reaches into the
-ball. So a ray within the ball can hit only the ring, and passes over its faces one after another. A walk begins at the face below
-the ray's origin, and tests faces in this order with the test of `grid_rays.find_first_hit`.
+The ring of a face is the set of all faces that share a corner with it. A ring is flat if, seen along the normal of its face, all
+its faces show the same side and none overlaps another. Each face with a flat ring has a ball around its centre, into which no
+face outside the ring reaches. So a ray inside the ball can hit only the ring, and passes over its faces one after another. A walk
+begins at the face below the ray's origin. It tests faces in this order, with the test of `grid_rays.find_first_hit`.
 
-The grid answers for rays that pass near a corner or hit near a side, since it has a rule for hits at equal distances. So all
-answers are those of the grid, to the bit, from whichever face the walk begins."""
+Rays that pass near a corner or hit near a side are left to the grid, which has a rule for hits at equal distances. So all results
+have the same bits as those of the grid, whichever face the walk begins from."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ _MIN_FACES_PER_THREAD = 512  # fewer faces are not worth another thread
 
 
 def build_ring_tables(faces: TriangleFaces, grid: GridTables, store_tables: bool, threads: int = 1) -> Arrays:
-    """Return the table that walks read: two cache lines for each face, as three views of one array.
+    """Return the table that walks read, as three views of one array, with two cache lines for each of m faces.
 
     - float64[16 m]: the three planes of a face
-    - int32[32 m]: at SIDE_LINK_OFFSET, the face across the side opposite each corner, -1 for none
-    - float32[32 m]: at CLEAR_BALL_OFFSET, middle and squared radius of the ball; radius 0 if the ring is open or not flat
+    - int32[32 m]: from SIDE_LINK_OFFSET on, the faces across the sides opposite each corner, -1 for none
+    - float32[32 m]: from CLEAR_BALL_OFFSET on, centre and squared radius of the ball; 0 if the ring is open or not flat
 
-    If `store_tables`, the table is stored for other runs."""
+    If `store_tables`, the table is stored for later runs."""
     count = len(faces.corners) if store_tables else 0
     tables = stored_tables.get_or_compute(
         "rings", count, (faces.corners, *grid[0][:5]), partial(_compute_ring_tables, faces, grid, threads)
@@ -88,8 +88,8 @@ def _compute_ring_tables(faces: TriangleFaces, grid: GridTables, threads: int) -
 
 
 def _find_side_links(weld: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Return the face across each side of faces (m, 3), given by corner numbers; -1 unless exactly two faces with equal winding
-    share the side."""
+    """Return the face across each side of faces (m, 3), or -1 unless exactly two faces with equal winding share the side. `weld`:
+    (m, 3), the vertex numbers of corners."""
     one, two = np.roll(weld, -1, axis=1).ravel(), np.roll(weld, -2, axis=1).ravel()
     key = np.minimum(one, two) * (int(weld.max(initial=0)) + 1) + np.maximum(one, two)
     order = np.argsort(key, kind="stable")
@@ -105,9 +105,9 @@ def _find_side_links(weld: NDArray[np.int64]) -> NDArray[np.int32]:
 
 @kernel
 def _write_clear_balls(grid: GridTables, corners: CornerTables, balls: Array2[F32], begin: I64, end: I64) -> None:
-    """Write the middle and squared radius of the balls of faces `begin` to `end` (exclusive) into `balls`.
+    """Write the centre and the squared radius of the balls of faces `begin` to `end` (exclusive) to `balls`.
 
-    `corners`: the last three arrays of `Faces.build_tables`, and for each vertex whether no side at it is open."""
+    `corners`: the last three arrays of `TriangleFaces.build_kernel_tables`, and a mask of the vertices without an open side."""
     points, weld = grid[6], corners[0]
     for f in range(begin, end):
         middle = 0.0, 0.0, 0.0
@@ -122,7 +122,8 @@ def _write_clear_balls(grid: GridTables, corners: CornerTables, balls: Array2[F3
 
 @kernel_helper
 def _is_ring_flat(grid: GridTables, corners: CornerTables, f: I64, middle: Vec3) -> BOOL:
-    """Return whether the ring of a face is flat and closed: seen along the normal, its border goes once around the middle."""
+    """Return whether the ring of a face is flat and closed. Seen along the normal, its border must go exactly once around the
+    centre, `middle`."""
     points, normals = grid[6], grid[7]
     weld, first, face_list, closed = corners
     up = normals[f, 0], normals[f, 1], normals[f, 2]
@@ -154,8 +155,8 @@ def _is_ring_flat(grid: GridTables, corners: CornerTables, f: I64, middle: Vec3)
 
 @kernel_helper
 def _measure_ring_clearance(grid: GridTables, weld: Array1[I64], f: I64, middle: Vec3) -> F64:
-    """Return the distance of a position from all faces outside the ring of face `f`. The result is limited to the border of the
-    cubes next to the position's cube."""
+    """Return the distance of a position from the nearest face outside the ring of face `f`. It is limited to the distance of the
+    cubes that are not searched."""
     shape, size, first, face_list, bound, corners = grid[0], grid[1], grid[2], grid[3], grid[4], grid[6]
     width, clearance = shape[3], np.inf
     p = (middle[0] - shape[0]) / width, (middle[1] - shape[1]) / width, (middle[2] - shape[2]) / width
@@ -200,7 +201,7 @@ def prefetch_first_face(rings: RingTables, face: I64) -> None:
 @inlined
 def find_hit_by_walk(grid: GridTables, rings: RingTables, start: I64, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     """Return the first hit of a ray, like `find_first_hit`, by a walk over faces. The walk starts at the face below the ray's
-    origin `a`. The search for that face begins at the face `start`. If a walk cannot answer, the face in the result is
+    origin `a`. The search for this face begins at the face `start`. If a walk cannot find the hit, the face in the result is
     NEAREST_FACE_UNKNOWN."""
     links, balls = rings[1], rings[2]
     f = _find_face_below(rings, start, a)
@@ -246,8 +247,8 @@ def find_hit_by_walk(grid: GridTables, rings: RingTables, start: I64, a: Vec3, w
 
 @inlined
 def _find_face_below(rings: RingTables, start: I64, place: Vec3) -> I64:
-    """Return the face below or above a position, by a search over neighbours from `start` on. Return -1 if there is none, or if
-    the position is near a side."""
+    """Return the face below or above a position, found by going from neighbour to neighbour, beginning at `start`. Return -1 if
+    there is none, or if the position is near a side."""
     f, count = start, 0
     while f >= 0 and count < _MAX_SEARCHED_FACES:
         _, plane1, plane2 = _load_side_planes(rings, f)
@@ -267,7 +268,7 @@ def _find_face_below(rings: RingTables, start: I64, place: Vec3) -> I64:
 
 @inlined
 def _load_side_planes(rings: RingTables, f: I64) -> tuple[Plane, Plane, Plane]:
-    """Return the three planes of a face: the plane of the face, and two that give the weights of its second and third corner."""
+    """Return the three planes of a face: its own plane, and two planes that give the weights of its second and third corner."""
     x0, y0, z0, c0, x1, y1, z1, c1, x2, y2, z2, c2 = load_consecutive(rings[0], 16 * f, 12)
     return (x0, y0, z0, c0), (x1, y1, z1, c1), (x2, y2, z2, c2)
 
@@ -286,7 +287,7 @@ def _evaluate_plane_slope(plane: Plane, displacement: Vec3) -> F64:
 
 @inlined
 def _find_index_of_minimum(a: F64, b: F64, c: F64) -> I64:
-    """Return the index of the least number; of equal ones, the first."""
+    """Return the index of the smallest number. Of equal numbers, the first is chosen."""
     return 0 if a <= b and a <= c else (1 if b <= c else 2)
 
 

@@ -1,5 +1,5 @@
-"""Ray hits, occlusion, closest points and feelers for triangle meshes. Results are bit-identical for any batch size and thread
-count."""
+"""Queries of triangle meshes: ray hits, occlusion, closest points and feelers. Results are bit-identical for any batch size and
+number of threads."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ FAR_FROM_ORIGIN_MM = 2000.0  # mm; nearer to zero, float32 is exact to a ten-tho
 
 @dataclass(frozen=True, slots=True)
 class RayHitArrays:
-    """The hits of rays.
+    """The first hits of n rays.
 
-    - `t`: the distance in lengths of the direction; infinite for no hit
-    - `mesh`, `face`: -1 for no hit
+    - `t`: the distance of the hit, in lengths of the ray's direction; infinite without a hit
+    - `mesh`, `face`: the mesh, and the face in this mesh; -1 without a hit
     - `u`, `v`: the weights of the face's second and third corner
-    - `normal` float32[n,3]: the face's unit normal, on the side of the ray's origin; 0 for no hit"""
+    - `normal` float32[n,3]: the face's unit normal, on the side of the ray's origin; 0 without a hit"""
 
     t: Vectors
     mesh: NDArray[np.int32]
@@ -48,26 +48,25 @@ class RayHitArrays:
 
     @property
     def is_hit(self) -> NDArray[np.bool_]:
-        """Return which rays hit."""
+        """Return a mask of the rays that hit, bool[n]."""
         return self.face >= 0
 
 
 class RayScene(ProximityQueries):
     """Triangle meshes that rays can be cast at. Vertices are float64[n,3], faces int[m,3]; lengths are in mm.
 
-    Open3D computes in float32, relative to the centre for meshes far from the world's origin, and its last bits depend on the
-    processor. Open3D is therefore used only to find candidate faces, on slightly enlarged triangles. Hit points and nearest
-    points are computed in float64, from the proposed face and the faces that share its corner there. If faces are equally near,
-    the one with the lowest mesh number, then face number, is returned.
+    Open3D computes in float32, and its last bits depend on the processor. It is therefore used only to find candidate faces, on
+    slightly enlarged triangles. Hit points and nearest points are computed in float64, from the candidate and the faces that
+    share its corner there. Of equally near faces, the one with the lowest mesh number, then the lowest face number, is returned.
 
     A short-lived scene, for a single step, is faster to build but has coarser lower bounds of distances. With `store_tables`,
-    tables are stored for later runs. The smallest resolved length, the tolerance of `Faces`, is relative to the largest
-    coordinate, or to `largest_coordinate` (mm) if anything beyond that is a backdrop.
+    tables are stored for later runs. The tolerance of `TriangleFaces`, the smallest resolved length, is proportional to the
+    largest coordinate. If meshes beyond `largest_coordinate` (mm) are only a backdrop, it is proportional to this length.
 
-    Rays with an end, and nearest-face queries within a distance, use a `TriangleGrid` if that is useful. The grid measures all
-    nearby faces in float64. Open3D answers longer rays, and queries too far from all faces. The choice depends on the scene and
-    the ray only, so no answer depends on other rays. If two faces without a common corner are closer than float32 resolves, the
-    grid returns the nearer one, Open3D either of them."""
+    Rays with an end, and nearest-face queries within a distance, use a `TriangleGrid` if there is one. The grid tests all nearby
+    faces in float64. Open3D answers longer rays, and queries too far from all faces. The choice depends only on the scene and the
+    query, so no result depends on other queries. Two faces without a common corner may be closer than float32 resolves. The grid
+    then returns the nearer one, Open3D either of them."""
 
     _is_short_lived = False
     _stores_tables = True
@@ -92,7 +91,7 @@ class RayScene(ProximityQueries):
         return scene
 
     def _set_meshes(self, meshes: Sequence[MeshArrays]) -> None:
-        """Set the triangles of the scene, relative to an origin near their centre."""
+        """Store the triangles of the scene relative to an origin near their centre."""
         arrays = [(np.asarray(v, np.float64).reshape(-1, 3), np.asarray(f, np.int32).reshape(-1, 3)) for v, f in meshes]
         counts = np.array([len(f) for _, f in arrays], np.int64)
         corners = np.concatenate([np.empty((0, 3, 3)), *(v[f] for v, f in arrays)])
@@ -115,8 +114,8 @@ class RayScene(ProximityQueries):
 
     @property
     def _widened_scene(self) -> Any:
-        """Return Open3D's scene of slightly enlarged triangles. It is built on first use, because the grid answers most queries
-        of a run."""
+        """Return the Open3D scene of slightly enlarged triangles. It is built on first use, because most runs need only the
+        grid."""
         if self._open3d_scene is None:
             self._open3d_scene = self._build_scene(self._faces.compute_widened_corners())
         return self._open3d_scene
@@ -135,7 +134,7 @@ class RayScene(ProximityQueries):
     # ---- rays
 
     def find_first_hits(self, origin: Vectors, direction: Vectors, threads: int = 1) -> RayHitArrays:
-        """Return the first hit of each ray from `origin` [n,3] along `direction` [n,3] (any length)."""
+        """Return the first hit of each ray from `origin` [n,3] along `direction` [n,3], which may have any length."""
         n = len(origin)
         t, mesh, local = np.full(n, np.inf), np.full(n, -1, np.int32), np.full(n, -1, np.int32)
         weights, normal = np.zeros((n, 3)), np.zeros((n, 3), np.float32)
@@ -153,21 +152,21 @@ class RayScene(ProximityQueries):
     def find_hits_along_step(
         self, origin: Vectors, step: Vectors, threads: int = 1, most_hit: bool = False
     ) -> tuple[Index, Vectors, NDArray[np.int32], NDArray[np.int32]]:
-        """Return the rays that hit between `origin` [n,3] and `origin + step`: their numbers, ascending, ray parameters, meshes
-        and faces.
+        """Return the ascending numbers of the rays that hit between `origin` [n,3] and `origin + step`, with ray parameters,
+        meshes and faces.
 
-        `most_hit`: skip the occlusion query, because most rays hit."""
+        `most_hit`: whether most rays are expected to hit; an occlusion query before the search is then skipped."""
         hit_rays, t, face = self._find_hits_within(origin - self.origin, step, threads, most_hit)
         return hit_rays, t, *self._split_face_numbers(face)
 
     def find_hit_normals(
         self, origin: Vectors, displacement: Vectors, normals: Vectors, normal_columns: Index, threads: int = 1
     ) -> tuple[Index, Vectors, Vectors]:
-        """Return the rays that hit between `origin` [n,3] and `origin + displacement`: their numbers, ascending, ray parameters
-        and normals (3, k).
+        """Return the ascending numbers of the k rays that hit between `origin` [n,3] and `origin + displacement`, with ray
+        parameters and normals (3, k).
 
-        The ray parameter is in lengths of `displacement`. Normals are columns of `normals` (3, m); `normal_columns` has the
-        column of each face."""
+        Ray parameters are in lengths of `displacement`. `normals` (3, m): the normals to return. `normal_columns`: the column of
+        `normals` for each face."""
         grid = self._get_triangle_grid()
         if grid is not None:
             results, left = grid.find_hit_normals(origin, displacement, normals, normal_columns, threads)
@@ -177,15 +176,15 @@ class RayScene(ProximityQueries):
         return hit_rays, part, normals.take(normal_columns.take(face), axis=1)
 
     def get_ring_tables(self, threads: int = 1) -> Arrays | None:
-        """Return the tables that walks of rays need in addition to `tables`, computed at the first call; None if there is no
-        grid."""
+        """Return the tables that ray walks need in addition to the grid, or None if there is no grid. They are built on first
+        use."""
         grid = self._get_triangle_grid()
         if grid is not None and self._ring_tables is None:
             self._ring_tables = build_ring_tables(self._faces, grid.tables, self._stores_tables, threads)
         return self._ring_tables
 
     def _get_triangle_grid(self) -> TriangleGrid | None:
-        """Return the grid for short rays and near faces, built on first use; None for a scene of a single step."""
+        """Return the grid for short rays and near faces, or None for a short-lived scene. It is built on first use."""
         if not self._has_built_grid:
             self._has_built_grid = True
             self._short_ray_grid = TriangleGrid.from_faces(self._faces, self.origin, self._stores_tables)
@@ -194,9 +193,9 @@ class RayScene(ProximityQueries):
     def _find_hits_within(
         self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
     ) -> tuple[Index, Vectors, Index]:
-        """Return the rays that hit within one length of `displacement`: their numbers, ascending, ray parameters and faces.
+        """Return the ascending numbers of the rays that hit within one length of `displacement`, with ray parameters and faces.
 
-        Short rays use the grid, others Open3D."""
+        Short rays use the grid, the others use Open3D."""
         grid = self._get_triangle_grid()
         if grid is None:
             return self._find_open3d_hits(origin, displacement, 1.0, threads, most_hit)[:3]
@@ -212,14 +211,14 @@ class RayScene(ProximityQueries):
     def _find_open3d_hits(
         self, origin: Vectors, displacement: Vectors, max_parameter: float, threads: int, most_hit: bool = False
     ) -> RayHits:
-        """Return the rays that hit within `max_parameter` lengths of `displacement` [n,3], from points [n,3] relative to the
+        """Find the rays that hit within `max_parameter` lengths of `displacement` [n,3]. `origin` [n,3] is relative to the
         scene's origin.
 
-        The result has the numbers of these rays, ascending, ray parameters (in lengths of `displacement`), faces over all meshes,
-        and corner weights.
+        The result has the ascending numbers of these rays, ray parameters (in lengths of `displacement`), faces numbered over all
+        meshes, and barycentric weights.
 
-        Hits within the tolerance of a ray's start do not count. Open3D's search therefore extends slightly past the ray's end.
-        It is repeated behind a reported face that does not count: the ray starts on that face, or misses it by less than the
+        Hits within the tolerance of a ray's start do not count. Open3D therefore searches slightly past the end of a ray. If a
+        reported face does not count, the search is repeated behind it: the ray starts on it, or misses it by less than the
         tolerance."""
         no_hits = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty((0, 3))
         if self._is_empty:
@@ -277,8 +276,8 @@ class RayScene(ProximityQueries):
         return rows.take(near_rows), fractions.take(near_rows), reported.take(near_rows), weights.take(near_rows, axis=0)
 
     def _cast_open3d_rays(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
-        """Cast prepared rays by Open3D. Return the approximate ray parameter of each hit, and the face number over all meshes
-        (-1: none)."""
+        """Cast prepared rays by Open3D. Return the approximate ray parameter of each first hit, and the face numbered over all
+        meshes (-1 for none)."""
         answer = self._widened_scene.cast_rays(self._to_tensor(rays), nthreads=threads)
         t = answer["t_hit"].numpy()
         face = answer["primitive_ids"].numpy().astype(np.int64)
@@ -288,7 +287,7 @@ class RayScene(ProximityQueries):
         return t, face
 
     def _split_face_numbers(self, face: Index) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Convert face numbers over all meshes to mesh numbers and face numbers within the mesh."""
+        """Convert face numbers over all meshes to mesh numbers and face numbers within these meshes."""
         mesh = self._mesh_of_face.take(face)
         return mesh, (face - self._first_face_of_mesh.take(mesh)).astype(np.int32)
 
@@ -302,7 +301,7 @@ class RayScene(ProximityQueries):
     def find_occluded_rays(
         self, origin: Vectors, direction: Vectors, max_parameter: float = np.inf, threads: int = 1
     ) -> NDArray[np.bool_]:
-        """Return whether each ray hits anything before `max_parameter` lengths of its direction. The result is Open3D's: for
+        """Return whether each ray hits anything within `max_parameter` lengths of its direction. This is Open3D's result, for
         pictures only."""
         rays = np.empty((len(origin), 6), np.float32)
         np.subtract(origin, self.origin, out=rays[:, :3], casting="unsafe")
@@ -310,7 +309,7 @@ class RayScene(ProximityQueries):
         return self._test_open3d_occlusions(rays, max_parameter, threads)
 
     def _test_open3d_occlusions(self, rays: NDArray[np.float32], max_parameter: float, threads: int) -> NDArray[np.bool_]:
-        """Return whether prepared rays hit anything before `max_parameter` lengths of their directions, by Open3D."""
+        """Return whether prepared rays hit anything within `max_parameter` lengths of their directions, by Open3D."""
         if self._is_empty or len(rays) == 0:
             return np.zeros(len(rays), bool)
         is_occluded: NDArray[np.bool_] = self._widened_scene.test_occlusions(
@@ -323,8 +322,8 @@ class RayScene(ProximityQueries):
     def find_closest(
         self, points: Vectors, threads: int = 1, max_distance: NDArray[Any] | float = np.inf
     ) -> tuple[NDArray[np.int32], NDArray[np.int32], Vectors, NDArray[np.float64]]:
-        """Return the nearest surface point to each point [n,3]: its mesh, face, position [n,3] in float64, and distance [n]
-        (mm). Far from the surface, a query costs as much as 10 to 30 rays: use it for the few points that no other search
+        """Return the surface point nearest to each point [n,3]: its mesh, face, position [n,3] in float64, and distance [n] (mm).
+        Far from the surface, a query costs as much as 10 to 30 rays. Use it only for the few points that no other search
         resolves. Beyond `max_distance` (mm, one or float[n]), the result may be another, equally near face."""
         n = len(points)
         if self._is_empty or n == 0:
@@ -347,7 +346,7 @@ class RayScene(ProximityQueries):
     def _find_closest_by_open3d(
         self, local_points: Vectors, threads: int, max_distance: NDArray[Any] | float
     ) -> tuple[Vectors, Vectors, Index]:
-        """Return, for each point, the nearest position on a face, its distance and the face, by Open3D. Points and positions are
+        """Return the surface position nearest to each point, its distance and its face, using Open3D. Points and positions are
         relative to the scene's origin."""
         place, square, face = self._faces.find_nearest(local_points, self._query_open3d_nearest(local_points, threads))
         # At a slightly larger distance, an equally near face on another side is nearer. So both are found in any case.
@@ -367,7 +366,7 @@ class RayScene(ProximityQueries):
         return place, distance, face
 
     def _measure_approximate_distances(self, points: Vectors) -> Vectors:
-        """Return the approximate distance [n] to the nearest face, within float32 error. Later searches use it as a limit."""
+        """Return the distance [n] from each point to the nearest face, up to float32 errors. Later searches use it as a limit."""
         local = points - self.origin
         gap = find_nearest_on_triangle(local, self._faces.corners.take(self._query_open3d_nearest(local, 1), axis=0)) - local
         return np.sqrt((gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]) + gap[:, 2] * gap[:, 2])
@@ -388,10 +387,10 @@ class RayScene(ProximityQueries):
         return face
 
     def measure_depth_inside(self, points: Vectors, threads: int = 1) -> NDArray[np.float64]:
-        """Return how deep each point [n,3] is inside the meshes: the distance to the surface in mm. Meshes are assumed to be
+        """Return the depth of each point [n,3] inside the meshes: its distance to the surface in mm. Meshes are assumed to be
         closed.
 
-        A point is inside if at least two of three rays from it cross an odd number of faces; outside, the result is 0."""
+        A point is inside if at least two of three rays from it cross an odd number of faces. Outside, the depth is 0."""
         depths = np.zeros(len(points))
         if not self._is_empty and len(points):
             local = self._to_tensor((np.asarray(points, np.float64) - self.origin).astype(np.float32))

@@ -1,4 +1,4 @@
-"""Tolerances: bounds of rounding errors in ray hits, and lengths that are too short to resolve."""
+"""Tolerances of ray hits: bounds of rounding errors, and lengths that are too short to resolve."""
 
 EDGE_WEIGHT_TOLERANCE = 1e-9  # weight by which a hit may lie outside a face, so that no ray passes between two faces
 TOUCHING_DISTANCE_MM = 1e-6  # mm; at a smaller distance the face's normal gives the direction out

@@ -1,9 +1,9 @@
-"""A regular grid of triangles that finds the first face on a short ray, and the nearest face within a few cells, in float64.
+"""A regular grid of triangles that finds the first face on a short ray, or the nearest face within a few cells, in float64.
 
-A ray visits the cubes along it (J. Amanatides, A. Woo, A Fast Voxel Traversal Algorithm for Ray Tracing, Eurographics 1987). A
-point visits the cubes around it, ring by ring. Every face listed in a visited cube is measured as in `Faces`. So the result is
-the same as if all faces were tested: the least distance, then the least face number. The grid only skips faces that cannot be
-hit."""
+The search for a ray visits the cubes along the ray (J. Amanatides, A. Woo, A Fast Voxel Traversal Algorithm for Ray Tracing,
+Eurographics 1987). The search for a point visits the cubes around it, ring by ring. Every face listed in a visited cube is tested
+as in `TriangleFaces`; only faces that cannot be the result are skipped. So the result is the same as if all faces were tested. Of
+equally near faces, the one with the lowest number is returned."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ _THIN_CORNER_SINE = 1e-8  # sine of a corner angle; below it, a face defines no 
 
 
 class TriangleGrid:
-    """A grid of all faces. `tables` contains:
+    """A grid of cubes, each of which lists the faces in it. `tables` contains:
 
-    - lowest corner, edge of a cube, error of a bound, tolerance of the faces, and origin (mm, float64[9])
+    - lowest corner, edge length of cubes, error of bounds, tolerance of the faces, and origin (mm, float64[9])
     - number of cubes along each axis, int64[3]
-    - the start of each cube's faces in a list, and the list of face numbers, int32
+    - a list of the face numbers of all cubes, int32, and the start of each cube in this list, int32
     - plane and bounding ball of each listed face, float32[e,8]
     - planes (m, 3, 4), corners (m, 3, 3) and unit normals (m, 3) of all faces"""
 
@@ -72,10 +72,10 @@ class TriangleGrid:
 
     @staticmethod
     def from_faces(faces: TriangleFaces, origin: Floats, store_tables: bool = True) -> TriangleGrid | None:
-        """Return a grid if it is useful and not too large; otherwise None. Its size is computed before any allocation.
+        """Return a grid, or None if it would be useless or too large. Its size is computed before any allocation.
 
         - `origin`: the world position that the corners of the faces are relative to
-        - `store_tables`: whether another run may need the same faces"""
+        - `store_tables`: whether to store the tables, because later runs may have the same faces"""
         tables = faces.build_kernel_tables()
         width = None if tables is None else _choose_cube_width(faces.corners)
         if tables is None or width is None:
@@ -86,11 +86,10 @@ class TriangleGrid:
     # ---- rays
 
     def find_first_faces(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Floats, Index]:
-        """Return the first face that each ray from `origin` [n,3] to `origin + displacement` hits, and the ray parameter of the
-        hit.
+        """Return the ray parameter of the first hit of each ray from `origin` [n,3] to `origin + displacement`, and the face.
 
-        The ray parameter is in lengths of `displacement`. Hits within the tolerance of the start are ignored. The face is
-        NO_FACE if there is none, and FACE_BEYOND_GRID for rays that are too long."""
+        Ray parameters are in lengths of `displacement`. Hits within the tolerance of the start are ignored. The face is NO_FACE
+        without a hit, and FACE_BEYOND_GRID for rays that are too long."""
         t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
         work = partial(grid_rays.write_first_hits, self.tables, origin, displacement, t, face)
         parallel.run_in_parts(work, len(origin), threads, _RAYS_PER_THREAD)
@@ -99,11 +98,11 @@ class TriangleGrid:
     def find_hit_normals(
         self, origin: Floats, displacement: Floats, normals: Floats, normal_columns: Index, threads: int = 1
     ) -> tuple[tuple[Index, Floats, Floats], int]:
-        """Return the rays from world positions for which `find_first_faces` finds a face: their numbers, ascending, ray
-        parameters, and normals (3, k).
+        """Return the ascending numbers of the k rays from world positions that hit a face, with ray parameters and normals (3,
+        k). The number of rays that the grid cannot resolve is also returned.
 
-        Normals are columns of `normals` (3, m); `normal_columns` has the column of each face. Returns also the number of rays
-        that the grid cannot resolve."""
+        Hits are those of `find_first_faces`. `normals` (3, m): the normals to return. `normal_columns`: the column of `normals`
+        for each face."""
         hit_rays, results = np.empty(len(origin), np.int64), np.empty((4, len(origin)))
         work = partial(grid_rays.write_hit_normals, self.tables, origin, displacement, normals, normal_columns, hit_rays, results)
         parts = parallel.run_in_parts(work, len(origin), threads, _RAYS_PER_THREAD)
@@ -111,52 +110,52 @@ class TriangleGrid:
         return (hit_rays, results[0], results[1:]), sum([unanswered for _, _, unanswered in parts])
 
     def cast_feelers(self, positions: PointColumns, direction: PointColumns, reach: Float32Array) -> tuple[Float32Array, int]:
-        """Return the hits of feelers from positions along unit directions, up to `reach` (mm). Inputs are float32 columns in
-        world coordinates.
+        """Return the first hits of feelers from positions along unit directions, within `reach` (mm). Inputs are float32 columns
+        in world coordinates.
 
-        The result is float32[4,n]: distance (infinite for no hit, NaN if the grid cannot answer) and unit normal towards the
-        feeler's origin. Returns also the number of feelers that the grid cannot answer."""
+        The result is float32[4,n]: the distance, and the unit normal on the side of the feeler's origin. The distance is infinite
+        without a hit, and NaN if the grid cannot resolve the feeler. The number of such feelers is also returned."""
         results = np.empty((4, len(reach)), np.float32)
         return results, grid_rays.write_feeler_hits(self.tables, _make_contiguous(*positions, *direction, reach), results)
 
     def cast_requested_feelers(
         self, positions: Arrays, is_requested: NDArray[np.bool_], directions: Arrays, results: Arrays, threads: int = 1
     ) -> int:
-        """Write the first hits of the feelers of those agents that `is_requested` selects. Returns the number of feelers that the
-        grid cannot resolve.
+        """Write the first hits of feelers for the agents in the mask `is_requested`. Return the number of feelers that the grid
+        cannot resolve.
 
-        - `positions`: x y z, and a distance within which there is no face, [n] each
-        - `directions`: x y z of any length, and the reach
-        - `results`: hit, distance and normal (x y z); written for rows that hit or that the grid cannot resolve"""
+        - `positions`: four arrays [n]: x, y, z, and a distance within which there is no face
+        - `directions`: four arrays [n]: x, y, z, of any length, and the reach
+        - `results`: five arrays [n]: hit, distance and normal (x, y, z); written only for rows that hit or cannot be resolved"""
         work = partial(grid_rays.write_requested_feelers, self.tables, positions, is_requested, directions, results)
         return sum(parallel.run_in_parts(work, len(is_requested), threads))
 
     # ---- nearest faces
 
     def measure_signed_distances(self, positions: PointColumns, threads: int = 1) -> tuple[Float32Array, int]:
-        """Return a float32[4,n], the signed distance (mm) to the faces and the unit direction out, and the number of rows that
-        are NaN.
+        """Return an array float32[4,n], the signed distance (mm) from the faces and the unit direction out of the surface. Also
+        return the number of positions that the grid cannot resolve.
 
-        The distance is negative behind the nearest face, and NaN if the grid cannot answer."""
+        The distance is negative behind the nearest face, and NaN for positions that cannot be resolved."""
         results = np.empty((4, len(positions[0])), np.float32)
         work = partial(nearest_faces.write_signed_distances, self.tables, _make_contiguous(*positions), results)
         return results, sum(parallel.run_in_parts(work, len(positions[0]), threads, _RAYS_PER_THREAD))
 
     def find_nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
         """Return the position nearest to each point [n,3], its squared distance and its face. The face is FACE_BEYOND_GRID if no
-        face is near enough for an answer."""
+        face is near enough for the grid."""
         place, square, face = np.empty((len(points), 3)), np.empty(len(points)), np.empty(len(points), np.int64)
         nearest_faces.write_nearest_points(self.tables, points, place, square, face)
         return place, square, face
 
 
 def _make_contiguous(*columns: Float32Array) -> tuple[Float32Array, ...]:
-    """Return a copy in which every column is contiguous."""
+    """Return the columns as contiguous arrays, copied if necessary."""
     return tuple([np.ascontiguousarray(each) for each in columns])
 
 
 def _list_cube_faces(corners: Floats, low: Floats, size: Index, width: float) -> stored_tables.Tables:
-    """Return the faces that each cube contains, as the start of each cube in a list, and the list.
+    """Return the faces that each cube contains, as one list of face numbers and the start of each cube in this list.
 
     The grid has `size` cubes of edge `width` (mm), from the corner `low` on."""
     count, keys = len(corners), [np.empty(0, np.int64)]
@@ -170,7 +169,8 @@ def _list_cube_faces(corners: Floats, low: Floats, size: Index, width: float) ->
 
 
 def _choose_cube_width(corners: Floats) -> float | None:
-    """Return the edge length of cubes (mm): the typical edge length of the faces, or more if there would be too many cubes."""
+    """Return the edge length of cubes (mm), or None if a grid is not useful. It is about the typical edge length of faces, or
+    more if there would be too many cubes."""
     if not len(corners):
         return None
     lengths, area = measure_sides_and_area(corners)
@@ -190,8 +190,8 @@ def _choose_cube_width(corners: Floats) -> float | None:
 def _compute_face_bounds(corners: Floats, normals: Floats) -> Float32Array:
     """Return planes and bounding balls of faces, float32[m,8].
 
-    A plane is the unit normal and minus its distance from the origin. A ball is its centre, which lies in the plane, and its
-    radius."""
+    The first four numbers are the plane: the unit normal and the negated distance from the origin. The others are the ball: its
+    centre, which is in the plane, and its radius."""
     plane = np.concatenate([normals, -dot(normals, corners[:, 0])[:, None]], axis=1)
     middle = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
     offset = corners - middle[:, None]
