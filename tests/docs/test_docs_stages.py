@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "docs" / f"implementation{part}.md" for part in ("", "_blocks", "_kernels", "_motion")]
+PAGES = [ROOT / "docs" / f"implementation{part}.md" for part in ("", "_blocks", "_kernels", "_geometry", "_motion")]
 TEXT = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
 HEADERS = ("| stage | a contact | a foot | a ray |", "| stage | files and functions |")
 

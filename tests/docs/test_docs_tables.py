@@ -9,7 +9,7 @@ from pathlib import Path
 
 import column_tables
 import pytest
-from scene_pages import SCENE_TEXT
+from page_groups import SCENE_TEXT
 
 COMMAND_PAGES = ("commands.md", "commands_run.md", "commands_tests.md", "commands_results.md", "pictures.md", "farms.md")
 ROOT = Path(__file__).resolve().parents[2]
@@ -54,7 +54,9 @@ def test_the_card_has_all_the_words() -> None:
     assert {"flow", "map"} <= {*RESERVED_WORDS, *WORLD_KIND_WORDS} & words
 
 
-@pytest.mark.parametrize(("library_name", "page"), [("steering", "grammar/README.md"), ("pedestrians", "docs/pedestrians.md")])
+@pytest.mark.parametrize(
+    ("library_name", "page"), [("steering", "docs/language_wishes.md"), ("pedestrians", "docs/pedestrians.md")]
+)
 def test_each_library_is_in_its_reference_as_it_is(library_name: str, page: str) -> None:
     """Signature and help of each behaviour; on the card the names alone."""
     library = (ROOT / "behaviours" / f"{library_name}.ant").read_text(encoding="utf-8")

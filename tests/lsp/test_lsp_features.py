@@ -80,7 +80,7 @@ async def test_hover_reports_resting_states(client) -> None:
         hover = await client.text_document_hover_async(lsp.HoverParams(**ask(path.resolve().as_uri(), place_of(text, word))))
         assert hover is not None and ("agents stand still" in hover.contents.value) is still
     hover = await client.text_document_hover_async(lsp.HoverParams(**ask(path.resolve().as_uri(), place_of(text, "coast"))))
-    assert hover is not None and "Go on as it goes" in hover.contents.value
+    assert hover is not None and "Continue the current motion" in hover.contents.value
 
 
 async def test_hover_in_a_scene_knows_the_program_and_the_keys(client) -> None:
@@ -160,7 +160,7 @@ async def test_completion_depends_on_the_block(client, line: str, anchor: str, e
 async def test_proposed_behaviours_have_placeholders(client) -> None:
     items = await proposals(client, "    steer ")
     assert items["seek"].insert_text == "seek(${1:target})$0" and items["seek"].insert_text_format == lsp.InsertTextFormat.Snippet
-    assert items["seek"].detail == "seek(target: place) -> push" and "Straight to it" in items["seek"].documentation.value
+    assert items["seek"].detail == "seek(target: place) -> push" and "Move straight to" in items["seek"].documentation.value
     assert items["smell"].documentation.value == "How far an ant smells food"
 
 

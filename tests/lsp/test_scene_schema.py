@@ -10,7 +10,7 @@ from typing import Any
 import jsonschema
 import pytest
 import yaml
-from scene_pages import SCENE_TEXT
+from page_groups import SCENE_TEXT
 
 from antdsl import resources
 from antdsl.lsp.scene_schema import SCHEMA_FILE_NAME, build_schema_text

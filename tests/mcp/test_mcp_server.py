@@ -127,10 +127,10 @@ def test_docs_find_pages_words_and_codes(project: Path) -> None:
 
 
 def test_a_long_page_comes_in_parts(project: Path) -> None:
-    ((_, first, _),) = call(project, ("docs", {"topic": "docs/implementation"}))
+    ((_, first, _),) = call(project, ("docs", {"topic": "docs/parity"}))
     mark = first.rpartition("from character ")[2].removesuffix("]")
-    ((_, second, _),) = call(project, ("docs", {"topic": "docs/implementation", "start": int(mark)}))
-    page = (PAGE.parent / "implementation.md").read_text(encoding="utf-8")
+    ((_, second, _),) = call(project, ("docs", {"topic": "docs/parity", "start": int(mark)}))
+    page = (PAGE.parent / "parity.md").read_text(encoding="utf-8")
     assert page.startswith(first.rpartition("\n[… ")[0]) and second[:100] == page[int(mark) : int(mark) + 100]
 
 
