@@ -209,7 +209,7 @@ def _replace_file(part: str, path: Path) -> None:
 
 @contextmanager
 def name_path_in_errors(path: Path) -> Iterator[None]:
-    """While the context is active, make each OSError that names no file name `path`."""
+    """While the context is active, add `path` to each OSError that does not name a file."""
     try:
         yield
     except OSError as problem:

@@ -58,7 +58,7 @@ def find_missing_packages(libraries: Mapping[str, str]) -> list[str]:
 
 
 def install_system_packages() -> None:
-    """Install the system packages that Open3D needs. If this user may not, print the command for it and stop."""
+    """Install the system packages that Open3D needs. If this user is not allowed to, print the command for it and stop."""
     packages = find_missing_packages(SYSTEM_LIBRARIES)
     if not packages:
         return
@@ -72,7 +72,8 @@ def install_system_packages() -> None:
 
 
 def install_browser() -> None:
-    """Install Chromium for the tests of the preview page, on Debian and if this user may. Elsewhere, these tests are skipped."""
+    """Install Chromium for the tests of the preview page, on Debian and if this user is allowed to. Elsewhere, these tests are
+    skipped."""
     packages = find_missing_packages(DRIVER_LIBRARIES)
     if not any(shutil.which(name) for name in BROWSERS):
         packages.insert(0, BROWSERS[0])
@@ -90,8 +91,8 @@ def install_browser() -> None:
 
 
 def install_test_programs() -> None:
-    """Install the programs that tests start, if this user may. Without these programs, the tests fail instead of being skipped,
-    because users rely on what they check."""
+    """Install the programs that tests start, if this user is allowed to. Without these programs, the tests fail instead of being
+    skipped, because users rely on what they check."""
     packages = [package for name, package in TEST_PROGRAMS.items() if not shutil.which(name)]
     if not packages or not sys.platform.startswith("linux"):
         return

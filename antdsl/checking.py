@@ -159,7 +159,8 @@ def _check_sequentially(
 
 
 def _make_overdue_report(file: Path, seconds: float, budget_error: CpuBudgetSpentError) -> Report:
-    """Return the report on a file that exceeded its processor time. It names the file and the stage of the check at this time."""
+    """Return the report on a file that exceeded its processor time. It names the file and the stage of the check that was
+    running."""
     modules = [each.f_globals.get("__name__", "") for each, _ in traceback.walk_tb(budget_error.__traceback__)]
     stages = [name.split(".")[1] for name in modules if name.startswith("antdsl.") and name != __name__]
     stage = next((each for each in reversed(stages) if each in _STAGE_PHRASES), "")

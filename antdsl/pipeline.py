@@ -58,7 +58,7 @@ class Shot:
     `inputs`: a hash, by name, of everything that the result depends on.
     `loaded`: the texts of the program.
     `bodies`: by species, the definition of a body that comes from a file.
-    `proportions`: by species, the proportions of species that set their height.
+    `proportions`: by species, the proportions of each species that sets its height.
     `measures`, `until`: the plans of the program's measures, and of the condition that ends the run; None if there is none."""
 
     scene: Scene

@@ -34,7 +34,7 @@ def make_unknown_name_error(kind: str, name: object, known: Iterator[str] | tupl
 
 
 def make_read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """Make an array read-only, and return it. All arrays are copies, so changing one would have no effect."""
+    """Make an array read-only, and return it. The array is a copy, so a caller's changes to it would have no effect."""
     array.setflags(write=False)
     return array
 

@@ -19,8 +19,8 @@ from antdsl.cli.exits import CommandError, ExitCode
 
 
 def require_writable_file(path: Path | None, flag: str) -> None:
-    """Exit with a message about `flag` if no file can be written to `path`. Accept None. The check leaves no file behind and
-    does not change existing files."""
+    """Exit with a message about `flag` if no file can be written to `path`. Do nothing if `path` is None. The check leaves no
+    file behind and does not change existing files."""
     if path is None or is_standard_output(path) or _is_same_file(path, Path(os.devnull)):
         return
     if path.is_dir():

@@ -97,7 +97,7 @@ def is_out_of_process_memory(problem: OSError) -> bool:
 
 @contextmanager
 def report_failures(operation: str, retry_advice: str = RETRY_ADVICE) -> Iterator[None]:
-    """While the context is active, turn disk and memory failures into an end of the command with exit code 3.
+    """While the context is active, a disk or memory failure ends the command with exit code 3.
 
     `operation`: the operation that failed, for the message. `retry_advice`: how to continue."""
     try:
@@ -115,8 +115,8 @@ def report_failures(operation: str, retry_advice: str = RETRY_ADVICE) -> Iterato
 def explain_cache_errors(cache: Path | None = None, retry_purpose: str = "to recompute damaged frames") -> Iterator[None]:
     """While the context is active, end the command with advice if a cache cannot be read or written.
 
-    `cache`: the cache; None if damaged frames cannot be recomputed. `retry_purpose`: the words that precede the command for
-    this."""
+    `cache`: the cache; None if damaged frames cannot be recomputed. `retry_purpose`: words to print before the command that
+    recomputes them."""
     try:
         yield
     except Exception as error:

@@ -89,8 +89,8 @@ def apply_ignore_comments(
     """Return the report without ignored warnings, and with new warnings about comments that give no reason or ignore nothing.
 
     `sources`: all checked texts.
-    `strict`, `meshes_checked`: whether the checks of STRICT_CODES and MESH_CODES have run. An ignored code of a check that has
-    not run is not reported as unused; nor is one of RUN_CODES.
+    `strict`, `meshes_checked`: whether the checks of STRICT_CODES and MESH_CODES have run. A comment for a check that has not
+    run is not reported as unused. Neither is a comment for one of RUN_CODES.
     `has_no_errors`: whether no stage found errors, because errors suppress most warnings. None: whether this report has none."""
     has_no_errors = report.ok if has_no_errors is None else has_no_errors
     unknown = RUN_CODES | (frozenset() if strict else STRICT_CODES) | (frozenset() if meshes_checked else MESH_CODES)

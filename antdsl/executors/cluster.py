@@ -53,7 +53,8 @@ def start_local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Secur
     """Start a scheduler and worker processes on the loopback interface. Yield the address and new certificates.
 
     The certificates exist only in memory. There is no dashboard, and workers have no memory limit. Dask still starts an HTTP
-    server without pages in the scheduler and in each worker; without an explicit address, it would listen on every interface.
+    server without pages in the scheduler and in each worker. Without an explicit address, that server would listen on every
+    interface.
     """
     isolate_search_paths()
     settings: dict[str, list[str]] = {f"distributed.{role}.http.routes": [] for role in _ROLES}

@@ -1,5 +1,5 @@
 """Fits of params to the goals of a spec. The inputs are ranges of params, scenes and a spec. The results are the best values,
-and the fraction of all values that pass.
+and the fraction of sampled points that pass.
 
 `evaluation` runs the spec at one point with one seed, as a task of `executors`. `search` chooses points: first a Sobol sequence,
 which fills the ranges evenly, then SciPy's differential evolution from the best of these points. `report` formats the results.

@@ -1,7 +1,7 @@
-"""Searches for the values at which a spec's goals are met: a Sobol sequence, then differential evolution from its best points.
+"""The search for values at which a spec's goals are met: a Sobol sequence, then differential evolution from its best points.
 
-R. Storn, K. Price: Differential evolution, a simple and efficient heuristic for global optimization over continuous spaces,
-J. Global Optimization 11 (1997). All points use the same seeds, so that differences between points do not come from the seeds."""
+R. Storn, K. Price: Differential evolution, a simple and efficient heuristic for global optimization over continuous spaces, J.
+Global Optimization 11 (1997). All points use the same seeds, so that differences between points do not come from the seeds."""
 
 from __future__ import annotations
 

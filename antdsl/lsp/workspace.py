@@ -129,7 +129,7 @@ class OpenDocument:
         return self._find_file_span(span).end
 
     def _find_file_span(self, span: Span) -> Span:
-        """Return the span in the complete file of a span in one of its separately parsed parts."""
+        """Convert a span in a separately parsed part of a program to a span in the complete file."""
         return self.parsed[0].file_span(span) if self.is_program else span
 
     def find_range(self, span: Span) -> TextRange:

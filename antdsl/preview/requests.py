@@ -149,9 +149,9 @@ class SetDisplay(_RequestModel):
 
     `columns`, `fields`, `flows`: the names of the columns, fields and flows to display.
     `solids`: whether solids are displayed.
-    `follow`: the agent of which feelers are displayed.
-    `planned`: the agents of which planned paths are displayed; None for no agents. An empty tuple means all agents, if there are
-    at most 300."""
+    `follow`: the agent for which feelers are displayed.
+    `planned`: the agents for which planned paths are displayed; None for no agents. An empty tuple means all agents, if there
+    are at most 300."""
 
     op: Literal["look"]
     columns: tuple[ColumnRef, ...] = Field((), max_length=64)

@@ -278,7 +278,7 @@ class PreviewSession:
         return outcome
 
     def _lacks_notes(self) -> bool:
-        """Return whether the current segment was simulated without some of the notes, which begin at later frames."""
+        """Return whether the current segment was simulated without some of the active notes, which begin at later frames."""
         return self._current_stretch.choices.notes != list_active_lines(self.notes)
 
     def restart(self) -> EditOutcome:

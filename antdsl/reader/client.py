@@ -74,7 +74,7 @@ class _ReaderProcess:
         return self.active_layers
 
     def count_new_cpu_seconds(self, reported: object = None) -> float:
-        """Return the CPU seconds used since the last call. `reported`: the child's own total, if the system provides none."""
+        """Return the CPU seconds used since the last call. `reported`: the child's own total, for systems without one."""
         total = self._counted_cpu_seconds
         try:
             total = time.clock_gettime(~self.process.pid << 3 | 2)  # Linux: the number of a process's clock

@@ -214,7 +214,7 @@ def _migrate_states(
 
 
 def _migrate_clips(old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
-    """Convert the clip numbers in `values` to those of the new plan. The number of a removed clip becomes that of no clip."""
+    """Convert the clip numbers in `values` to those of the new plan. A clip that was removed is replaced by no clip."""
     number = np.array([new_plan.clips.index(clip) if clip in new_plan.clips else -1 for clip in old_plan.clips] + [-1])
     for machine in new_plan.machines:
         for register in (f"{machine.name}.{part}" for part in ("clip", "clip_before", "clip_earlier")):
@@ -249,8 +249,8 @@ def _map_state_numbers(old_machine: ir.MachinePlan, new_machine: ir.MachinePlan)
 
 
 def _migrate_items(old_world: World, world: World, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
-    """Convert the item numbers in registers to those of the new world. Items are matched by name. The number of a removed item
-    becomes that of no item."""
+    """Convert the item numbers in registers to those of the new world, matching items by name. An item that was removed is
+    replaced by no item."""
     for name, register in new_plan.registers.items():
         if name in values and register.language_type and register.language_type[0] == "item":
             of = str(register.language_type[-1])

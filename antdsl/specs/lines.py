@@ -60,8 +60,8 @@ def observe_aggregate(
 
 
 def count_duration_steps(world: World, time: ir.PlanNode | None) -> int | None:
-    """Return a duration as a whole number of steps, rounded up. The float32 value of the duration may be slightly too large,
-    which is taken into account."""
+    """Return a duration as a whole number of steps, rounded up. A tiny rounding error of the float32 duration does not add a
+    step."""
     if time is None:
         return None
     return max(1, ceil(float(evaluate_uniform_node(world, time, {})) * float(world.setting.fps) * (1 - 1e-6)))
@@ -146,7 +146,8 @@ def _judge_finally(line: JudgementLine, observation: FrameObservation) -> AgentI
 
 
 def _judge_for(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Return the ids of the agents for which the condition does not hold within the duration after their first frame."""
+    """Return the ids of agents for which the condition does not hold, although the duration after their first frame has not
+    ended."""
     assert line.steps is not None
     last = observation.first_frames + line.steps
     if line.plan.species is None and (observation.frame >= last).all() and observation.condition_holds.all():

@@ -44,8 +44,8 @@ class CursorContext:
         return self.blocks[-1].rule if self.blocks else "top"
 
     def find_enclosing_name(self, rule: str, word: str) -> str | None:
-        """Return the name of the enclosing block that begins with `word` in a block of the rule `rule`; None if there is none.
-        For example, ("top", "species") gives `forager`."""
+        """Return the name of an enclosing block of a kind; None if there is none. For example, ("top", "species") gives
+        `forager`. `rule`: the rule of the lines around the block. `word`: the first word of the block."""
         outer_rule = "top"
         for block in self.blocks:
             words = _HEAD_WORD_PATTERN.findall(block.opening_line)

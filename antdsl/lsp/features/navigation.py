@@ -165,7 +165,7 @@ def find_references(
 def resolve_key(workspace: Workspace, document: OpenDocument, key: NameKey) -> NameKey:
     """Return the key under which another file declares a name.
 
-    That file is a base scene for items, or a program. A key that this file declares is returned unchanged."""
+    The other file is the base scene (for items) or a program. A key that this file declares is returned unchanged."""
     if key[0] not in _CANDIDATE_KINDS:
         return key
     if key[0] == "?scene" and any(_find_item_locations(workspace, document, key[1])):

@@ -153,7 +153,7 @@ class EditedRunView:
 
     @property
     def settled(self) -> SettledFrames | None:
-        """Return the agents that were simulated again, or None if the frames have changed since then."""
+        """Return the agents that were simulated again; None if there are none, or if the frames have changed since then."""
         fits = self._settled is not None and self._settled[0] == self.describe_inputs()
         return self._settled[1] if fits and self._settled is not None else None
 

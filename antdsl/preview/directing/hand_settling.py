@@ -1,4 +1,4 @@
-"""Settling of edited frames, which simulates the agents that edits affect again. The work is done in short parts between
+"""Settling of edited frames: the agents that edits affect are simulated again. The work is done in short parts between
 requests."""
 
 from __future__ import annotations

@@ -138,7 +138,7 @@ def make_action_arrays(actions: SpeciesActions) -> Arrays:
     - `SPECIES/offset/K` float32[n, 7]: the offset that edits add to joint K, as in caches. Joints are numbered by depth in the
       rig.
     - `SPECIES/lean` int8[n, 3]: turn times 127, slope times 127, and 0.
-    - `SPECIES/trait/K` float32[n, 3]: three of the body traits, in order.
+    - `SPECIES/trait/K` float32[n, 3]: the body traits, three per array, in order.
     - `SPECIES/feet` and `SPECIES/stance`: if feet are computed. `SPECIES/sole`: if the body has flat soles.
 
     Arrays of features that a body lacks are left out. In a species with several bodies, each body has separate arrays for its

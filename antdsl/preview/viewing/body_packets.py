@@ -333,8 +333,8 @@ def _make_mesh_arrays(body: PosedBody, table: ClipTable) -> Arrays:
 
 
 def find_body_of_key(shot: Shot, key: str) -> Definition:
-    """Return the body with a body key. It comes from its own file, or else is the library body that the scene requests or that
-    matches the species' name."""
+    """Return the body that a body key identifies. It comes from its own file, or else is the library body that the scene
+    requests or that matches the species' name."""
     own, species, number = shot.bodies.get(key), find_species_of_key(key), find_number_of_key(key)
     if own is not None:
         return own

@@ -129,7 +129,7 @@ def _gather_actions(
 
 
 def _find_owner(name: str) -> str:
-    """Return the species or body that an array of a frame belongs to; "" if it belongs to neither. An array's name is
+    """Return the species or body that an array of a frame belongs to; "" for any other array. Such an array has a name like
     `feet.ant#0.P`."""
     parts = name.split(".")
     return parts[1] if len(parts) > 1 and parts[0] in ("clips", "wears", "channels", "looks", "leans", "feet", "joints") else ""

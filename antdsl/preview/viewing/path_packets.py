@@ -1,4 +1,4 @@
-"""Packets of planned paths: the positions in the coming frames, of the agents that a page has selected."""
+"""Packets of planned paths: the positions in the coming frames of the agents that a page has selected."""
 
 from __future__ import annotations
 
