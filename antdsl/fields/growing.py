@@ -205,7 +205,8 @@ def fill_nearby_cells(
     direct_table: Array1[I32], size: Array1[I64], position: Array2[F64], points: Array2[F64], voxel: Array2[I64],
     side: Array1[I64], nearest_cells: Array1[I64],
 ) -> None:  # fmt: skip
-    """Write to `nearest_cells` the nearest cell with a compatible side in the 27 voxels around each point, -1 for none."""
+    """Write the nearest cell of each point to `nearest_cells`, -1 for none. Only cells of compatible sides in the 27 voxels
+    around the point are searched."""
     for n in range(nearest_cells.size):
         least_gap = np.inf
         nearest_cells[n] = -1

@@ -75,7 +75,7 @@ class PheromoneField:
 
     @property
     def pending_deposits(self) -> NDArray[np.int64]:
-        """Return the deposits in each cell that are not yet in `values`, in units of `DEPOSIT_QUANTUM`.
+        """Return the deposits in each cell that are not yet in `amounts`, in units of `DEPOSIT_QUANTUM`.
 
         A caller that writes into the array must call `mark_deposits_pending`."""
         return self._pending

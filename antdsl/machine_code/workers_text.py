@@ -7,9 +7,9 @@ last one. So each thread mostly processes the same agents in consecutive jobs, a
 The description of a job is written before `left` is set. No other job starts before `done` has counted all parts of this job.
 So a thread that has taken a part can safely read the description.
 
-A worker polls `left` for some turns, then blocks on its own lock. It is a CPython lock, usable without the interpreter's lock.
-A thread that wakes a worker lowers that worker's flag first, so that each lock is released once per wait. A wake-up is the
-slowest operation here. So the caller wakes only the first worker, and each woken worker wakes two more."""
+A worker polls `left` for a number of iterations, then blocks on its own lock. It is a CPython lock, usable without the
+interpreter's lock. A thread that wakes a worker lowers that worker's flag first, so that each lock is released once per wait.
+A wake-up is the slowest operation here. So the caller wakes only the first worker, and each woken worker wakes two more."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def load_code() -> llvm_compiler.LoadedCode:
     - `start(pool, 0, 0)` starts a prepared job on the workers and returns.
     - `finish(pool, 0, 0)` ends a started job: it withdraws the parts that no thread has taken, and waits for the others.
     - `worker(pool, number, 0)` runs worker `number`, and returns after `end(pool, 0, 0)` has been called.
-    - `turns(pool, count, 0)` waits for `count` turns."""
+    - `turns(pool, count, 0)` spins for `count` iterations."""
     return build_llvm_text.code()
 
 

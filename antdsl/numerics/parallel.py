@@ -38,9 +38,9 @@ def run_in_parts(
 
 
 def count_parts(count: int, threads: int, min_part_size: int = MIN_AGENTS_PER_THREAD) -> int:
-    """Return the maximum number of parts in which `run_in_parts` runs a kernel with the same arguments.
+    """Return the maximum number of parts in which `run_in_parts` runs a kernel for the same arguments.
 
-    With that many buffers, each part can have its own (`compute_buffer_index`). `min_part_size` must be at least 16."""
+    If there are that many buffers, each part can have its own (`compute_buffer_index`). `min_part_size` must be at least 16."""
     threads = min(threads, count_available_cores())
     if threads < 2 or count < 2 * min_part_size:
         return 1

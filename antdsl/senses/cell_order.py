@@ -323,9 +323,9 @@ def _count_cells(
 
 @kernel
 def convert_counts_to_starts(counts: Array2[I32], cells: I64) -> None:
-    """Replace counts by start positions: the index at which each chunk stores its first agent of a cell, at index cell + 1.
-    Once `take_next_sorted_index` has been called for all agents, the last row of `counts` contains the first agent of each
-    cell."""
+    """Replace counts by start positions. Entry cell + 1 becomes the index at which the chunk stores its first agent of this
+    cell. Once `take_next_sorted_index` has been called for all agents, the last row of `counts` contains the first agent of
+    each cell."""
     last, position = counts.shape[0] - 1, 0
     for chunk in range(last):
         for cell in range(cells + 2):
@@ -371,7 +371,7 @@ def _store_agents(
 
 @kernel
 def _store_columns(ordered_agents: Array1[F32], x: Array1[F32], y: Array1[F32], z: Array1[F32], begin: I64, end: I64) -> None:
-    """Copy the positions of the sorted agents to one array per axis. `ordered_agents`: x, y, z and row of each agent."""
+    """Copy the positions of the sorted agents to the arrays `x`, `y` and `z`. `ordered_agents`: x, y, z and row of each agent."""
     for n in simd_range(begin, end):
         x[n], y[n], z[n], _ = load_consecutive(ordered_agents, 4 * n, 4)
 

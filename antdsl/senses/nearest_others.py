@@ -120,7 +120,7 @@ class RelativeAgent(NamedTuple):
 
 @inlined
 def compute_tangent_plane(crowd: CrowdTables, requesters: NeighbourRequests, k: I64) -> TangentPlane:
-    """Return the tangent plane of the `k`-th requester's ground at the start of the step."""
+    """Return the tangent plane of the ground below requester `k` at the start of the step."""
     x, y, z = requesters.heading
     row, up = requesters.rows[k], load_packed_vector(crowd.packed_up, requesters.positions[k])
     ahead = normalise_or_perpendicular(project_to_plane(replace_non_finite_vector(x[row], y[row], z[row]), up), up)
@@ -144,9 +144,9 @@ def reset_candidates(memory: CandidateMemory) -> None:
 
 @kernel_helper
 def find_nearest_others(crowd: CrowdTables, requesters: NeighbourRequests, k: I64, up: Vec3, memory: CandidateMemory) -> I64:
-    """Write the nearest others of the `k`-th requester to `memory.nearest_rows`. Return their number.
+    """Write the nearest other agents of requester `k` to `memory.nearest_rows`, sorted by distance, species and id.
 
-    They are sorted by distance, species and id. Only agents on the side of the ground that `up` points to are counted."""
+    Return their number. Only agents on the side of the ground that `up` points to are counted."""
     grid, agent = crowd.grid, requesters.positions[k]
     low, inverse, size = grid.low_corner, grid.cells_per_mm, grid.cells_per_axis
     x, y, z = grid.positions[0][agent], grid.positions[1][agent], grid.positions[2][agent]
@@ -249,8 +249,8 @@ def compute_relative_agent(crowd: CrowdTables, plane: TangentPlane, own_position
 
 @inlined
 def compare_agent_names(crowd: CrowdTables, position: I64, key: I64) -> F64:
-    """Compare two agents by species name, then id. Return -1 if the agent at `position` comes before the agent with `key`, else
-    1."""
+    """Compare two agents by species name, then by id. Return -1 if the agent at `position` comes before the agent with the
+    sort key `key`, else 1."""
     own_name, other = np.int64(crowd.packed_up[4 * position + 3]), key & _DISTANCE_ZERO_BITS_MASK
     if crowd.name_ranks.size > 0:
         own_name, other = crowd.name_ranks[own_name], crowd.name_ranks[other]
@@ -282,7 +282,7 @@ def fill_nearest_offsets(
     """Write the relative positions of the nearest others of requesters from `begin` to before `end`.
 
     `x`, `y` (n, m): the distances ahead and to the left (mm). `is_present` (n, m): whether an entry of `x` and `y` is used.
-    `axes` (6, n): also written: for each requester, the unit vector ahead (x, y, z), then the unit vector to the left."""
+    `axes` (6, n): receives two unit vectors per requester, the one ahead (x, y, z), then the one to the left."""
     memory = CandidateMemory(
         allocate_scratch(MAX_SEARCH_CANDIDATES, I64),
         allocate_scratch(MAX_SEARCH_CANDIDATES, I64),

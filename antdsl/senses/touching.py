@@ -104,9 +104,9 @@ def iterate_neighbour_searches(place: PositionColumns, reach: Floats) -> Iterato
 
 
 def _find_usable_rows(place: PositionColumns, reach: Floats, bounds: Bounds | None) -> tuple[Rows, Bounds | None]:
-    """Return the rows with a finite position and a finite reach above 0 (empty: all rows), and the bounds of their values.
+    """Return the rows with a finite position and a finite reach above 0, and the bounds of their values.
 
-    The bounds are None if there is no such row."""
+    If these are all rows, the array of rows is empty. If there is no such row, the bounds are None."""
     if bounds is None and len(reach):
         bounds = _find_bounds((*place, reach))
     if bounds is not None and all(isfinite(low + high) for low, high in bounds) and bounds[3][0] > 0:
@@ -174,10 +174,10 @@ class PairSearch(NamedTuple):
 class _ContactGrid(NamedTuple):
     """A grid of agents of similar size, sorted by cell. At either end of each axis, one row of cells is empty.
 
-    `axes`: the axes from the longest to the shortest; the other fields are in this order. `low_corner`: in mm. `cells_per_mm`:
-    cells per mm. `cells_per_axis`: the number of cells along each axis; 1 for the shortest if layers are not separated.
-    `agents`: position and reach (four entries per agent), row, and cell of each agent. `cell_starts`: the first agent of each
-    cell, empty if there are too many cells for a table."""
+    `axes`: the axes from the longest to the shortest; `low_corner` and `cells_per_axis` use this order. `low_corner`: in mm.
+    `cells_per_mm`: cells per mm. `cells_per_axis`: the number of cells along each axis; 1 for the shortest if layers are not
+    separated. `agents`: position and reach (four entries per agent), row, and cell of each agent. `cell_starts`: the first
+    agent of each cell, empty if there are too many cells for a table."""
 
     axes: tuple[int, ...]
     low_corner: tuple[float, ...]
@@ -276,9 +276,9 @@ def _store_agents(
     positions: Columns, reach: Array1[F64], order: Array1[I64], keys: Array1[I64], counts: Array2[I32],
     ordered_agents: Array1[F64], rows: Array1[I32], cells: Array1[I64],
 ) -> None:  # fmt: skip
-    """Write each agent at its position in the order: x, y, z and reach to `ordered_agents`, its row and its cell.
-
-    `order`: the agents' rows, empty for all rows. `keys`: the cell of each agent. `counts`: see `convert_counts_to_starts`."""
+    """Store each agent at its position in the order of cells: x, y, z and reach in `ordered_agents`, its row in `rows`, and
+    its cell in `cells`. `order`: the rows of the agents; empty for all rows. `keys`: the cell of each agent. `counts`: see
+    `convert_counts_to_starts`."""
     for k in range(keys.size):
         if counts.shape[1] > 0:
             prefetch(ordered_agents, 4 * counts[0, keys[min(k + _PREFETCH_DISTANCE, keys.size - 1)] + 1])

@@ -78,8 +78,8 @@ def _open_history(cache: EditedCache, scene: Path | None, grants: Mapping[str, P
 
 
 class EditSettling:
-    """Simulates the agents again that the edits of a cache affect. `run_rounds` is a generator, so that callers can do other
-    work between frames.
+    """A new simulation of the agents that the edits of a cache affect. `run_rounds` is a generator, so that callers can do
+    other work between frames.
 
     - `open_history`: returns the history of the cache for the first frame that is simulated again
     - `next_ids`: for each species, the first id that no agent of the run uses

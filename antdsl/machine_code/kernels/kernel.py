@@ -61,7 +61,7 @@ class KernelPart:
 
 
 def _make_decorator(attribute: str) -> Callable[[DecoratedFunction], DecoratedFunction]:
-    """Return a decorator that marks a function as a part of kernels with this attribute."""
+    """Return a decorator that makes a function callable from kernels. `attribute`: as in `KernelPart`."""
 
     def mark_function(function: DecoratedFunction) -> DecoratedFunction:
         function.part = KernelPart(function, attribute)  # type: ignore[attr-defined, arg-type]

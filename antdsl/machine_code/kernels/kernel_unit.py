@@ -36,7 +36,7 @@ class LoopLabels:
 class KernelUnit:
     """The functions of an LLVM IR text, while they are written.
 
-    - `lanes`: the number of lanes of independent loops, 1 or 8
+    - `lanes`: how many iterations of independent loops run at once, 1 or 8
     - `functions`: the functions that are complete
     - `specialisations`: the name and result of each translated function, by the Python function and the types of its arguments
     - `written_arrays`: the numbers of the array arguments that some function writes to"""

@@ -94,11 +94,11 @@ class StatementWriter(ExpressionEmitter):
         return item if isinstance(item, Array) else self.make_variable(item)
 
     def make_variable(self, item: Number) -> StackVariable:
-        """Return a new variable for a number of the same kind."""
+        """Return a new variable that can hold numbers of the same kind as `item`."""
         return StackVariable(item.kind, self.allocate_slot(item.kind, item.lanes), item.lanes)
 
     def _assign_into(self, node: ast.AST, name: str, destination: Any, item: KernelItem) -> None:
-        """Assign an item to existing variables. Raises NotInSubsetError for another type."""
+        """Assign an item to existing variables. Raises NotInSubsetError if its type is not that of the variables."""
         if isinstance(destination, tuple) and type(destination) is type(item) and len(destination) == len(item):
             for one, other in zip(destination, item, strict=True):
                 self._assign_into(node, name, one, other)
@@ -391,5 +391,5 @@ def count_assigned_names(definition: ast.FunctionDef) -> Counter[str]:
 
 
 def get_augmented_target(node: ast.AugAssign) -> ast.expr:
-    """Return the target that an augmented assignment changes."""
+    """Return the syntax tree of the target that an augmented assignment changes."""
     return node.target

@@ -81,7 +81,7 @@ class Array:
 
 
 def make_literal_number(value: Any) -> Number:
-    """Return a literal as a number. Raises TypeError for any other value."""
+    """Return a Python bool, int or float, or a NumPy scalar, as a literal number. Raises TypeError for any other value."""
     if isinstance(value, bool):
         return Number(TRUTH, "true" if value else "false", value)
     kind = type(value).__name__
@@ -100,7 +100,7 @@ def make_literal_number(value: Any) -> Number:
 
 
 def flatten_item(item: KernelItem) -> Iterator[Number]:
-    """Yield all numbers of an item, in order. An array yields its address, its lengths and its strides."""
+    """Yield all numbers in an item, in order. An array yields its address, its lengths and its strides."""
     if isinstance(item, tuple):
         for each in item:
             yield from flatten_item(each)

@@ -1,5 +1,6 @@
-"""Kernels that find ground for feet. They cast rays from the hips of legs, and select the hits that a leg can reach. Requests
-are stored by column: positions (mm) as arrays (3, k), and lengths as float64[k]. Rays are short and use a `TriangleGrid`."""
+"""Kernels that find ground for feet. They cast rays from the hips of legs, and select the hits that a leg can reach. A seeker
+is a foot that needs ground. Data of seekers are stored by column: positions (mm) as arrays (3, k), and lengths as float64[k].
+Rays are short and use a `TriangleGrid`."""
 
 from __future__ import annotations
 

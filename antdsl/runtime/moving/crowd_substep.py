@@ -263,7 +263,7 @@ class _CrowdSubstep:
         return arrival
 
     def stop_at_slopes(self, start: StepStartStance, arrival: ArrivalArrays) -> None:
-        """Walk again, along the slope, the agents that would step onto ground that is too steep for them."""
+        """Replace the walks of agents that would step onto ground too steep for them. They walk along the slope instead."""
         p = self.population
         rows = find_rows_blocked_by_slope(self.world, p, start)
         if not len(rows):
@@ -273,7 +273,7 @@ class _CrowdSubstep:
         )
 
     def crouch_below_ceilings(self, start: StepStartStance, arrival: ArrivalArrays) -> None:
-        """Lower the bodies of agents below low ceilings, and walk again those that do not fit there yet."""
+        """Lower the bodies of agents below low ceilings. Replace the walks of agents that do not fit there yet."""
         changes = crouch_below_ceilings(self.world, self.population, start, vec.stack_rows(self.step), float(self.dt))
         if changes is not None:
             self._replace_walks(*changes, arrival)

@@ -127,7 +127,7 @@ def _deflect_at_hits(
     scene: RayScene, step: VectorArrays, rows: NDArray[np.int64], step_columns: Floats, hit_rows: NDArray[np.int64],
     hits: Floats, chunk_counts: list[tuple[int, int, int, int]], threads: int,
 ) -> VectorArrays:  # fmt: skip
-    """Return `step` with `rows` replaced from `step_columns`. Steps that still hit a face are deflected along this face."""
+    """Return `step` with `rows` taken from `step_columns`. Steps that still hit a face are deflected along this face."""
     rows, step_columns = parallel.join_parts(chunk_counts, rows, step_columns)
     if not len(rows):
         return step
@@ -321,8 +321,8 @@ def select_agents_near_obstacle(
     end: I64,
 ) -> tuple[I64, I64]:
     """Find the agents from `begin` to before `end` with a step that may touch an obstacle. Return `begin` and their number.
-    `clearance`: a lower bound (mm) of the distance from the obstacle. From index `begin` on, writes the agents to `rows`. Writes
-    to `columns` [9, ..] the length of the step, the margin (mm), `clearance`, the position and the step."""
+    `clearance`: a lower bound (mm) of the distance from the obstacle. From index `begin` on, writes the agents to `rows`. The
+    rows of `columns` [9, ..] receive the length of the step, the margin (mm), `clearance`, the position and the step."""
     count = begin
     for i in range(begin, end):
         size, margin, may_touch = _measure_step(step, radius, clearance, i)

@@ -31,8 +31,8 @@ def deflect_paths_at_impacts(
 ) -> I64:
     """Deflect paths at the impacts in `encounters`: from the impact on, a body continues along the other body.
 
-    Returns the number of stopped rows. `approach` (3, n) mm: the displacements in the substep before. A body may follow
-    another body that moves away. The other arguments are as in `step_clamping.deflect_along_limits`."""
+    Returns the number of stopped rows. `approach` (3, n) mm: the previous displacements, for a time of equal length. A body
+    may follow another body that moves away. The other arguments are as in `step_clamping.deflect_along_limits`."""
     for pair in simd_range(0, encounters.first_rows.size):
         direction, over = get_column(encounters.separation_axis, pair), 0
         for side in range(2):

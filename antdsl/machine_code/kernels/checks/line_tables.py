@@ -1,6 +1,6 @@
 """Debug line tables of kernels in a checked build, as LLVM metadata. With them, debuggers show the file and line of each
-instruction. Other builds have no line tables. With them, objects would be 1.7 times as large, take 1.4 times as long to load
-and 1.1 times as long to compile."""
+instruction. Other builds have no line tables, which would make objects 1.7 times as large. Objects would take 1.4 times as
+long to load and 1.1 times as long to compile."""
 
 from __future__ import annotations
 

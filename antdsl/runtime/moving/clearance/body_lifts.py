@@ -93,7 +93,7 @@ def list_bodies_to_lift(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """List the bodies from `begin` to before `end` that need more than their feet. These bodies stand on ground that bends, or
+    """List the bodies from `begin` to before `end` that cannot simply follow their feet. They stand on ground that bends, or
     are shifted, waiting or inside a surface. Return `begin`, the number of these rows, and the number of climbers, which are
     all other bodies on faces that bend. The `state` of the listed rows becomes that of a body aligned with its feet."""
     first, (rows, row_levels, climbers, kind) = surface.first_faces, lists

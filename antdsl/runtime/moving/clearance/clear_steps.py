@@ -139,8 +139,8 @@ class BodyClearanceStep:
     def turn_bodies_after_walk(
         self, previous_poses: BodyPoses, start_stances: tuple[Footing, NDArray[np.float64], NDArray[np.float32]]
     ) -> None:
-        """Turn and shift bodies after the walk. `previous_poses`, `start_stances`: poses, and footings, positions and normals
-        before the walk."""
+        """Turn and shift bodies after the walk. `previous_poses`: poses before the walk. `start_stances`: footings, positions
+        and normals before the walk."""
         p, now, n = self.population, self.population.now, len(self.population)
         self.previous_poses, self.start_positions = previous_poses, start_stances[1]
         (rows,), (climbers,) = (p.get_buffers(name, 1, (n,), np.int64) for name in ("uneven", "climbers"))
@@ -204,7 +204,7 @@ class BodyClearanceStep:
 
         Return their remaining depths. A body that cannot step aside either keeps its pose. `subset`: indices into `rows`.
         `previous_depths`: depths before the step. `turned_depths`: depths of the bodies at their current positions.
-        `previous_poses`: poses before the step. `start_stances`: footings, positions and normals before it."""
+        `previous_poses`: poses before the step. `start_stances`: footings, positions and normals before the step."""
         p, now, most = self.population, self.population.now, np.maximum(previous_depths, _MAX_DEPTH)
         depths = np.where(turned_depths > most, np.minimum(most + _YIELD_DEPTH, _MAX_YIELD_DISTANCE), turned_depths)
         depths[previous_depths > _MAX_YIELD_DISTANCE] = _STRANDED_DEPTH
@@ -236,7 +236,7 @@ class BodyClearanceStep:
         return depths
 
     def _slide_along_obstacles(self, rows: Rows, step: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the steps of some agents (k, 3), mm, deflected along obstacles ahead. `step` (3, k): the steps before, mm."""
+        """Return `step` (3, k) mm of the agents at `rows`, deflected along obstacles ahead, as array (k, 3)."""
         short, above = step.astype(np.float32), up.astype(np.float32)
         slid = slide_rows(self.world, self.population, rows, tuple(short), tuple(above))
         return np.stack(slid, axis=1).astype(np.float64)

@@ -201,8 +201,9 @@ def limit_steps(
 
 @inlined
 def _retreat_from_wall(step: Vec3, length: F64, wall: Vec3, distance: F64) -> Vec3:
-    """Return a step without its component into a wall, but with a component of `distance` away from the wall. A step along the
-    wall is reversed instead. `length`: the length of `step`. `wall`: the direction away from the wall, along the ground."""
+    """Return a step without its component into a wall, but with a component of `distance` away from the wall. A step that does
+    not lead into the wall is reversed instead. `length`: the length of `step`. `wall`: the direction away from the wall, along
+    the ground."""
     size = np.sqrt(dot(wall, wall))
     into = dot(step, wall)
     out, inside = times(step, -1 / length), -length

@@ -101,7 +101,8 @@ class CapsuleCrowd:
         self.bounds = self._place_capsules()  # bounds of x, y and z of the middles, and of the reach
 
     def _place_capsules(self) -> Bounds | None:
-        """Compute the capsules of each species. Return the bounds of all capsules; None if a value is not finite."""
+        """Compute the capsules of each species. Return the bounds of all capsules; None if they are unknown because agents
+        carry loads."""
         self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
         has_loads = False
@@ -319,8 +320,8 @@ def _find_pairs_of_images(crowd: CapsuleCrowd, box: PeriodicBox) -> tuple[Rows, 
 
 
 def measure_overlap_depths(world: World) -> Floats:
-    """Return each agent's greatest penetration depth, in widths of its trunk; 0 without overlap. The result is float64[n], one
-    species after another."""
+    """Return each agent's greatest penetration depth, in widths of its trunk; 0 without overlap. The result is float64[n];
+    species follow one another."""
     crowd = CapsuleCrowd(world)
     near = find_near_pairs(crowd)
     depth = np.zeros(len(crowd))

@@ -40,7 +40,7 @@ _SOFT_CONTACT_SECONDS = 0.1  # time constant of soft contacts
 
 @dataclass(frozen=True, slots=True)
 class SolverIterations:
-    """The number of iterations against overlaps in a substep.
+    """How many iterations reduce overlaps in a substep.
 
     `outer_iterations`: how often pairs are measured again. `sweeps`: the number of sweeps after each measurement. `passes`:
     the number of passes; passes after the first are for agents that the ground deflected or that could not move."""
@@ -156,7 +156,7 @@ def _compute_approach(crowd: CapsuleCrowd, rows: Rows, dt: float) -> Floats:
 def _record_pushes(
     crowd: CapsuleCrowd, rows: Rows, own_corrections: Floats, moved_rows: Rows, requested_moves: Floats, reached_moves: Floats
 ) -> None:
-    """Add the distance that each row was pushed in this step, for species with a program that reads it.
+    """Add the distance by which others pushed each agent to the agent's register, for species with a program that reads it.
 
     Only displacements by other agents are added, not `own_corrections` (3, k), the corrections of the agents' own steps.
     `rows`: ascending rows of the crowd. `moved_rows`: indices into `rows` of the agents that moved. `requested_moves` (3, k)
@@ -192,7 +192,7 @@ class _ContactAgents:
     def build(
         crowd: CapsuleCrowd, nearby_pairs: NearbyCapsulePairs, start_stances: StartStances, dt: float
     ) -> tuple[_ContactAgents, Floats]:
-        """Return the values of the rows in `nearby_pairs`, and the displacement (3, k) mm of each row from its start."""
+        """Return the data of the agents in `nearby_pairs`, and their displacements (3, k) mm from their start positions."""
         rows = nearby_pairs.rows
         vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
         for p, own in crowd.split_rows(rows):

@@ -1,9 +1,9 @@
 """Undoes steps after which bodies still overlap: agents of such a pair return to their stances at the start of the substep.
 Contacts separate most bodies. Some cannot move far enough, for example in corners, on ground that was dug, or when clearance
 shifts their bodies after contacts. If both agents of a pair overlapped no other at the start of the substep, one of them
-returns to its stance there. If they still overlap, the other one returns too. Agents that return stand still for one substep,
-so they neither jump nor turn. Other agents that have moved to their positions return too. The two agents of a pair take turns
-from frame to frame, so that neither waits forever."""
+returns to its stance at that time. If they still overlap, the other one returns too. Agents that return stand still for one
+substep, so they neither jump nor turn. Other agents that have moved to their positions return too. The two agents of a pair
+take turns from frame to frame, so that neither waits forever."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Stances:
         self.poses = {name: now[name].copy() if rows is None else now[name].take(rows) for name in names}
 
     def restore(self, population: Population, rows: Rows, own: Rows) -> None:
-        """Restore the stances number `own` to the agents at `rows` of the species."""
+        """Give the agents at `rows` of the species their copied stances. `own`: the indices of these stances among the copies."""
         position = self.position[own]
         for k, axis in enumerate(AXES):
             population.now[f"position.{axis}"][rows] = position[:, k]
@@ -116,8 +116,7 @@ def _find_deep_pairs(crowd: CapsuleCrowd) -> tuple[Rows, Rows]:
 
 
 def _measure_depths(crowd: CapsuleCrowd, near: NearbyCapsulePairs) -> Floats:
-    """Return how deep the bodies of each pair overlap in space, as array (m) in widths of the narrower body. Negative without
-    overlap."""
+    """Return the overlap of each pair of bodies in space (m), in widths of the narrower body; negative without overlap."""
     rows, depth = near.rows, np.empty(len(near.first_indices))
     (middle, ahead, up), (half, radius) = np.empty((3, 3, len(rows))), np.empty((2, len(rows)))
     bodies = CapsuleArrays(middle, ahead, up, half, radius, crowd.period, crowd.tilted_cosine)
