@@ -117,7 +117,7 @@ class PathFlow(SurfaceFlow):
         return shares
 
     def _sum_to_points(self, corner_values: Floats) -> Floats:
-        """Return, for each point, the sum of `corner_values` (3 t,) of all triangle corners at this point."""
+        """Return, for each point, the sum of `corner_values` (3 t,) over all triangle corners at this point."""
         assert self.crossable_ground is not None
         land = self.crossable_ground.surface
         return np.bincount(land.triangles.ravel(), corner_values, len(land.points)).astype(np.float64)

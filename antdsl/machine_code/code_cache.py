@@ -67,7 +67,7 @@ def store_data(key: str, data: bytes) -> None:
 
 
 def take_messages() -> list[str]:
-    """Return and clear the messages that tell the user why stored code was not used or new code could not be stored."""
+    """Return messages that tell the user why stored code was not used or new code could not be stored."""
     return shipped_objects.take_messages() + (
         list(_get_object_cache().messages) if _get_object_cache.cache_info().currsize else []
     )

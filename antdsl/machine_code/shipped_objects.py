@@ -96,7 +96,7 @@ def make_objects_path(folder: Path, name: str) -> Path:
 
 
 def take_messages() -> list[str]:
-    """Return and clear the sentences that tell the user why object files of the installation are not used. None is repeated."""
+    """Return sentences that tell the user why object files of the installation are not used. None is repeated."""
     return (
         []
         if _damaged_file is None

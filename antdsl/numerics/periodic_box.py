@@ -96,7 +96,7 @@ class PeriodicBox:
 
 
 def measure_offset(first: NDArray[Any], second: NDArray[Any], width: float) -> NDArray[Any]:
-    """Return the offset to `first` from the nearest image of `second` along one axis, mm, float32. `width`: the box width
+    """Return the offset from `second` to the nearest image of `first` along one axis, mm, float32. `width`: the box width
     (mm); 0 if the axis does not wrap. The plain difference decides which image is nearest. The result is then computed from
     the coordinate of this image. So a grid that stores images of all agents gives the same bits."""
     offset: NDArray[Any] = first - second

@@ -137,7 +137,7 @@ def load_packed_vector(packed_vectors: Array1[F32], position: I64) -> Vec3:
 
 @inlined
 def reset_candidates(memory: CandidateMemory) -> None:
-    """Set all entries of `memory.candidates` to 0, so that each is a valid position of an agent."""
+    """Set all entries of `memory.candidates` to 0, so that each is a valid index."""
     for p in range(MAX_SEARCH_CANDIDATES):
         memory.candidates[p], memory.nearest_rows[p], memory.nearest_keys[p] = 0, 0, 0
 

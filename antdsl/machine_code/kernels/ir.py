@@ -107,7 +107,8 @@ class IrBuilder(ABC, Generic[NumberType]):
         return output
 
     def emit_void(self, op: str, *operands: Number, x: Any = "", node: ast.AST | None = None) -> None:
-        """Add an instruction without a result. `op`: the operation. `x`: the immediate constant. `node`: the source location."""
+        """Add an instruction that has no result. `op`: the operation. `x`: the immediate constant. `node`: the source
+        location."""
         line = getattr(node, "lineno", self.line)
         self.current_block.body.append(Instruction(op, None, operands, x, line))
 

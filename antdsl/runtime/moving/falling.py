@@ -57,7 +57,7 @@ def find_airborne(world: World, population: Population, rows: Rows) -> Rows:
 
 
 def move_airborne(world: World, population: Population, rows: Rows, displacement: Floats) -> GroundMove:
-    """Return where agents in the air of a solid are after they are displaced by (k, 3) mm. They move in a straight line, but
+    """Return the result of moving agents in the air of a solid by `displacement` (k, 3) mm. They move in a straight line, but
     not into a solid."""
     place = population.position[rows] + displacement
     for volume in world.solids.values():

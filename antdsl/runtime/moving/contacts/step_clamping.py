@@ -57,8 +57,8 @@ def clamp_approaching_steps(
 
 
 def compute_rounding_constant(terms: Floats) -> float:
-    """Return the constant for `add_rounded_vector`: it defines to which quantum `terms` (3, k) are rounded before they are
-    added."""
+    """Return the rounding constant for `add_rounded_vector`. It defines the quantum to which `terms` (3, k) are rounded before
+    they are added."""
     most = max(terms.max(), -terms.min(), 1e-30)
     return float(np.ldexp(1.5, int(np.frexp(most)[1]) + 2 - _SUM_BITS + 52))
 
