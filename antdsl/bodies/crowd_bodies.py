@@ -42,7 +42,7 @@ class NamedBody:
     `key`: the key of the body, built by `scene.body_choice`.
     `written_name`: the name of a library body, or a path, as in the scene.
     `place`: the location in the scene that names the body.
-    `weight`: the body's weight when agents of the species draw their bodies."""
+    `weight`: how often agents of the species get this body, relative to its other bodies."""
 
     key: str
     species: str

@@ -183,8 +183,8 @@ def cast_feeler(grid: GridTables, position: Vec3F32, direction: Vec3F32, reach: 
 
 @kernel_helper
 def find_first_hit(grid: GridTables, start: Vec3, displacement: Vec3) -> tuple[F64, I64]:
-    """Return the ray parameter (0 to 1) of a ray's first hit, and the face. The ray goes from `start` to `start +
-    displacement`."""
+    """Return the ray parameter (0 to 1) of a ray's first hit, and the face. The ray goes from `start` to
+    `start + displacement`."""
     shape, size, first, face_list, bound, planes = grid[0], grid[1], grid[2], grid[3], grid[4], grid[5]
     part = 1.0 / shape[3]
     px, py, pz = (start[0] - shape[0]) * part, (start[1] - shape[1]) * part, (start[2] - shape[2]) * part

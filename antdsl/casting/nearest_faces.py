@@ -193,7 +193,7 @@ def _measure_distances_to_plane_and_ball(bound: Array2[F32], k: I64, p: Vec3) ->
 
 @inlined
 def _is_face_farther(radius: F64, height: F64, square: F64, distance: F64) -> BOOL:
-    """Return whether a face is certainly farther from a point than `distance`, by the bounds of the face.
+    """Return whether a face is certainly farther from a point than `distance`, judged by its plane and its bounding ball.
 
     `height`: the point's height above the face's plane. `square`: its squared distance from the centre of the face's bounding
     ball. `radius`: the radius of this ball."""

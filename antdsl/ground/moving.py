@@ -43,7 +43,7 @@ class MovingGround(MeshGround):
         self._scale = replace(self._scale, max_below_height=np.inf)
 
     def copy(self) -> MovingGround:
-        """Return a copy of which the meshes can be moved independently of this ground."""
+        """Return a copy with meshes that can be moved independently of this ground."""
         ground = copy(self)
         ground._vertices, ground._topology = self._vertices.copy(), self._topology.copy()
         ground._box_tree = replace(self._box_tree, bounds=self._box_tree.bounds.copy())

@@ -35,15 +35,15 @@ def select_array_rows(array: NDArray[Any], rows: Rows) -> NDArray[Any]:
 
 
 class Footing:
-    """A table of footings, one row per agent. The names of its columns depend on the kind of ground.
+    """A table of footings, one row per agent. Its columns depend on the kind of ground:
 
-    meshes             `mesh` and `face` (int32[n], -1 = nowhere), the weights `b1`, `b2` of the face's second and third
-    corner. An agent that steps over a border is `over` mm off the face along its normal; 0 for others. meshes and solids  the
-    same, and `x`, `y`, `z`. On a solid `mesh` counts solids after the meshes, `face` is 0 and (x, y, z) is the position on its
-    surface (mm); 0 on meshes. plane              `point` float64[n,3] on it, and `mesh`, 0 as if the plane were the only
-    surface.
+    - meshes: `mesh` and `face` (int32[n], -1 for none), and `b1`, `b2`, the weights of the face's second and third corner. An
+      agent that steps over a border is `over` mm off the face along its normal; for others, `over` is 0
+    - meshes and solids: the same, and `x`, `y`, `z`. On a solid, `mesh` is the solid's number, counted after the meshes, and
+      `face` is 0. (x, y, z) is the position on the solid's surface (mm), 0 on meshes
+    - plane: `point` float64[n,3], the position on the plane, and `mesh`, which is 0
 
-    Columns have these names in checkpoints and caches, and their order is that of state hashes."""
+    Checkpoints and caches use the same column names. State hashes depend on the order of the columns."""
 
     __slots__ = ("columns",)
 

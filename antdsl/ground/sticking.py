@@ -53,10 +53,10 @@ def move_agents_by_rays(
 
 
 def _project_heading(vector: Floats, up: Floats, normal: Floats) -> Floats:
-    """Return the new heading: the unit vector of normal x side, where side = vector x up.
+    """Return the new heading: the unit direction of normal x side, where side = vector x up.
 
-    It is zero at a wall at the side or in front of the agent. In this case, return the projection of `vector`, or of `up`, onto
-    the wall."""
+    If a wall is at the side or in front of the agent, normal x side is zero. Then return the projection of `vector`, or of `up`,
+    onto the wall."""
     flat = compute_stacked_cross(normal, compute_stacked_cross(vector, up))
     for other in (vector, up):
         flat = np.where(dot(flat, flat) > _MIN_VECTOR_LENGTH, flat, other - dot(other, normal) * normal)

@@ -5,7 +5,7 @@ to joints. It also has `Clip`s, `TransformGroup`s and metadata. It is read from 
 agent (its clips with times and weights, and the resulting poses) are stored in arrays over all agents. There is no object per
 agent or per joint.
 
-From played clips to drawn shapes: `poses` arranges the clips of a definition in a table and samples them. `blending` blends the
+From played clips to drawn shapes: `poses` arranges the clips of a definition in a table and samples them. `blending` mixes the
 samples into poses, following a tree of layers. `deformers` deforms shapes by these poses (`skinning`, `blend_shapes`). All of
 these use the operations in `affine`, which give the same bits on every processor.
 

@@ -27,7 +27,7 @@ def apply_blend_shapes(
     """Return the deformed shape after adding its blend-shape inputs, weighted by the channels of each agent.
 
     Only the attributes that `shape` lists for blending change (default: P and N). Primitives have no attributes in antdsl, so
-    `Blend.primitive_id` is not matched. Raises ValueError for a shape without blend shapes, for different numbers of inputs and
+    `BlendTargets.primitive_id` is unused. Raises ValueError for a shape without blend shapes, for different numbers of inputs and
     channels, and for in-betweens at weight 0 or 1. Raises KeyError for shapes that the library lacks, and for channels that the
     rig lacks."""
     blend = shape.blend

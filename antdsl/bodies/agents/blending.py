@@ -112,7 +112,7 @@ class ClipPlayback:
     `tree_indices`: int32[n], indices into `trees`.
     `clips`: int32[n, S], numbers of a `ClipTable`, -1 for none (agentclipnames).
     `times`: [n, S], seconds (agentcliptimes).
-    `weights`: float32[n, S] of the clips (agentclipweights).
+    `weights`: float32[n, S], the weights of the clips (agentclipweights).
     `layer_weights`: float32[n, L] (agentcliplayerweights).
 
     Weights below 0, and NaN, count as 0.

@@ -24,8 +24,8 @@ Floats = NDArray[Any]  # float32 or float64
 def compute_layer_boxes(definition: Definition, worlds: Floats, layers: Sequence[str]) -> tuple[Floats, Floats]:
     """Return the lowest and the highest corners [n, 3] of the boxes around the given layers of n agents.
 
-    `worlds` [n, J, 4, 4]: the world matrices of the joints. The corners have the same dtype. Both are NaN for layers without a
-    shape. Raises KeyError for a layer or a shape that the definition lacks."""
+    `worlds` [n, J, 4, 4]: the world matrices of the joints. The corners have the dtype of `worlds`. They are NaN for layers
+    without a shape. Raises KeyError for a layer or a shape that the definition lacks."""
     count = len(worlds)
     least = np.full((count, 3), np.inf, worlds.dtype)
     most = np.full((count, 3), -np.inf, worlds.dtype)

@@ -103,7 +103,7 @@ def _build_agent_tree(
     agent: int, group_names: tuple[str, ...], group: Numbers, layer: Numbers, mode: Numbers, parent: Numbers, counts: Numbers,
     layer_counts: Numbers,
 ) -> ClipBlendTree:  # fmt: skip
-    """Return the clip tree of one agent, from the concatenated lists of all agents."""
+    """Return the clip tree of one agent, from the padded lists of all agents, one row per agent."""
     clips, layers = slice(int(counts[agent])), slice(int(layer_counts[agent]))
     layer_ids, modes, parents = (row.tolist() for row in (layer[agent, clips], mode[agent, layers], parent[agent, layers]))
     try:

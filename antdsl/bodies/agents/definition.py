@@ -243,9 +243,9 @@ class Leg:
 class Gait:
     """The stepping pattern of the feet at one speed.
 
-    `speed`: in length units of the definition per second.
+    `speed`: the speed of the body, in length units of the definition per second.
     `stride`: the distance that the body covers in one cycle.
-    `duty`: share of the cycle in which each foot is on the ground.
+    `duty`: the fraction of the cycle in which each foot is on the ground.
     `lift`: height of a swinging foot, in length units.
     `phases`: for each leg in order, how far it is ahead in the cycle, as a fraction of the cycle.
 
@@ -341,7 +341,7 @@ def to_language_name(text: str) -> str:
 def map_language_names(names: Iterable[str]) -> dict[str, str]:
     """Return, for each of `names`, its unique name in the spelling of the language. Names that are already valid do not change.
 
-    If the names of others collide, the later ones get the suffix `_2`, `_3` and so on."""
+    If converted names collide, the later ones get the suffix `_2`, `_3` and so on."""
     names = list(names)
     translations = {name: name for name in names if to_language_name(name) == name}
     taken = set(translations)

@@ -104,7 +104,7 @@ def deform_binding(definition: Definition, binding: Binding, poses: WorldPoses) 
 
 
 def _build_rigid_deformer(binding: Binding) -> Deformer:
-    """Return the deformer that moves a shape by its joint alone."""
+    """Return a deformer that moves a shape rigidly with the binding's joint."""
 
     def carry_shape(deformed_shape: DeformedShape, shape: SkinShape, definition: Definition, poses: WorldPoses) -> DeformedShape:
         joint = definition.rig.find_joint(binding.transform)

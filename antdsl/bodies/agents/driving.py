@@ -23,9 +23,9 @@ class PoseAdjustments:
     `look_directions`: float32[n, 3] by transform group, unit vectors in the agent's space (+x ahead, +y up); (1, 0, 0) is
         straight ahead.
     `variation_draws`: the sources of random differences between the bodies.
-    `lean`: float32[n, 2], how much each agent turns (-1 right to 1 left) and climbs (-1 down to 1 up); None if no clip depends on
-    it. `joint_offsets`: float32[n, 7] by joint: a translation in body lengths and a rotation x y z w, both in the agent's
-    space."""
+    `lean`: float32[n, 2], how much each agent turns (-1 right to 1 left) and climbs (-1 down to 1 up); None if no clip
+        depends on it.
+    `joint_offsets`: float32[n, 7] by joint: a translation in body lengths and a rotation x y z w, both in the agent's space."""
 
     channels: Mapping[str, Floats] = field(default_factory=dict)
     look_directions: Mapping[str, Floats] = field(default_factory=dict)

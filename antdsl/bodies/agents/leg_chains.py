@@ -72,7 +72,7 @@ def compute_standing_joints(body: Definition) -> tuple[NDArray[np.float64], NDAr
 
 
 def build_legs_data(body: Definition) -> LegsData:
-    """Return the leg data that a run needs of a body with legs, in body lengths."""
+    """Return the leg data of a body that runs need, in body lengths."""
     positions, _ = compute_standing_joints(body)
     chains = [build_leg_chain(body.rig, leg) for leg in body.legs]
     hip, knee, ankle, foot = (positions[[getattr(each, name) for each in chains]] for name in ("upper", "lower", "ankle", "foot"))

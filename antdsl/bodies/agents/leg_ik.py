@@ -257,8 +257,8 @@ class LegIkSolver:
         world[:, 3] -= self._up_axis[:, None, None] * (most * stance_weights)
 
     def _measure_unreachable_distance(self, displacement: Floats, length: Floats) -> Floats:
-        """Return by how much hips are too high for legs of `length` [n] to reach goals at `displacement` [3, n] from them; below
-        0 if low enough."""
+        """Return how far hips must sink so that legs of `length` [n] reach goals at `displacement` [3, n] from the hips. It is
+        negative if they are low enough."""
         high = dot(displacement, self._up_axis[:, None])
         level = np.maximum(length * length - np.maximum(dot(displacement, displacement) - high * high, 0), 0)
         return np.asarray(-np.sqrt(level) - high)

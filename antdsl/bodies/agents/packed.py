@@ -1,8 +1,8 @@
 """Converts an agent definition to a few plain arrays, the form that caches store, and back.
 
-The array `text` (uint8) is a JSON document with all names, counts and bindings. In it, an array of the definition is `[kind,
-first, shape]`: the elements from index `first` of the array `kind`, which is `f4`, `f8`, `i4` or `i8`. Metadata is omitted,
-because drawing does not need it.
+The array `text` (uint8) is a JSON document with all names, counts and bindings. In it, an array of the definition is
+`[kind, first, shape]`: the elements from index `first` of the array `kind`, which is `f4`, `f8`, `i4` or `i8`. Metadata is
+omitted, because drawing does not need it.
 """
 
 from __future__ import annotations

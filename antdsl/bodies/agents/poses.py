@@ -32,7 +32,7 @@ REST_CLIP = -1  # no clip: the rest pose and the default channel values
 
 @dataclass(slots=True, eq=False)
 class LocalPose:
-    """Local poses of n agents, one array per component, joints in the order of a `ClipTable`.
+    """Local poses of n agents, one array per component, with joints in the order of a `ClipTable`.
 
     `translation`: float32[3, J, n].
     `rotation`: float32[4, J, n], unit quaternions x y z w.
@@ -50,7 +50,7 @@ class LocalPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorldPoses:
-    """Transforms and channel values of n agents, joints and channels in the order of the rig.
+    """Transforms and channel values of n agents, with joints and channels in the order of the rig.
 
     `world_transforms` and `local_transforms`: float32[n, J, 3, 4], the upper three rows of each joint's matrix, in agent space or
         in the parent's space; the fourth row would be 0 0 0 1. `channels`: float32[n, C].

@@ -1,7 +1,7 @@
 """Agent definitions in files: read from JSON documents, glTF or USD, checked, and written.
 
 - `reading` takes a file and returns a `Definition`.
-- `format_json` parses JSON to a tree with locations.
+- `json_text` parses JSON into a tree with locations.
 - `document_errors` reads the tree into the models of `document_model` and reports mistakes.
 - `definition_document` builds the definition, and `documents`, `clip_document` and `shape_references` its parts.
 - `named_files` opens the files that a definition names.

@@ -116,7 +116,7 @@ def _group_by_branch(rig: Rig, contact_joints: list[int]) -> dict[int, list[int]
 
 
 def _is_one_chain(rig: Rig, joints: set[int]) -> bool:
-    """Return whether one of the joints is above all others, such as an ankle above its toes."""
+    """Return whether one of the joints is an ancestor of all others, as an ankle is of its toes."""
     top = min(joints, key=lambda joint: len(_list_ancestors(rig, joint)))
     return all(top in _list_ancestors(rig, joint) for joint in joints)
 

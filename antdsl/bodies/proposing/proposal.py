@@ -382,7 +382,7 @@ def _add_capsule(proposal: BodyFileProposal, study: BodyMeasurements, front: Flo
 
 
 def _describe_rest_pose(study: BodyMeasurements) -> str:
-    """Return text about the rest pose for the reason of the capsule."""
+    """Return a description of the rest pose for the text that explains the capsule."""
     return "of the file: no clip stands or walks, so check the width if arms are spread"
 
 

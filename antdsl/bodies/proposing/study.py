@@ -70,7 +70,7 @@ def _find_standing_pose(
 ) -> tuple[Floats, NDArray[np.float32], BodyPoints, LegSearchResult]:
     """Return the up axis, the world matrices of joints, the points and the legs in the standing pose.
 
-    `up` is tried first. Another axis is returned only if no legs are found with `up`, but with that axis."""
+    Another axis than `up` is returned only if `up` gives fewer than two legs and the other axis gives two or more."""
     worlds = sample_world_transforms(body, idle, np.zeros(1))[0]
     points = find_posed_points(body, worlds)
     others = [sign * axis for axis in np.eye(3)[[1, 2, 0]] for sign in (1.0, -1.0)]

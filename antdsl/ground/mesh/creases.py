@@ -173,7 +173,7 @@ class CreaseMap:
         return is_near
 
     def _get_cells_within(self, distance_level: int) -> NDArray[np.bool_]:
-        """Return a mask of the cells within the distance of a level from a crease, another piece or a cut."""
+        """Return a mask of the cells within 2**distance_level mm of a crease, another piece or a cut."""
         if distance_level not in self._near_cells_by_rung:
             rings = int(min(np.ceil(np.ldexp(1.0, distance_level) / self._width) + 1, self._shape.max()))
             corners, table, minded, half = self._inputs

@@ -32,8 +32,8 @@ MAX_RUN_PER_RISE = 1e3  # mm along a face per mm up, above which the face counts
 def find_surface_crossing(
     surface: SurfaceTables, around: NearbySurfaces, cuts: CutTables, walker: FaceWalker, length: F64
 ) -> SurfaceLanding:
-    """Return the first face of the same piece that cuts the current face across the path, as the landing on which the path
-    continues.
+    """Return the landing on the first face of the same piece that cuts the current face across the path. The path continues
+    there.
 
     The path ends instead if it would continue on the other side of an open sheet, or if there is no space. The search of
     `surroundings`, from above the ground, cannot find such faces: near a cut, any point above the feet may already be behind

@@ -29,9 +29,9 @@ def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundTolera
     For them, `find_landing_beyond_border` finds no landing. Some are omitted on a ground that is mostly borders, or has faces
     much smaller than the bodies: a complete search would take too long.
 
-    The search paths of `find_landing_beyond_border` are in the vertical plane across the edge: above or below the face, or beyond
-    the border. They hit nothing under two conditions. All other nearby faces are in the plane of the edge's face, and none of
-    them extends beyond the line of the edge. All search paths are then at least one gap away from these faces."""
+    The search paths of `find_landing_beyond_border` are in the plane perpendicular to the edge: above or below the face, or
+    beyond the border. They hit nothing under two conditions. All other nearby faces are in the plane of the edge's face, and none
+    of them extends beyond the line of the edge. All search paths are then at least one gap away from these faces."""
     half = np.flatnonzero((table.link[0] == NO_LINKED_EDGE) & (table.link[1] == NO_LINKED_EDGE) & np.repeat(table.is_live, 3))[
         :_MAX_BORDERS
     ]

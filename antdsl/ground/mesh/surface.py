@@ -1,4 +1,4 @@
-"""Surfaces of triangles, on either side of which agents can stand and walk. A footing is a point of a triangle; `MeshGround.move`
+"""Surfaces of triangles. Agents can stand and walk on both sides of them. A footing is a point of a triangle; `MeshGround.move`
 moves it."""
 
 from __future__ import annotations

@@ -35,8 +35,8 @@ class MeshTopology:
 
     - `is_live`: whether agents can stand on a face. `weld` (m, 3): a number for each corner; corners at one position share it.
     - A point of face f is `corner + b1 * edge1 + b2 * edge2`.
-    - `axis1`, `axis2`, `normal`: the frame of a face. A direction (c, s) in it changes b1 by `c * rate1 - s * shear` and b2 by `s
-      * rate2` per mm.
+    - `axis1`, `axis2`, `normal`: the frame of a face. A direction (c, s) in it changes b1 by `c * rate1 - s * shear` and b2 by
+      `s * rate2` per mm.
     - `edge_c`, `edge_s`: the direction of each half-edge in the frame. Half-edge 3f+k is opposite corner k, and goes from corner
       k+1 to k+2.
     - `link[side, 3f+k]`: the neighbour across half-edge 3f+k, or NO_LINKED_EDGE. `side` is 0 for an agent on the side of the
@@ -282,8 +282,8 @@ def _compute_smooth_normals(vertices: Floats, faces: Ints, weld: Ints, is_live: 
 
 
 def _compute_crease_normals(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Floats) -> Floats:
-    """Return the smooth normals of corners, which are sorted by their `point`. Each is a mean over those corners at the same
-    point of which the faces meet its own face without a crease."""
+    """Return the smooth normals of corners, which are sorted by their `point`. Each is a mean over corners at the same point,
+    without corners of faces beyond a crease."""
     count = np.bincount(point[corner])[point[corner]]
     begin = np.searchsorted(point[corner], point[corner], side="left")
     one = np.repeat(np.arange(corner.size), count)

@@ -98,7 +98,7 @@ class WalkStopReason(NamedTuple):
 
 
 class SurfaceLanding(NamedTuple):
-    """The point at which an agent continues on another face (-1 for none): the weights of the point and the side of the face.
+    """The point on another face at which an agent continues: its face (-1 for none), its weights, and the side of the face.
 
     `distance`, `height`: the distance to this point and its height over the current face (mm). `ends_walk`: whether the agent
     stops there."""

@@ -123,7 +123,7 @@ class _NodeDistanceField:
         self.nearest_triangles = np.full(near_bricks.size * NODES_PER_BRICK, -1, np.int32)
 
     def pop_nearer_nodes(self) -> Index:
-        """Return the nodes of which the distance has decreased since the last call, as indices into the arrays."""
+        """Return the nodes with distances that have decreased since the last call, as indices into the arrays."""
         changed_nodes = np.flatnonzero(self._has_come_nearer)
         self._has_come_nearer[changed_nodes] = False
         return changed_nodes

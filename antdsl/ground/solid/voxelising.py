@@ -119,8 +119,8 @@ def _write_brick_distances(bricks: BrickGrid, shell: TriangleShell, near_bricks:
 
 
 class TriangleShell:
-    """A mesh with integer coordinates, so that it is computed exactly on which side of a line a point is. It is built from
-    corners float64[n,3,3] in voxels."""
+    """A mesh with integer coordinates, which make tests of the side of a line exact. It is built from corners float64[n,3,3] in
+    voxels."""
 
     def __init__(self, corners: Floats) -> None:
         self.corners, self.units_per_voxel = round_to_voxels(corners)
