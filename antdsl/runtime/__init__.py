@@ -1,10 +1,10 @@
-"""Runs a simulation: a world is made from a plan and a setting, and advanced step by step.
+"""The simulation of a shot: creates a world from a plan and a setting, and advances the world step by step.
 
-`bind` (in `binding`) makes the world at its first frame. `step` runs each function in `phases.PHASES` once. In a step, senses
-read the world as it was at the start of the step. Blocks of the plan run on a backend (`backends`) and write requests into an
-`EffectRequests`. Claims, deposits, digging, births and deaths are then resolved in an order that does not depend on rows.
-`moving` moves all agents by their steering forces. `world` contains all mutable data. `checkpoints` writes, reads and hashes
-the complete state."""
+`bind` (in `binding`) creates the world at its first frame. `step` runs each function in `phases.PHASES` once. During a step,
+senses read the world as it was at the start of the step. The plan's blocks run on a backend (`backends`) and write requests
+into an `EffectRequests`. Then claims, deposits, digging, births and deaths are resolved, in an order that does not depend on
+the order of rows. `moving` moves all agents by their steering forces. `world` contains all mutable data. `checkpoints` writes,
+reads and hashes the complete state."""
 
 from antdsl.runtime.binding.bind_world import BindError, bind, set_flow, set_param
 from antdsl.runtime.binding.binding_cache import BindingCache

@@ -14,9 +14,8 @@ LIFT_REGISTERS = ("~lift.x", "~lift.y", "~lift.z")  # mm; for species with bodie
 
 
 def compute_body_positions(population: BodyWearers) -> NDArray[np.float64]:
-    """Return the positions (n, 3; mm) at which bodies are drawn. Each component is contiguous.
-
-    They are the agents' positions on the ground, plus the shift of bodies that stay outside their ground."""
+    """Return the positions (n, 3; mm) at which bodies are drawn. Each component is contiguous. These are the agents' positions
+    on the ground. In species with `LIFT_REGISTERS`, they are shifted so that bodies stay outside the ground."""
     if LIFT_REGISTERS[0] not in population.now:
         return population.position
     shifted = np.empty((3, len(population)))

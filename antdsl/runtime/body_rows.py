@@ -11,7 +11,7 @@ from antdsl.scene.setting import WorldSetting
 
 
 def find_body_numbers(population: Population, setting: WorldSetting) -> NDArray[np.uint8]:
-    """Return the number of each agent's body among the bodies of the species, uint8[n]. Callers must not change the array."""
+    """Return the number of each agent's body within the species' list of bodies, uint8[n]. Callers must not change the array."""
     if population.bodies is None or population.bodies[0] != population.version or len(population.bodies[1]) != len(population):
         weights = setting.body_weights.get(population.name, ())
         population.bodies = population.version, choose_body_numbers(weights, setting.seed, population.name, population.ids)
@@ -19,9 +19,9 @@ def find_body_numbers(population: Population, setting: WorldSetting) -> NDArray[
 
 
 def group_rows_by_body(population: Population, setting: WorldSetting) -> tuple[tuple[str, NDArray[np.intp] | None], ...]:
-    """Return the key of each body of a species, with the ascending rows of its agents.
+    """Return (body key, rows) for each body of a species: the ascending rows of the agents that have this body.
 
-    For a single body, the rows are None, which stands for all."""
+    If the species has a single body, its rows are None, which means all agents."""
     keys = setting.list_body_keys(population.name)
     if len(keys) < 2:
         return ((population.name, None),)

@@ -1,6 +1,6 @@
-"""Saves and restores the complete state of a world as named arrays, and computes its hash. A run that continues from these
-arrays gives identical results. The hash is equal for any row order, chunk size, thread count and backend, and different for
-any other state."""
+"""Saves and restores the complete state of a world as named arrays, and hashes it. A run that continues from these arrays
+gives identical results. The hash does not depend on row order, chunk size, thread count or backend. Different states have
+different hashes."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class CheckpointError(ValueError):
-    """Error for arrays that do not match the plan. The message names the first such array."""
+    """Error for arrays that do not match the plan. The message names the first array that does not match."""
 
 
 def take_checkpoint(world: World) -> Arrays:
-    """Return copies of the arrays that form the state of a world between two steps, by name."""
+    """Return copies of the arrays that form a world's state between two steps, by name."""
     arrays: Arrays = {"frame": np.array(world.frame, np.int64), "faults": np.array(world.faults.count, np.int64)}
     arrays |= {f"param.{name}": np.array(value) for name, value in world.params.items()}
     for name, population in world.populations.items():
@@ -67,9 +67,9 @@ def take_checkpoint(world: World) -> Arrays:
 
 
 def restore_checkpoint(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Restore a state in a world that is bound to the same plan and setting.
+    """Restore a state into a world that is bound to the same plan and setting.
 
-    Raises CheckpointError, after which the world is unusable."""
+    Raises CheckpointError if the arrays do not match. The world is unusable after this error."""
     try:
         _restore_world(world, arrays)
         for population in world.populations.values():
@@ -82,7 +82,7 @@ def restore_checkpoint(world: World, arrays: Mapping[str, NDArray[Any]]) -> None
 
 
 def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Restore a state. Raises various errors if the arrays do not match."""
+    """Restore a state. Raises exceptions of various types if the arrays do not match."""
     world.frame = int(_read_array_of_shape(arrays, "frame"))
     world.faults.count = int(_read_array_of_shape(arrays, "faults"))
     for name in world.params:
@@ -129,7 +129,8 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Restore the feet of a checkpoint. If it was written without feet, all agents start with their feet at rest."""
+    """Restore the state of the feet from a checkpoint. If it was written without feet, all agents start with their feet at
+    rest."""
     if not world.feet:  # a world that was bound without agents
         feet_step.prepare_feet_of_bodies(world)
     restored_feet = {}
@@ -146,7 +147,7 @@ def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _collect_population_arrays(population: Population) -> Arrays:
-    """Return the arrays of a species that form its state, by name."""
+    """Return the arrays that form the state of a species, by name."""
     arrays: Arrays = {name: population.columns[name] for name in _STORED_COLUMNS}
     arrays |= {f"footing.{name}": array for name, array in population.footing.columns.items()}
     arrays |= {f"event.{name}": flags for name, flags in population.events.items()}
@@ -155,7 +156,7 @@ def _collect_population_arrays(population: Population) -> Arrays:
 
 
 def _restore_population(population: Population, arrays: Mapping[str, NDArray[Any]], prefix: str) -> None:
-    """Restore the agents of a species from arrays with names that begin with `prefix`."""
+    """Restore the agents of a species from the arrays with names that begin with `prefix`."""
     count = len(_read_array_of_shape(arrays, f"{prefix}ids"))
     now = _collect_population_arrays(population)
     taken = {}
@@ -181,7 +182,7 @@ def _restore_population(population: Population, arrays: Mapping[str, NDArray[Any
 
 
 def _read_array_of_shape(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
-    """Return a named array. Raises CheckpointError if it is missing or has another shape."""
+    """Return the array called `name`. Raises CheckpointError if it is missing or does not have the shape `shape`."""
     if name not in arrays:
         raise CheckpointError(f"`{name}` is missing")
     array = arrays[name]
@@ -193,7 +194,7 @@ def _read_array_of_shape(arrays: Mapping[str, NDArray[Any]], name: str, shape: t
 def state_hash(world: World) -> str:
     """Return a hash of the state: the first 128 bits of a SHA-256 hash, in hexadecimal.
 
-    It includes the `hash_rows` of each species, items, fields, solids and flows, and the memory of notes."""
+    The hash covers the agents of each species (`hash_rows`), items, fields, solids, flows, and the memory of notes."""
     digest, threads = sha256(), world.options.threads
     digest.update(np.int64(world.frame).tobytes())
     for name in sorted(world.populations):
@@ -218,7 +219,7 @@ def state_hash(world: World) -> str:
 
 
 def _hash_rows(population: Population, threads: int) -> bytes:
-    """Return the hash of all arrays in the state of the agents."""
+    """Return the hash of all arrays that form the state of a species' agents."""
     columns = [(name, population.columns[name]) for name in _HASHED_COLUMNS]
     columns += [(f"footing.{name}", array) for name, array in population.footing.columns.items()]
     columns += [(name, population.now[name]) for name in population.state_registers()]

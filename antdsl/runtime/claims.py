@@ -1,8 +1,8 @@
-"""Resolves claims on items and field cells, between the phases decide and act, and gifts to items. Losses equal gains exactly.
+"""Resolves the agents' claims on items and field cells, after `decide` and before `act`, and their gifts to items.
 
-An agent's own register is float32; an item's amount and a field's cell are float64. Amounts change by exactly the difference
-in the register. Agents take whole multiples of `DEPOSIT_QUANTUM` from a field, the unit that deposits also have. While
-registers contain only such multiples, so do cells."""
+No amount is lost or created by rounding. The register that receives a claim is float32; amounts of items and cells are
+float64. An amount decreases by exactly the increase of the register. Claims on fields are multiples of `DEPOSIT_QUANTUM`, like
+deposits. As long as registers contain only such multiples, so do cells."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ClaimEntries = list[tuple[Population, ClaimEntry]]
 
 
 def settle_claims(world: World) -> None:
-    """Resolve all claims: for each amount, grant claims in random order (ties by id) as long as enough remains."""
+    """Resolve all claims. For each amount, claims are granted in random order (ties by id) as long as enough remains."""
     item_claims: dict[tuple[str, str], ClaimEntries] = {}
     of_fields: dict[str, ClaimEntries] = {}
     for population in world.populations.values():
@@ -52,7 +52,7 @@ def settle_claims(world: World) -> None:
 
 
 def _merge_by_statement(entries: ClaimEntries) -> ClaimEntries:
-    """Merge the claims of each statement into one entry, so that the result does not depend on chunks."""
+    """Merge the claims of each statement into one entry, so that results do not depend on how rows were divided into chunks."""
     if len(entries) == 1:
         return entries
     groups: dict[tuple[str, int], ClaimEntries] = {}
@@ -67,7 +67,7 @@ def _merge_by_statement(entries: ClaimEntries) -> ClaimEntries:
 
 
 def _join_arrays(arrays: list[NDArray[Any]]) -> NDArray[Any]:
-    """Concatenate arrays. A single array is returned unchanged."""
+    """Concatenate arrays. If there is only one, return it without a copy."""
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
@@ -79,9 +79,9 @@ def _settle_amount(
     unit: float,
     entries: ClaimEntries,
 ) -> None:
-    """Resolve the claims in `entries` on the amounts `rest`, and subtract what agents get.
+    """Resolve the claims in `entries` on the amounts `rest`. Subtract from `rest` what agents get.
 
-    `item`: the index in `rest` of each claim, -1 for none. `amount`: the claimed amount; inf claims everything that is left,
+    `item`: for each claim, the index in `rest`, -1 for none. `amount`: the claimed amount; inf claims everything that is left,
     in multiples of `unit`."""
     draw = _join_arrays([_draw_claim_order(world, p, e) for p, e in entries])
     ids = _join_arrays([p.ids[e.rows] for p, e in entries])
@@ -111,9 +111,8 @@ def _settle_by_kernel(
     population: Population,
     entry: ClaimEntry,
 ) -> bool:
-    """Resolve the claims of one statement with a kernel, in the order of `keys`, if each claims a fixed amount for a register.
-
-    Return whether this was possible. If not, nothing has changed."""
+    """Resolve the claims of one statement with a kernel, if each of them adds a fixed amount to a register. Return whether
+    this was possible. If not, nothing has changed. `keys`: the sort keys of the claims; the last is the primary key."""
     statement = entry.statement
     if statement.register is None or statement.amount is None:
         return False
@@ -135,9 +134,8 @@ def _serve_claims(
     entries: ClaimEntries,
     source: NDArray[np.intp] | None,
 ) -> None:
-    """Serve the claims `claim_indices` of different agents in the order of `keys`. The last key, the item, is the primary one.
-
-    `source`: the entry of each claim; None if there is only one entry."""
+    """Serve the claims with indices `claim_indices`, at most one of each agent, in the order of `keys`. The last key, the
+    item, is the primary key. `source`: the index in `entries` of each claim; None if there is only one entry."""
     claim_indices = claim_indices[np.lexsort([key[claim_indices] for key in keys])]
     item, row, amount = keys[-1][claim_indices], row[claim_indices], amount[claim_indices]
     asks = _ServedClaims(
@@ -166,7 +164,7 @@ def _add_winnings(
     amount: NDArray[np.float32],
     granted_amounts: NDArray[np.float64],
 ) -> None:
-    """Add granted amounts to the registers of the agents. `granted_amounts`: the exact amount of each agent."""
+    """Add the granted amounts to the agents' registers. `granted_amounts`: float64, the exact amount for each of `rows`."""
     assert entry.statement.register is not None
     own = population.now[entry.statement.register]
     if entry.statement.amount is not None:
@@ -180,9 +178,9 @@ def _add_winnings(
 class _ServedClaims:
     """Claims in the order in which they are served.
 
-    `changes` float64: the exact amount by which the claim raises a register, or the claimed amount if there is no register.
-    `claims_all`: whether the claim is for everything that is left. `has_register`: whether the claim has a register.
-    `register_values`: the current value of the register."""
+    `changes` float64: the exact increase of the register that receives the claim; without a register, the claimed amount.
+    `claims_all`: whether the claim is for everything that is left. `has_register`: whether a register receives the claim.
+    `register_values`: the current value of this register."""
 
     def __init__(
         self,
@@ -208,7 +206,7 @@ class _ServedClaims:
         rows: NDArray[np.intp],
         amount: NDArray[np.float32],
     ) -> None:
-        """Store the claims of one statement at their positions in the order."""
+        """Store the claims of one statement. `positions`: the position of each claim in the order of serving."""
         if entry.statement.register is None:
             self.changes[positions] = amount
             return
@@ -220,9 +218,9 @@ class _ServedClaims:
     def compute_complete_amounts(
         self, positions: NDArray[np.intp], remaining_amounts: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the amounts granted to claims for everything that is left, given `remaining_amounts`.
+        """Return what each claim for everything that is left gets, given `remaining_amounts`.
 
-        They are multiples of the unit that the agent's register can represent exactly."""
+        These amounts are multiples of `unit` by which a float32 register can increase exactly."""
         had = self.register_values[positions].astype(np.float64)
         with np.errstate(all="ignore"):
             rounded_amount = np.floor(remaining_amounts / self.unit) * self.unit if self.unit else remaining_amounts
@@ -233,13 +231,13 @@ class _ServedClaims:
 
 
 def _draw_claim_order(world: World, population: Population, entry: ClaimEntry) -> NDArray[np.uint64]:
-    """Return a random word for each claim, which decides the order of serving."""
+    """Return a random word for each claim. Claims are served in the order of these words."""
     ids = population.ids[entry.rows]
     return randomness.draw_word(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)
 
 
 def _number_agent_claims(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the position of each claim among its agent's claims, in text order."""
+    """Return the position of each claim among the claims of its agent, in source order."""
     order = np.lexsort((place, ids, species))
     fresh = np.ones(len(order), np.bool_)
     fresh[1:] = (ids[order][1:] != ids[order][:-1]) | (species[order][1:] != species[order][:-1])
@@ -250,9 +248,9 @@ def _number_agent_claims(species: NDArray[np.int64], ids: NDArray[np.int64], pla
 
 
 def _grant_amounts(rest: NDArray[np.float64], item_numbers: NDArray[np.integer], claims: _ServedClaims) -> NDArray[np.float64]:
-    """Grant claims: return the amount that each claim gets (-1 for none), and subtract these amounts from `rest`.
+    """Grant claims. Return the amount that each claim gets (-1 if not granted), and subtract these amounts from `rest`.
 
-    `item_numbers`: the sorted items of the claims."""
+    `item_numbers`: for each claim, its index in `rest`, ascending."""
     item: NDArray[np.int64] = item_numbers.astype(np.int64, copy=False)
     got = np.full(len(item), -1.0)
     if not claims.claims_all.any():
@@ -279,9 +277,9 @@ def _grant_amounts(rest: NDArray[np.float64], item_numbers: NDArray[np.integer],
 def _serve_mixed(
     rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, claims: _ServedClaims, obtained_amounts: NDArray[np.float64]
 ) -> None:
-    """Serve the claims on one item, from index `begin` on, in order, until the remainder does not suffice.
+    """Serve the claims on one item in order, until one of them exceeds what is left. Some claims are for all that is left.
 
-    Some of these claims are for all that is left. `obtained_amounts`: receives the amount that each claim gets."""
+    `begin`: the index in `claims` of the item's first claim. `obtained_amounts`: receives the amount that each claim gets."""
     first, change = 0, claims.changes[begin : begin + len(item)]
     for stop in (*np.flatnonzero(claims.claims_all[begin : begin + len(item)]).tolist(), len(item)):
         _serve_in_order(rest, item[first:stop], change[first:stop], obtained_amounts[first:stop])
@@ -296,8 +294,7 @@ def _serve_mixed(
 
 
 def settle_gifts(world: World) -> None:
-    """Add the agents' gifts to the items, the smallest first. Thus the rounding of sums does not depend on the order of
-    agents."""
+    """Add the agents' gifts to the items, smallest first, so that rounding does not depend on the order of agents."""
     gifts: dict[tuple[str, str], list[GiftEntry]] = {}
     for population in world.populations.values():
         for entry in population.effects.gifts:
@@ -311,10 +308,10 @@ def settle_gifts(world: World) -> None:
 
 @kernel
 def _serve_in_order(rest: Array1[F64], item: Array1[I64], change: Array1[F64], obtained_amounts: Array1[F64]) -> None:
-    """Write to `obtained_amounts` the amount that each claim gets: its `change`, if the remainder suffices for it and all claims
-    before it.
+    """Serve claims in order. Write the amount that each claim gets to `obtained_amounts`, and subtract it from `rest`.
 
-    `item`, ascending: the index of each claim in `rest`. Subtracts the total from `rest`."""
+    A claim gets its `change` if enough is left for it and for all earlier claims on the same item. `item`: for each claim, its
+    index in `rest`, ascending."""
     _serve_one_by_one(rest, item, change, obtained_amounts, item.size)
 
 
@@ -331,11 +328,10 @@ def _settle_in_order(
     change: Array1[F64],
     obtained_amounts: Array1[F64],
 ) -> BOOL:
-    """Resolve the claims of one statement, of different agents, in an order by `item`.
-
-    The `own_amounts` register of a served agent rises by its `amount`, and its `is_winner` is set. If any claim is for the
-    complete remainder, nothing is resolved and the result is False. `item`, `row`, `amount` [n]: values of each claim.
-    `claimed_items`, `change`, `obtained_amounts` [n]: buffers."""
+    """Resolve the claims of one statement, at most one of each agent. `order`: the claims in the order of serving, item by
+    item. Each served agent gets its `amount` added to its register `own_amounts`, and its `is_winner` is set. If any claim is
+    for everything that is left, nothing is resolved and the result is False. `item`, `row`, `amount` [n]: values of each
+    claim. `claimed_items`, `change`, `obtained_amounts` [n]: buffers for intermediate values."""
     for k in range(order.size):
         if amount[k] == np.inf:
             return False
@@ -360,7 +356,7 @@ def _settle_in_order(
 def _serve_one_by_one(
     rest: Array1[F64], item: Array1[I64], change: Array1[F64], obtained_amounts: Array1[F64], count: I64
 ) -> None:
-    """Serve sorted claims item by item. The claims on an item are served in order until its remainder does not suffice."""
+    """Serve the claims item by item, in order, until one of an item's claims exceeds what is left of the item."""
     k = 0
     while k < count:
         which, begin, taken, enough = item[k], k, 0.0, True

@@ -1,5 +1,4 @@
-"""Reads properties of the animation clips that a species plays. The bodies of the species define these clips, and its states
-name them."""
+"""Reads properties of animation clips. The bodies of a species define its clips, and the states of the species name them."""
 
 from __future__ import annotations
 
@@ -16,10 +15,10 @@ _UNKNOWN_CLIP = ClipData()
 
 
 def make_clip_table(world: World, population: Population, property_name: str) -> NDArray[np.float32]:
-    """Return a table of a property: its value for each clip of the species' plan, then its value for an unknown clip.
+    """Return the values of one clip property: one for each clip of the species' plan, then one for an unknown clip.
 
-    A species with several bodies has these entries for each body in turn. `property_name`: `seconds`, `stride`, `loop` or `mark
-    NAME`."""
+    For a species with several bodies, the table has such a group of values for each body. `property_name`: `seconds`,
+    `stride`, `loop` or `mark NAME`."""
     every = []
     for key in world.setting.list_body_keys(population.name):
         known = world.setting.clips.get(key, {})
@@ -28,17 +27,16 @@ def make_clip_table(world: World, population: Population, property_name: str) ->
 
 
 def find_table_starts(world: World, population: Population) -> NDArray[np.int32]:
-    """Return the index in `make_clip_table` at which the entries of each agent's body begin, int32[n]."""
+    """Return, for each agent, the index at which the values of its body begin in the result of `make_clip_table`, int32[n]."""
     return find_body_numbers(population, world.setting).astype(np.int32) * np.int32(len(population.plan.clips) + 1)
 
 
 def read_clip_value(
     world: World, population: Population, property_name: str, clip: Any, rows: Any = slice(None)
 ) -> NDArray[np.float32]:
-    """Return a property of clips, given by their numbers in the species' plan. An agent without a clip gets the value of an
-    unknown clip.
+    """Return a property of the clips numbered `clip`. An agent without a clip gets the value of an unknown clip.
 
-    `rows`: the rows of the agents with these clips."""
+    `clip`: numbers of clips in the species' plan. `rows`: the rows of the agents with these clips."""
     values = make_clip_table(world, population, property_name)
     number, last = np.asarray(clip), len(population.plan.clips)
     place = np.where((number >= 0) & (number < last), number, last)

@@ -1,8 +1,8 @@
-"""Finds bodies that touch at the start of a step, and new contacts. These are the input of `on collision`.
+"""Finds bodies that touch at the start of a step, and contacts that begin, for `on collision`.
 
-Two bodies start to touch when the gap between their capsules falls below a small share of their combined collision radii. They
-continue to touch until the gap is several times as large. So bodies that press against each other and shake slightly do not
-collide repeatedly."""
+Two bodies begin to touch when the gap between their capsules falls below a small fraction of the sum of their collision radii.
+The contact ends only when the gap is several times larger. So two bodies that press against each other and jitter do not
+collide again and again."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _CONTACT_END_GAP = 0.25  # share of the sum of two radii: a contact ends above t
 
 
 def find_new_contacts(world: World, population: Population, other_species: str, rows: Rows, touched_ids: Ids) -> tuple[Ids, Ids]:
-    """Return each agent's new contact (n), and the ids (n, k) of all agents that it now touches.
+    """Return the contact that begins for each agent (n), and the ids (n, k) of all agents that it now touches.
 
-    The new contact is the id of the agent of `other_species` that it starts to touch, -1 for none. If there are several, it is
-    the one with the deepest overlap. `touched_ids` (n, k): the ids that it touched until now, -1 for none. If all k are in
-    use, new contacts are ignored."""
+    A contact that begins is the id of an agent of `other_species`, -1 for none. If several begin, the one with the deepest
+    overlap is returned. `touched_ids` (n, k): the ids that the agent touched in the previous step, -1 for none. If all k
+    entries are in use, new contacts are ignored."""
     contact_ids = np.full(len(rows), -1, np.int64)
     known = _get_touching_agents(world).get((population.name, other_species))
     if known is None:
@@ -51,14 +51,15 @@ def find_new_contacts(world: World, population: Population, other_species: str, 
 
 
 def _get_touching_agents(world: World) -> Mapping[tuple[str, str], TouchingAgents]:
-    """Return the agents that touched at the start of the step, by the names of both species; cached for the step."""
+    """Return the agents that touched at the start of the step, by the names of both species. The result is cached for the
+    step."""
     if world.touching_agents is None:
         world.touching_agents = _find_touching_agents(CapsuleCrowd(world, start=True))
     return world.touching_agents
 
 
 def _find_touching_agents(crowd: CapsuleCrowd) -> dict[tuple[str, str], TouchingAgents]:
-    """Return the touching agents by the names of both species: pairs so near that an existing contact would continue."""
+    """Return the touching agents by the names of both species: all pairs with a gap at which an existing contact continues."""
     contacts: dict[tuple[str, str], TouchingAgents] = {}
     if len(crowd) < 2:
         return contacts

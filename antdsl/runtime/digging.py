@@ -1,6 +1,6 @@
-"""Digging: in each step, all balls that agents dig are removed from the solids at once, before any agent moves.
+"""Digging. In each step, all balls that agents dig are removed from the solids together, before any agent moves.
 
-All fields on a solid get new cells on the new walls."""
+Fields on a solid get new cells at the walls that digging creates."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _MAX_POINTS_PER_EDGE = 16  # points along an edge of the cube that is projected 
 
 
 def dig_solids(world: World) -> None:
-    """Remove the requested balls from solids, and add to each agent the amount that it dug.
+    """Remove the balls that agents dig from the solids, and add the dug volume to each agent's register.
 
-    Agents that lose their ground fall in the phase `move`."""
+    Agents that lose the ground below them fall in the phase `move`."""
     requests: dict[str, list[tuple[Population, RequestEntry]]] = {}
     for population in world.populations.values():
         for entry in population.effects.take_requests("carve"):
@@ -36,7 +36,7 @@ def dig_solids(world: World) -> None:
 
 
 def _carve_solid(world: World, solid: str, entries: list[tuple[Population, RequestEntry]]) -> None:
-    """Remove balls from one solid, in the order of (species, id, position in the source). This order does not depend on rows."""
+    """Remove balls from one solid in the order of (species, id, position in the source), whatever the order of rows."""
     names = list(world.populations)
     species = np.concatenate([np.full(len(e.rows), names.index(p.name)) for p, e in entries])
     ids = np.concatenate([p.ids[e.rows] for p, e in entries])
@@ -62,7 +62,7 @@ def _carve_solid(world: World, solid: str, entries: list[tuple[Population, Reque
 
 
 def _add_dug_amount(population: Population, entry: RequestEntry, removed: NDArray[np.float64]) -> None:
-    """Add the dug volume to each agent's own register."""
+    """Add the dug volume to the register that the request names, if any. `removed`: the volume for each row of `entry`."""
     if entry.request.register is not None:
         register = population.now[entry.request.register]
         register[entry.rows] = (register[entry.rows].astype(np.float64) + removed).astype(np.float32)
@@ -95,8 +95,8 @@ def grow_wall_cells(fields: Iterable[PheromoneField], volume: Volume, centres: F
 
 
 def sample_wall_points(volume: Volume, centres: Floats, radius: Floats, spacing: float) -> tuple[Floats, Floats]:
-    """Return points [n,3] on the surface that balls left, about half of `spacing` (mm) apart, and unit normals towards the
-    air."""
+    """Return points [n,3] on the walls that dug balls left, and unit normals towards the air. The points are about half of
+    `spacing` (mm) apart."""
     found = [(np.empty((0, 3)), np.empty((0, 3)))]
     lines = np.minimum(np.ceil(4 * radius / spacing).astype(np.int64), _MAX_POINTS_PER_EDGE)
     for number in np.unique(lines):
@@ -110,7 +110,7 @@ def sample_wall_points(volume: Volume, centres: Floats, radius: Floats, spacing:
 
 @cache
 def _make_sphere_directions(lines: int) -> Floats:
-    """Return 6 lines² unit vectors spread over a sphere: the centres of square grids on the sides of a cube."""
+    """Return 6 · lines² unit vectors spread over a sphere, through the cells of a square grid on each side of a cube."""
     at = (np.arange(lines) + 0.5) / lines * 2 - 1
     u, v = (w.ravel() for w in np.meshgrid(at, at, indexing="ij"))
     sides = [np.roll(np.stack([np.full(u.size, s), u, v], axis=1), axis, axis=1) for axis in range(3) for s in (-1.0, 1.0)]

@@ -1,6 +1,6 @@
-"""Records non-finite values (faults): the agent, the location in the source, and the operands. Also decides whether the run
-continues (decision 24). To find the operands, the reference backend runs the agent's step again, because it has every
-intermediate value."""
+"""Records faults, which are non-finite values: the agent, the location in the source, and the operands. Also decides whether
+the run continues (decision 24). To find the operands, the reference backend repeats the agent's step, because it computes
+every intermediate value separately."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _MAX_REPORTED_FAULTS = 20  # faults reported in full; the others are only counte
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One rejected value of an agent, or of a complete species (`agent` -1).
+    """A rejected value of one agent, or of a complete species (`agent` is -1).
 
-    `operands`: text (or operation) and value of each operand. `reason`: the reason, written after the name of the rejected
-    value."""
+    `operands`: for each operand, its source text (or operation) and its value. `reason`: the reason; messages put it after the
+    name of the rejected value."""
 
     frame: int
     species: str
@@ -40,7 +40,7 @@ class Fault:
 
     @property
     def brief_text(self) -> str:
-        """Return a description of the fault that omits the path of the file, which is private to this machine."""
+        """Return a description of the fault without the path of the file, which should not leave this machine."""
         if self.span is None:
             return self._describe_fault("")
         line, column = self.span.source.find_line_column(self.span.start)
@@ -54,9 +54,8 @@ class Fault:
 
 @dataclass(slots=True)
 class FaultLog:
-    """The faults of a run: their total number, and details of the first ones.
-
-    `rejected_births`: the number of births that were not possible. `fault_of_step`: the first fault of the current step."""
+    """The faults of a run: their total number, and details of the first ones. `rejected_births`: the number of births that
+    were rejected at the limit of agents. `fault_of_step`: the first fault of the current step."""
 
     count: int = 0
     rejected_births: int = 0  # births rejected because of `limits.AGENTS`
@@ -65,7 +64,7 @@ class FaultLog:
 
 
 class FaultStop(RuntimeError):
-    """Error: a step had a fault, and the run stops on faults. `fault` is the first fault of the step."""
+    """Error that stops a run with `on_fault: stop` after a step with a fault. `fault` is the first fault of the step."""
 
     def __init__(self, fault: Fault) -> None:
         super().__init__(str(fault))
@@ -73,11 +72,11 @@ class FaultStop(RuntimeError):
 
 
 class LimitStop(FaultStop):
-    """Error: a step would exceed the limits. The world is unusable afterwards."""
+    """Error that stops a step which would exceed a limit. The world is unusable afterwards."""
 
 
 def collect_faults(world: World) -> None:
-    """Count the faults since the last call, report the first ones, and quarantine their agents if requested."""
+    """Count the faults since the last call, report the first ones, and quarantine their agents if `on_fault` requires it."""
     log = world.faults
     for population in world.populations.values():
         if not population.effects.faults:
@@ -103,7 +102,7 @@ def collect_faults(world: World) -> None:
 
 
 def _find_register_display_name(register: str) -> str:
-    """Return the name of a register in messages: the vector's name without axis, or the purpose of a temporary register."""
+    """Return the name of a register for messages: a vector without its axis, or the purpose of a temporary register."""
     name = register.removesuffix(".x").removesuffix(".y").removesuffix(".z")
     return {"~steer": "steer", "~gaze": "face", "~face": "face", "~left": "push", "~held": "the vector"}.get(name, name)
 

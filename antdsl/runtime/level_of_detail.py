@@ -1,6 +1,6 @@
-"""Levels of detail: agents far from the camera do not sense the triangles of obstacles, but the bounding boxes of their
-connected pieces, or nothing. The level depends only on the agent's position at the start of its step. No agent can pass
-through obstacles at any level."""
+"""Levels of detail: agents farther from the camera sense the bounding boxes of an obstacle's pieces instead of its triangles,
+or nothing at all. The level depends only on the agent's position at the start of its step. Levels affect only senses:
+obstacles stop agents at every level."""
 
 from __future__ import annotations
 
@@ -50,17 +50,17 @@ class DetailLevels:
         self.counts = np.zeros(1 + len(DETAIL_LEVELS), np.int64)
 
     def move_boxes(self, name: str, vertices: NDArray[np.float64]) -> None:
-        """Move an obstacle's boxes to its current vertices."""
+        """Move the bounding boxes of an obstacle's pieces to the current `vertices` of the obstacle."""
         self._boxes[name] = self._pieces[name].compute_bounding_boxes(vertices)
         self._scenes[name] = _make_box_scene(*self._boxes[name])
 
     def count_step(self, world: World) -> None:
-        """Count the agents at each level, at the start of a step."""
+        """Add the current number of agents at each level to `counts`, at the start of a step."""
         self.counts[0] += 1
         self.counts[1:] += self.count_agents(world)
 
     def count_agents(self, world: World) -> NDArray[np.int64]:
-        """Return the current number of agents at each of the levels, int64[3]."""
+        """Return the current number of agents at each of `DETAIL_LEVELS`, int64[3]."""
         each = [
             np.bincount(self._get_positions_and_levels(world, p)[1], minlength=len(DETAIL_LEVELS))
             for p in world.populations.values()
@@ -68,7 +68,8 @@ class DetailLevels:
         return np.sum(each, axis=0, dtype=np.int64) if each else np.zeros(len(DETAIL_LEVELS), np.int64)
 
     def summary(self, world: World) -> dict[str, dict[str, float]]:
-        """Return the number of agents at each level: at the end, and as the mean over all steps."""
+        """Return the number of agents at each level, by the name of the level: `end`, at the end of the run, and `mean` over
+        all steps."""
         steps = max(int(self.counts[0]), 1)
         return {
             "end": {name: int(count) for name, count in zip(DETAIL_LEVELS, self.count_agents(world), strict=True)},
@@ -78,9 +79,8 @@ class DetailLevels:
     def find_levels(self, world: World, population: Population, name: str) -> NDArray[np.int8] | None:
         """Return the level at which each agent senses an obstacle, int8[n], as an index of `DETAIL_LEVELS`.
 
-        The result is None for things without levels of detail.
-        The result is cached for the step. An agent inside the box of a piece, for example within the walls of a house, senses the
-        triangles."""
+        None for things without levels of detail. An agent inside the bounding box of a piece, for example in a house, senses
+        triangles instead of boxes. The result is cached for the step."""
         if name not in self._boxes:
             return None
         key = (population.name, f"~level of {name}", population.version)
@@ -94,11 +94,12 @@ class DetailLevels:
         return felt_levels
 
     def get_box_scene(self, name: str) -> RayScene:
-        """Return a ray scene of the boxes of an obstacle's pieces. Feelers hit these boxes instead of the obstacle."""
+        """Return a ray scene of the bounding boxes of an obstacle's pieces. Feelers hit these boxes instead of the obstacle."""
         return self._scenes[name]
 
     def get_box_clearance(self, world: World, population: Population, name: str) -> NDArray[np.float32]:
-        """Return a distance (mm, float32[n]) from each agent within which the obstacle has no box. Cached for the step."""
+        """Return a distance (mm, float32[n]) from each agent within which there is no bounding box of the obstacle. Cached for
+        the step."""
         key = (population.name, f"~boxes of {name}", population.version)
         distances: NDArray[np.float32] | None = world.clearances.get(key)
         if distances is None:
@@ -109,7 +110,7 @@ class DetailLevels:
         return distances
 
     def _get_positions_and_levels(self, world: World, population: Population) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
-        """Return the agents' positions, float32[n,3], and the level of each. Cached for the step."""
+        """Return the agents' positions, float32[n,3], and the level of detail of each agent. Cached for the step."""
         place = _read_positions(population)
         key = (population.name, "~level", population.version)
         levels: NDArray[np.int8] | None = world.clearances.get(key)
@@ -128,8 +129,7 @@ def _read_positions(population: Population) -> NDArray[np.float32]:
 
 
 class MeshPieces:
-    """The connected pieces of a mesh. Faces are connected if they share a corner: the same vertex, or vertices at the same
-    position."""
+    """The connected pieces of a mesh. Two faces are connected if they have a common vertex, or vertices at the same position."""
 
     def __init__(self, mesh: MeshData) -> None:
         self._used_vertices = np.unique(mesh.faces)
@@ -137,7 +137,7 @@ class MeshPieces:
         self._piece_count = int(self._piece_numbers.max(initial=-1)) + 1
 
     def compute_bounding_boxes(self, vertices: NDArray[np.float64]) -> BoxArrays:
-        """Return the least and greatest corner of each piece, float32[m,3], at the mesh's current vertices."""
+        """Return the least and the greatest corner of each piece's bounding box, float32[m,3], for vertices at `vertices`."""
         low, high = np.full((self._piece_count, 3), np.inf), np.full((self._piece_count, 3), -np.inf)
         np.minimum.at(low, self._piece_numbers, vertices[self._used_vertices])
         np.maximum.at(high, self._piece_numbers, vertices[self._used_vertices])
@@ -145,7 +145,7 @@ class MeshPieces:
 
 
 def _number_pieces(mesh: MeshData, used_vertices: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return the number of the piece that each used vertex belongs to."""
+    """Return, for each of `used_vertices`, the number of the piece to which it belongs."""
     if not len(mesh.faces):
         return np.zeros(0, np.int64)
     points, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
@@ -162,7 +162,7 @@ def _make_box_scene(low: NDArray[np.float32], high: NDArray[np.float32]) -> RayS
 
 
 def is_in_boxes(place: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which points [n,3] are in any box, bool[n]. A coarse grid excludes most points quickly."""
+    """Return a mask of the points [n,3] that are in at least one box, bool[n]. A coarse grid excludes most points quickly."""
     is_inside = np.zeros(len(place), np.bool_)
     if not len(place) or not len(low):
         return is_inside

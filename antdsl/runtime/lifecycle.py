@@ -1,6 +1,6 @@
-"""Applies events, deaths and births. These change the number of agents, and affect other agents in the next step.
+"""Applies deposits, events, deaths and births. Other agents sense these changes in the next step.
 
-Emitted events are stored for outputs such as caches. They are not part of the state, and no step reads them."""
+Emitted events are also recorded for outputs such as caches. These records are not part of the state, and no step reads them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _INHERITED_COLUMNS = {
 
 
 def find_own_cells(world: World, population: Population) -> None:
-    """Find each agent's own cell in every field."""
+    """Find the cell in which each agent is, for every field."""
     if world.fields and len(population):
         sides = world.ground.find_sides(population.footing, world.options.threads)
         place = compute_agent_rest_positions(world, population)
@@ -45,7 +45,7 @@ def find_own_cells(world: World, population: Population) -> None:
 
 
 def apply_deposits(world: World) -> None:
-    """Add the deposits of agents to their own cells; these take effect when the fields advance."""
+    """Add the agents' deposits to the cells in which they are. Deposits take effect when the fields advance."""
     for population in world.populations.values():
         for entry in population.effects.take_requests("deposit"):
             name = entry.request.target
@@ -53,7 +53,7 @@ def apply_deposits(world: World) -> None:
 
 
 def settle_newborn(world: World) -> None:
-    """Apply the requests that newborn agents have made, so that no request remains between two steps."""
+    """Apply the requests that newborn agents have made at birth, so that none is pending between two steps."""
     if not any([population.effects.has_pending for population in world.populations.values()]):
         return
     raise_events(world)
@@ -73,7 +73,7 @@ def settle_newborn(world: World) -> None:
 
 
 def raise_events(world: World) -> None:
-    """Flag the agents that an event reaches. They sense the event in the next step."""
+    """Deliver emitted events: flag the agents that each event reaches. They sense the event in the next step."""
     for population in world.populations.values():
         for entry in population.effects.take_requests("emit"):
             event = entry.request.target
@@ -91,7 +91,7 @@ def raise_events(world: World) -> None:
 
 
 def _notify_receiver(world: World, population: Population, entry: RequestEntry) -> None:
-    """Flag the agent to which each emitter sends an event, if that agent exists and is in reach."""
+    """Flag the agent to which each emitter sends its event, if that agent is alive and within reach."""
     other = world.populations.get(entry.request.target_species or "")
     if other is None or not len(other) or entry.request.target not in other.raised_events:
         return
@@ -108,7 +108,7 @@ def _notify_receiver(world: World, population: Population, entry: RequestEntry) 
 def _flag_in_reach(
     world: World, population: Population, entry: RequestEntry, other: Population, flags: NDArray[np.bool_]
 ) -> None:
-    """Set `flags` of all agents that were within the distance of an emitter at the start of the step, including emitters."""
+    """Set `flags` of all agents that were within the emitters' reach at the start of the step, including the emitters."""
     within = entry.get_required_operand(0)
     own = [population.start[f"position.{axis}"][entry.rows] for axis in AXES]
     theirs = [other.start[f"position.{axis}"] for axis in AXES]
@@ -145,9 +145,9 @@ BirthRows = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], Footin
 
 
 def _collect_births(world: World) -> dict[str, BirthRows]:
-    """Return the requested births, by species of the child, in the order in which children get their ids.
+    """Return the requested births, by species of the children, in the order in which children get their ids.
 
-    Values of parents are read before dead parents are removed."""
+    Values that children inherit are copied here, before dead parents are removed."""
     births: dict[str, BirthRows] = {}
     for population in world.populations.values():
         entries = population.effects.take_requests("spawn")
@@ -164,7 +164,7 @@ def _collect_births(world: World) -> dict[str, BirthRows]:
 
 
 def _add_newborn(world: World, population: Population, births: BirthRows) -> NDArray[np.intp]:
-    """Add newborn agents to the world; return their rows."""
+    """Add newborn agents to the world. Return their rows."""
     old = len(population)
     for _, rows, position, footing, registers, columns in births:
         capacity = limits.MAX_AGENTS - len(world)
@@ -185,11 +185,11 @@ def _add_newborn(world: World, population: Population, births: BirthRows) -> NDA
 
 
 def initialise_newborn(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
-    """Run the block `born`, which sets the registers of newborn agents. Their position, up, heading and velocity are already
+    """Run the block `born`, which sets the registers of newborn agents. Position, up, heading and velocity must already be
     set.
 
-    `newborn`: their rows, by species. Agents born together sense each other's position and movement. Any other value of theirs
-    reads as 0 or none, whichever is computed first."""
+    `newborn`: the rows of newborn agents, by species. Agents that are born together sense each other's position and movement.
+    All other registers of each other read as 0 or none, in whatever order agents are computed."""
     world.grids.clear()  # rows have changed
     world.trees.clear()
     world.touching_agents = None
@@ -217,7 +217,7 @@ def initialise_newborn(world: World, newborn: Mapping[str, NDArray[np.intp]]) ->
 
 
 def _has_birth_fields(population: Population) -> bool:
-    """Return whether the species reads a field at birth."""
+    """Return whether the block `born` of the species reads a field."""
     nodes = collect_required_nodes(
         tuple(node for _, statement in iterate_with_positions(population.plan.born) for node in list_operands(statement))
     )
@@ -225,9 +225,9 @@ def _has_birth_fields(population: Population) -> bool:
 
 
 def clear_dead_references(world: World, population: Population, *, clears_start: bool = False) -> None:
-    """Set references to dead agents to none, in registers that the plan marks as ids.
+    """Replace references to dead agents by none, in all registers that contain ids of agents.
 
-    With `clears_start`, also change the values at the start of the next step."""
+    With `clears_start`, also replace them in the values that agents sense in the next step."""
     for register in population.plan.registers.values():
         if register.kind is ir.ValueKind.I64 and register.referenced_species in world.populations and register.role != "temp":
             for holder in (population.now, population.start) if clears_start else (population.now,):
@@ -238,7 +238,8 @@ def clear_dead_references(world: World, population: Population, *, clears_start:
 
 
 def list_event_names(world: World) -> tuple[str, ...]:
-    """Return the sorted names of all events that agents may handle or emit. The `event` column of emissions has indices of it."""
+    """Return the names of all events that agents may handle or emit, sorted. The `event` column of emissions contains indices
+    into this tuple."""
     plans = [population.plan for population in world.populations.values()]
     names = {name for plan in plans for name in plan.event_names}
     for plan in plans:
@@ -250,7 +251,7 @@ def list_event_names(world: World) -> tuple[str, ...]:
 
 
 def record_emission(world: World, population: Population, rows: NDArray[np.intp], event: str) -> None:
-    """Record which agents emitted an event, and their positions."""
+    """Record that the agents `rows` emitted `event`, with their positions."""
     if world.emissions is None:
         return
     events, species = list_event_names(world), sorted(world.populations)
@@ -261,8 +262,8 @@ def record_emission(world: World, population: Population, rows: NDArray[np.intp]
 
 
 def collect_emissions(world: World) -> Arrays:
-    """Return the events emitted since the last call, as the columns of `EMIT_COLUMNS`, sorted by species, id and event. Positions
-    are in mm."""
+    """Return the events emitted since the last call, as the columns `EMIT_COLUMNS`. They are sorted by species, id and event;
+    positions are in mm."""
     entries, world.emissions = world.emissions or [], None if world.emissions is None else []
     empty = {column.field: np.empty((0, *column.compute_dimensions()), column.type) for column in EMIT_COLUMNS}
     arrays = {name: np.concatenate([none, *(each[name] for each in entries)]) for name, none in empty.items()}

@@ -1,5 +1,5 @@
-"""Tables that record which ids belong to each crowd line. Checkpoints store them as arrays. When a scene is edited, or
-continues another scene with the same programs, tables are assigned to the corresponding lines."""
+"""Tables of the ids that belong to each crowd line. Checkpoints contain these tables as arrays. If a scene is edited, or
+continues another scene, each of its lines takes over the table of the corresponding old line."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ LineName = tuple[str, str]  # species, and the name of the line or an empty text
 
 
 def list_line_names(setting: WorldSetting) -> list[LineName]:
-    """Return species and name of each crowd line."""
+    """Return (species, line name) for each crowd line."""
     return [(crowd.species, crowd.name) for crowd in setting.crowds]
 
 
 def reserve_ids(setting: WorldSetting) -> tuple[CrowdLineIds, ...]:
-    """Return the ids of each crowd line. Lines of one species get consecutive ids."""
+    """Return the reserved ids of each crowd line. The lines of a species get consecutive ranges of ids."""
     next_ids: dict[str, int] = {}
     lines = []
     for crowd in setting.crowds:
@@ -33,23 +33,23 @@ def reserve_ids(setting: WorldSetting) -> tuple[CrowdLineIds, ...]:
 
 
 def count_released(crowd: CrowdData, line: CrowdLineIds, frame: int) -> int:
-    """Return how many of the ids in a line's table belong to agents that were created up to a frame. The last ids of the table
-    are for agents still to be created. The first ids may come from another scene that this one continues."""
+    """Return how many ids of a line's table belong to agents that were created up to and including a frame. Ids at the end of
+    the table are for agents still to be created. Ids at its beginning may come from another scene that this scene continues."""
     return len(line) - crowd.count + crowd.count_created(frame)
 
 
 def take_created_ids(crowd: CrowdData, line: CrowdLineIds, previous_frame: int | None, frame: int) -> NDArray[np.int64]:
-    """Return the ids of the agents of a line that are created after `previous_frame` and up to `frame`.
+    """Return the ids of a line's agents that are created after `previous_frame`, up to and including `frame`.
 
-    Without a previous frame, return the ids of all agents created up to `frame`."""
+    If `previous_frame` is None, return the ids of all agents that are created up to `frame`."""
     first = 0 if previous_frame is None else count_released(crowd, line, previous_frame)
     return line.list_ids_between(first, count_released(crowd, line, frame) - 1)
 
 
 def match_lines(old: Sequence[LineName], new: Sequence[LineName]) -> list[int]:
-    """Return for each new line the index of the old line that corresponds to it; -1 for none.
+    """Return, for each new line, the index of the corresponding old line; -1 for none.
 
-    Lines with the same name correspond. The remaining lines of a species correspond by their order."""
+    Lines with the same species and name correspond. The remaining lines of a species correspond in order."""
     matches = [old.index(line) if line[1] and line in old else -1 for line in new]
     left = [k for k in range(len(old)) if k not in matches]
     for number, line in enumerate(new):
@@ -60,8 +60,8 @@ def match_lines(old: Sequence[LineName], new: Sequence[LineName]) -> list[int]:
 
 
 def collect_line_arrays(world: World) -> dict[str, NDArray[Any]]:
-    """Return the tables as arrays: species and names as text, rows of (index of the line, first id, number of ids), and how many
-    agents of each line were created."""
+    """Return the tables as named arrays: the lines' species and names, their id ranges, and the number of agents created so
+    far. A range is a row (index of the line, first id, number of ids)."""
     crowds = world.setting.crowds
     text = "\n".join(" ".join(line) for line in list_line_names(world.setting))
     rows = [(number, *each) for number, line in enumerate(world.crowd_lines) for each in line.ranges]
@@ -74,10 +74,10 @@ def collect_line_arrays(world: World) -> dict[str, NDArray[Any]]:
 
 
 def restore_lines(world: World, arrays: Mapping[str, NDArray[Any]], *, as_start: bool = False) -> None:
-    """Restore the tables of a checkpoint. Older checkpoints have no tables; then the world's own tables are retained.
+    """Restore the tables of a checkpoint. For an older checkpoint without tables, the tables of the world do not change.
 
-    With `as_start`, the world begins with the checkpoint. Its lines continue those of the checkpoint: agents to be created get
-    new ids. Raises ValueError for arrays that do not match."""
+    With `as_start`, the checkpoint is the start of another scene, and its lines are continued: agents to be created get new
+    ids. Raises ValueError if the arrays do not match."""
     if _NAMES not in arrays:
         return
     text = arrays[_NAMES].astype(np.uint8).tobytes().decode()

@@ -50,7 +50,7 @@ _BIN_LOOKUP_CELLS = 4096  # cells of half chords; each has the first bin that it
 
 @dataclass(slots=True, eq=False)
 class PathWindow:
-    """Current paths of agents: ids, `start` (n, 3) mm, length `path` (mm), `age` (steps), and straightness (0 to 1)."""
+    """Paths of agents in the current time window: ids, `start` (n, 3) mm, length `path` (mm), `age` (steps), and a buffer."""
 
     ids: Counts
     start: Floats
@@ -64,7 +64,7 @@ class PathWindow:
 
 @dataclass(slots=True, eq=False)
 class MotionMeasures:
-    """Measures of motion in a run: histograms of turns, tilts and overlaps; counts of agents and paths (`ways`); and maxima."""
+    """Measures of motion in a run: histograms of turns, tilts and overlaps; counts of agents and paths (`ways`); maxima."""
 
     turns: Counts = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
     tilts: Counts = field(default_factory=lambda: np.zeros(_HISTOGRAM_BINS + 1, np.int64))
@@ -89,12 +89,12 @@ class MotionMeasures:
     windows: dict[str, PathWindow] = field(default_factory=dict)
 
     def reset(self) -> None:
-        """Restart the measures, for example after a preroll. The counts of `begin` (overlaps at the start) are retained."""
+        """Restart all measures, for example after a preroll, except the overlaps at the start that `begin` counted."""
         for each in fields(fresh := MotionMeasures(placed=self.placed, overlapping=self.overlapping)):
             setattr(self, each.name, getattr(fresh, each.name))
 
     def begin(self, world: World) -> None:
-        """Count the agents that overlap another agent of any species, before any agent moves."""
+        """Count the agents that overlap an agent of any species at the start, before any agent moves."""
         crowds = [population.now for population in world.populations.values()]
         if not crowds:
             return
@@ -105,7 +105,7 @@ class MotionMeasures:
         self.overlapping = int(np.count_nonzero(measure_overlaps(world, x, y, z, radius[wide]) > _TOUCH_OVERLAP_SHARE))
 
     def checkpoint_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return all counts, by name, for a checkpoint."""
+        """Return all measures as named arrays, for a checkpoint."""
         self._add_part_counts()
         named_arrays = {name: np.array(getattr(self, name)) for name in _CHECKPOINT_FIELDS}
         for species, window in self.windows.items():
@@ -114,7 +114,7 @@ class MotionMeasures:
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> MotionMeasures:
-        """Return the measures from the arrays of a checkpoint. Missing measures restart."""
+        """Return the measures that the arrays of a checkpoint contain. Measures without an array start from 0."""
         motion = cls()
         for name in _CHECKPOINT_FIELDS:
             if name in arrays:
@@ -146,7 +146,7 @@ class MotionMeasures:
             self.straightness += fsum(straight)  # `fsum`: the same result for any order of rows
 
     def _count_motion(self, population: Population, window: PathWindow, dt: np.float32, steps: int, threads: int) -> Floats:
-        """Add a step to the counts and paths; return the straightness (0 to 1) of the paths that have ended."""
+        """Add a step to the counts and paths. Return the straightness (0 to 1) of each path that ended in this step."""
         now, start = _CURRENT_REGISTERS(population.now), _STEP_START_REGISTERS(population.start)
         poses = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
         agents = AgentColumns(*poses, now[9:12], now[12:15], *now[15:])
@@ -169,13 +169,13 @@ class MotionMeasures:
         return parallel.join_parts(counts, window.straightness)[0]
 
     def _add_part_counts(self) -> None:
-        """Add the turns and tilts that each chunk of a kernel has counted in its own row to the histograms."""
+        """Add the turns and tilts that kernels counted to the histograms. Each chunk counts in a separate row."""
         for total, rows in zip((self.turns, self.tilts), self.part_counts, strict=True):
             total += rows.sum(axis=0)
         self.part_counts.fill(0)
 
     def _update_window(self, population: Population) -> PathWindow:
-        """Return the current paths of a species, with one row for each of its agents, in their order."""
+        """Return the current paths of a species, with one row for each of its agents, in the order of the population's rows."""
         known, ids = self.windows.get(population.name), population.ids
         if known is not None and (known.ids is ids or np.array_equal(known.ids, ids)):
             known.ids = ids  # the same array, so that the next comparison is fast
@@ -199,8 +199,8 @@ class MotionMeasures:
         return fresh
 
     def _measure_bodies(self, world: World, needs_depths: bool, crowds: list[Population]) -> None:
-        """Measure penetration depths of trunks (if `needs_depths`), and overlaps, heads and bodies of `crowds`, in parallel.
-        Overlaps are with the deepest neighbour: 0 for none, 1 at equal positions. Heads and bodies count if inside the ground."""
+        """Measure overlaps, and heads and bodies inside the ground, of `crowds`, and (if `needs_depths`) penetration depths of
+        trunks. An overlap, from 0 (none) to 1 (equal positions), is with the deepest neighbour. All measures run in parallel."""
         looks: list[Callable[[], NDArray[Any]]] = [partial(measure_overlap_depths, world)] if needs_depths else []
         for population in crowds:
             places = *vec.get_vector_registers(population.now, "position"), population.now["radius"]
@@ -221,8 +221,8 @@ class MotionMeasures:
             self.heads_inside, self.bodies_inside = self.heads_inside + int(heads.sum()), self.bodies_inside + int(bodies.sum())
 
     def summary(self) -> dict[str, float]:
-        """Return the measures by name. Turns and tilts are in degrees per step, and `step_max` is a share of the longest allowed
-        step. All others are from 0 to 1."""
+        """Return the measures by name. Turns and tilts are in degrees per step. `step_max` is relative to the longest step
+        that the speed limit allows. All others are fractions."""
         self._add_part_counts()
         return {
             "turn_p99": _compute_percentile_99(self.turns) * 180.0,
@@ -255,8 +255,8 @@ def _find_bins(angle: NDArray[np.float32]) -> Counts:
 
 @cache
 def _make_bin_table() -> tuple[NDArray[np.float32], Counts]:
-    """Return the least half chord of each histogram bin, and a lookup table from half chords to bins. The first is
-    float32[bins + 2] and ends beyond all half chords; the second is int64[cells + 1]. Bins are found by bisection."""
+    """Return the least half chord of each histogram bin, float32[bins + 2], and a lookup table from half chords to bins,
+    int64[cells + 1]. The first array ends with infinity. Bin limits are found by bisection."""
     bin_numbers = np.arange(1, _HISTOGRAM_BINS + 1)
     low, high = (np.full(_HISTOGRAM_BINS, np.float32(end).view(np.int32), np.int64) for end in (0.0, 1.0))
     while (low < high).any():  # positive floats have the same order as their bits
@@ -268,7 +268,7 @@ def _make_bin_table() -> tuple[NDArray[np.float32], Counts]:
 
 
 def _compute_percentile_99(counts: NDArray[Any]) -> float:
-    """Return the 99th percentile of a histogram over 0 to 1."""
+    """Return the 99th percentile of values from 0 to 1, given the `counts` of their histogram."""
     total = int(counts.sum())
     return float(np.searchsorted(np.cumsum(counts), 0.99 * total)) / _HISTOGRAM_BINS if total else 0.0
 
@@ -285,7 +285,7 @@ def _compute_half_chord(a: VectorColumns, b: VectorColumns, i: I64) -> F32:
 
 @inlined
 def _count_bin(half: F32, bin_starts: Array1[F32], search_starts: Array1[I64], bins: Array2[I64], part: I64) -> None:
-    """Add 1 to the bin that contains `half`, in row `part` of `bins`. `search_starts`: the bin at which to start, by cell."""
+    """Add 1 to the bin of `half` in row `part` of `bins`. `search_starts`: for each cell, the first bin to compare."""
     k = search_starts[np.int64(half * np.float32(4096.0))]
     k += 1 if half >= bin_starts[k + 1] else 0  # rarely more, so the branch is well predicted
     while half >= bin_starts[k + 1]:
@@ -309,7 +309,7 @@ class AgentColumns(NamedTuple):
 
 
 class PathColumns(NamedTuple):
-    """Paths of agents: current `position` and `start` (n, 3) mm, `length` (mm), `age` (steps), straightness of ended paths."""
+    """Paths of agents: current `position` and `start` (n, 3) mm, `length` (mm), `age` (steps), `straightness` of ended paths."""
 
     position: Strided2[F64]
     start: Strided2[F64]
@@ -319,7 +319,7 @@ class PathColumns(NamedTuple):
 
 
 class HistogramBins(NamedTuple):
-    """Histograms with `part_count` rows. `bin_starts`: the least half chord of each bin. `search_starts`: first bin to try."""
+    """Histograms with `part_count` rows. `bin_starts`: least half chord of each bin. `search_starts`: bins to search from."""
 
     turns: Array2[I64]
     tilts: Array2[I64]
@@ -330,8 +330,8 @@ class HistogramBins(NamedTuple):
 
 
 class MotionLimits(NamedTuple):
-    """Thresholds. `dt`: seconds of a step. `min_push`: push of an agent that intends to move. `standing_share`: an agent below
-    this share of its speed stands. A path ends after `steps` steps; paths below `min_path_length` body lengths are ignored."""
+    """Thresholds. `dt`: seconds per step. `min_push`: least push of an agent that intends to move. `standing_share`: an agent
+    below this fraction of its top speed stands. Paths end after `steps` steps, and count from `min_path_length` body sizes on."""
 
     dt: F32
     min_push: F32
@@ -341,9 +341,9 @@ class MotionLimits(NamedTuple):
 
 
 class StepCounts(NamedTuple):
-    """Counts of a chunk from agent `begin` on.
-    `ended_paths`: ended paths; their straightness is stored from `begin` on. `max_tilt_half_chord`: half chord of the greatest
-    tilt. `max_step_share`: of the longest allowed step."""
+    """Counts of a step, for the chunk from agent `begin` on. `ended_paths`: number of ended paths; their straightness is stored
+    from `begin` on. `max_tilt_half_chord`: half chord of the greatest tilt. `max_step_share`: longest step / longest allowed
+    step."""
 
     begin: I64
     ended_paths: I64
@@ -356,7 +356,7 @@ class StepCounts(NamedTuple):
 def _count_step(
     agents: AgentColumns, paths: PathColumns, bins: HistogramBins, thresholds: MotionLimits, begin: I64, end: I64
 ) -> StepCounts:
-    """Add one step of the agents from `begin` to before `end` to the measures."""
+    """Add one step of the agents from `begin` to `end` - 1 to the measures."""
     position, heading, up, previous_position, previous_heading, up_before, velocity, push, fastest, size = agents
     place, began, path, age, straight = paths
     turns, tilts, several, count, least, first = bins

@@ -1,4 +1,4 @@
-"""Checks the length of steps in a periodic world: a step of half a width or more has no unique nearest image."""
+"""Checks the length of steps in a periodic world. For a step of half a width or more, the nearest image is ambiguous."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _STEP_SLACK = 0.999  # the ground ends at the margin, so velocities of longer st
 
 
 def check_periodic_steps(world: World) -> None:
-    """Raise LimitStop if an agent of a periodic world has moved by half of a width or more in this step."""
+    """Raise LimitStop if an agent of a periodic world has moved by half a width or more in this step."""
     if world.periodic is None:
         return
     box = world.periodic.box

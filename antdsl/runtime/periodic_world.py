@@ -1,6 +1,7 @@
-"""Periodic worlds: the images of the ground around the box of the scene, and the agents that leave the box. During a step,
-agents continue to walk over images of the ground. So the code of a step needs no special case for the seam. After the step,
-agents outside the box move into it by whole widths. The first faces of an extended mesh are those of the mesh itself."""
+"""Periodic worlds: images of the ground around the box of the scene, and agents that cross the border of the box.
+
+During a step, agents walk on over the images of the ground. So a step needs no special case for the seam. After the step,
+agents outside the box are moved into it by whole widths. An extended mesh begins with the faces of the original mesh."""
 
 from __future__ import annotations
 
@@ -23,8 +24,8 @@ MARGIN_SHARE = 0.5  # of the width: how far images of the world reach beyond the
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaceImages:
-    """The faces of an extended mesh: `source` int32[m], the face of the mesh, and `counts` int64[m, 3], the offset of the
-    image from this face, in widths."""
+    """The source of each face of an extended mesh. `source` int32[m]: the face of the original mesh. `counts` int64[m, 3]: the
+    offset of the image from that face, in widths."""
 
     source: NDArray[np.int32]
     counts: NDArray[np.int64]
@@ -32,8 +33,8 @@ class FaceImages:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeriodicWorld:
-    """The box of a periodic world, relative to the world's origin. `faces`: the images of faces by the number of each surface.
-    `obstacle_faces`: those of obstacles, by name."""
+    """The box of a periodic world, relative to the world's origin. `faces`: the images of faces, by surface number.
+    `obstacle_faces`: the images of faces of obstacles, by name."""
 
     box: PeriodicBox
     faces: tuple[FaceImages, ...]
@@ -41,7 +42,7 @@ class PeriodicWorld:
 
 
 def extend_mesh(mesh: MeshData, box: PeriodicBox) -> tuple[MeshData, FaceImages]:
-    """Return a mesh with its images up to half a width beyond the box, and the sources of their faces."""
+    """Return a mesh together with its images up to half a width beyond the box, and the source of each face."""
     widths = np.array(box.widths)
     low = np.where(widths > 0, np.array(box.low) - MARGIN_SHARE * widths, -np.inf)
     high = np.where(widths > 0, np.array(box.low) + (1 + MARGIN_SHARE) * widths, np.inf)
@@ -64,7 +65,7 @@ def extend_mesh(mesh: MeshData, box: PeriodicBox) -> tuple[MeshData, FaceImages]
 
 
 def wrap_world(world: World) -> None:
-    """Move the agents that have left the box of a periodic world into it, and update their unwrapped positions."""
+    """Move the agents that have left the box of a periodic world back into it, and update their unwrapped positions."""
     if world.periodic is None:
         return
     for population in world.populations.values():
@@ -73,7 +74,7 @@ def wrap_world(world: World) -> None:
 
 
 def _wrap_agents(world: World, population: Population) -> None:
-    """Move the agents that are outside the box into it."""
+    """Move the agents of one species that are outside the box into it."""
     assert world.periodic is not None
     counts = _count_widths(world, population)
     rows = np.flatnonzero(counts.any(axis=1))
@@ -101,7 +102,7 @@ def _wrap_agents(world: World, population: Population) -> None:
 def measure_overlaps(
     world: World, x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32], radius: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Return the result of `measure_worst_overlaps`. In a periodic world, it includes overlaps across the seam."""
+    """Return the result of `measure_worst_overlaps`. In a periodic world, overlaps across the seam are included."""
     if world.periodic is None:
         return measure_worst_overlaps(x, y, z, radius)
     reach = 2 * float(np.max(radius, initial=0.0, where=np.isfinite(radius)))
@@ -110,7 +111,7 @@ def measure_overlaps(
 
 
 def _count_widths(world: World, population: Population) -> NDArray[np.int64]:
-    """Return by how many widths each agent is outside the box, int64[n, 3]."""
+    """Return by how many whole widths each agent is outside the box, int64[n, 3]."""
     assert world.periodic is not None
     if isinstance(world.ground, PlaneGround):
         return world.periodic.box.count_widths(population.position)
@@ -122,7 +123,7 @@ def _count_widths(world: World, population: Population) -> NDArray[np.int64]:
 
 
 def _update_unwrapped(population: Population, box: PeriodicBox) -> None:
-    """Add the last step to unwrapped positions: these follow the wrapped positions, but do not jump at the seam."""
+    """Add the last step to the unwrapped positions. These follow the wrapped positions, but do not jump at the seam."""
     for k, axis in enumerate(AXES):
         register = population.now[UNWRAPPED_REGISTERS[k]]
         place, width = population.now[f"position.{axis}"], box.widths[k]
@@ -136,8 +137,8 @@ def _update_unwrapped(population: Population, box: PeriodicBox) -> None:
 def make_periodic_world(
     setting: WorldSetting, meshes: dict[str, MeshData], origin: Floats
 ) -> tuple[PeriodicWorld | None, dict[str, MeshData]]:
-    """Return the periodic world of a setting, or None, and its meshes with images around the box. `meshes`: relative to `origin`
-    (3,) mm."""
+    """Return the periodic world of a setting (None if it is not periodic), and its meshes together with their images around
+    the box. `meshes`: with vertices relative to `origin` (3,) mm."""
     if setting.period is None:
         return None, meshes
     box = setting.period.shift(origin)

@@ -1,8 +1,8 @@
-"""The phases of a step, in the order of PHASES, which the language reference also shows. Wall time and CPU time of each phase
-are measured.
+"""The phases of a step, in the order of PHASES. The language reference shows the same order. The wall time and the CPU time of
+each phase are measured.
 
-Agents, items and fields are read in their state at the start of the step (`start`, `visible_values`). Written values are
-visible in the next step."""
+All reads return the state at the start of the step (`start`, `visible_values`). Agents sense values written in a step only in
+the next step."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def apply_effects(world: World) -> None:
 
 
 def _settle_requests(phase: str, world: World) -> None:
-    """Apply all requests of a phase. A function that applies several kinds of requests is called only once."""
+    """Apply all requests of a phase. If one function applies several kinds of requests, it is called only once."""
     if any([population.effects.requests for population in world.populations.values()]):
         for settle in dict.fromkeys(SETTLER_BY_EFFECT[op] for op in list_effects_of_phase(phase)):
             settle(world)
@@ -161,7 +161,7 @@ def apply_births(world: World) -> None:
 
 
 def commit_step(world: World) -> None:
-    """Make the values written in this step the state that agents sense in the next step."""
+    """Make the values written in this step the values that agents sense in the next step."""
     world.frame, world.is_stepping = world.display_frame, False
     by_place = (world.frame - world.setting.first_frame - 1) % _SORT_INTERVAL_FRAMES == 0  # also after the first step
     for population in world.populations.values():
@@ -174,16 +174,17 @@ def commit_step(world: World) -> None:
 
 
 def _order_by_position(population: Population, threads: int) -> NDArray[np.intp]:
-    """Return the rows sorted along the space-filling curve of G. Morton (1966): neighbours in space become neighbours in memory.
+    """Return the rows sorted along the space-filling curve of G. Morton (1966), so that agents near each other are near in
+    memory.
 
-    No result depends on this order."""
+    Only speed depends on this order."""
     low, high = population.position.min(axis=0), population.position.max(axis=0)
     width = max(float((high - low).max()), 1e-9) / 1023
     return sort_stably(compute_morton_codes(((population.position - low) / width).astype(np.uint64), threads))
 
 
 def _count_transitions(world: World, population: Population) -> None:
-    """Add the transitions of this step to the counts of the world."""
+    """Add the transitions of this step to the world's counts of transitions."""
     for machine in population.plan.machines:
         name = f"{machine.name}.state"
         if population.plan.registers[name].kind is not ValueKind.I32 or not len(population):
@@ -233,8 +234,8 @@ _LAST_PHASE = PHASES[-1][0]
 def step(world: World) -> None:
     """Advance a world by one frame.
 
-    Raises FaultStop after a complete step with a fault, if `on_fault` is `stop`. Raises LimitStop in the middle of a step that
-    would exceed the limits."""
+    Raises FaultStop after the step is complete, if it had a fault and `on_fault` is `stop`. Raises LimitStop in the middle of
+    a step that would exceed a limit."""
     if has_standard_floats():
         _run_phases(world)
         return

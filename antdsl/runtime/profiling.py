@@ -1,6 +1,6 @@
 """Measures the time of a run by phase, by layer of each species and by program line.
 
-Time is measured only if a caller uses a `StepMeter`. Results do not depend on it."""
+Time is measured only while a caller uses a `StepMeter`. Measuring does not change the results of a run."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _COMMENT_PATTERN = re.compile(r'("[^"]*")|#.*')
 
 @dataclass(frozen=True, slots=True)
 class LayerTime:
-    """The time of a layer of a species in ms per frame. It includes everything that is computed for the layer, in any file."""
+    """The time of a layer of a species in ms per frame. It includes all computations for the layer, in any file."""
 
     species: str
     span: Span
@@ -32,7 +32,7 @@ class LayerTime:
 
 @dataclass(frozen=True, slots=True)
 class LineTime:
-    """The time of a program line in ms per frame. Lines called by it have their own entries.
+    """The time of a program line in ms per frame, without the time of lines that it calls.
 
     `text`: the line without indentation and comment."""
 
@@ -46,10 +46,10 @@ class LineTime:
 class StepProfile:
     """The mean times per frame (ms), over `frames` frames. All are wall times, except the CPU times of phases `cpu_ms`.
 
-    `lines`: the most expensive line first. Their sum is less than that of the phases, because work for all agents together
-    belongs to no line. Examples are neighbour grids, claims and movement.
-    `frames_by_backend`: the number of frames of each backend that reports lines. It includes frames that NumPy ran before machine
-    code was ready; the other values do not. The reference backend reports no lines."""
+    `lines`: the most expensive line first. Their sum is less than that of `phases`, because work for all agents together, such
+    as neighbour grids, claims and movement, belongs to no line. `frames_by_backend`: the number of frames that each backend
+    ran. It includes frames that NumPy ran before machine code was ready; the other values exclude these. The reference backend
+    reports no lines."""
 
     frames: int = 0
     total_ms: float = 0.0
@@ -62,7 +62,7 @@ class StepProfile:
 
 @dataclass(slots=True)
 class _Measurement:
-    """The times (s) of `steps` steps, of which the last ended at the clock time `end_time` (s).
+    """The times (s) of `steps` steps. `end_time` (s): the clock time at the end of the last step.
 
     `phases`, `cpu_seconds`: wall time and CPU time by phase. `calls`: the time of each call, by block."""
 
@@ -84,10 +84,10 @@ class _Measurement:
 
 
 class StepMeter:
-    """A meter of the mean times per frame, over the frames of the last `seconds`, or over all frames (None).
+    """A meter of the mean times per frame, over the frames of the last `seconds`, or over all frames if it is None.
 
-    Call `begin` before a step and `end` after it; different steps may be of different worlds. If the program changes, earlier
-    measurements are discarded. Measurements of NumPy are dropped once machine code runs the steps."""
+    Call `begin` before each step and `end` after it. The steps may belong to different worlds. If the program changes, earlier
+    measurements are discarded. Measurements of NumPy are discarded once machine code runs the steps."""
 
     def __init__(self, seconds: float | None = 1.0, *, clock: Callable[[], float] = monotonic) -> None:
         self._seconds, self._clock = seconds, clock
@@ -165,7 +165,7 @@ class StepMeter:
             yield from zip(self._instructions[key], times, strict=True)
 
     def _list_layer_times(self, plan: Plan, total: _Measurement, to_ms: float) -> tuple[LayerTime, ...]:
-        """Return the times of all layers in order, also of layers that no agent reached."""
+        """Return the times of all layers in order, including layers that no agent reached."""
         layer_times: list[LayerTime] = []
         for name, species in plan.species.items():
             spent = [0.0] * len(species.layers)
@@ -188,9 +188,9 @@ def _make_layer_time(species: str, layer: LayerPlan, ms: float) -> LayerTime:
 
 
 def _list_line_times(seconds_by_instruction: Iterator[tuple[BlockInstruction, float]], to_ms: float) -> list[LineTime]:
-    """Return the times by program line; the time of a call is assigned to the line in which its text begins.
+    """Return the times by program line. The time of an instruction counts for the line on which its source text begins.
 
-    Files are identified by name, because parts of a file are read more than once."""
+    Lines are identified by the file name, because parts of a file may be read more than once."""
     seconds_by_line: dict[tuple[str, int], float] = {}
     texts: dict[tuple[str, int], str] = {}
     for instruction, seconds in seconds_by_instruction:

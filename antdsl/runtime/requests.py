@@ -1,6 +1,6 @@
-"""Requests that the blocks of a step make to other parts of the world. A backend fills an `EffectRequests`; later phases apply
-it. Every entry contains the rows of one statement in one chunk. The order in which entries are applied does not change any
-bit."""
+"""Requests by which the blocks of a step change other parts of the world. A backend collects them in an `EffectRequests`;
+later phases apply them. Each entry contains the requests of one statement for one chunk of rows. Results are bit-identical for
+any order of entries."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Rows = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClaimEntry:
-    """The claims that one statement makes for several agents on items or field cells.
+    """The claims of several agents on items or field cells, made by one statement.
 
-    `rows`: the agents. `item`, `amount`: the item or cell of each claim, and the claimed amount. `order`: the position of the
-    statement in the text of its species."""
+    `rows`: the agents. `item`, `amount`: for each claim, the item or cell, and the claimed amount. `order`: the position of
+    the statement in the source of its species."""
 
     statement: ir.Claim
     order: int  # place of the statement in the text of its species
@@ -32,7 +32,7 @@ class ClaimEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GiftEntry:
-    """The gifts of agents to items. `amount` float64: the amounts, which are already subtracted from the agents' registers."""
+    """The gifts of agents to items. `amount` float64: the given amounts, already subtracted from the agents' registers."""
 
     statement: ir.Give
     item: NDArray[np.int32]
@@ -41,7 +41,7 @@ class GiftEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RequestEntry:
-    """A request that one statement makes for several agents. `args`: its operands, each with a value per row; None if absent."""
+    """The requests of several agents, made by one statement. `args`: operands with a value per row; None if absent."""
 
     request: ir.Request
     order: int  # place of the statement in the text of its species
@@ -49,7 +49,7 @@ class RequestEntry:
     args: tuple[NDArray[np.float32] | NDArray[np.int64] | None, ...]  # ids of agents are int64
 
     def get_required_operand(self, index: int) -> NDArray[Any]:
-        """Return operand number `index`, which must not be absent."""
+        """Return operand `index`. It must be present."""
         value = self.args[index]
         assert value is not None
         return value
@@ -57,9 +57,9 @@ class RequestEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaultEntry:
-    """Agents `rows` with a value for `register` that is not finite. `span`: the location of the statement in the source.
+    """A value for `register` that is not finite, in the agents `rows`. `span`: the location of the statement in the source.
 
-    `block`: the block of the statement, the reference backend runs this block again to explain the value."""
+    `block`: the block of the statement. The reference backend repeats this block to explain the value."""
 
     block: str
     register: str
@@ -69,7 +69,7 @@ class FaultEntry:
 
 @dataclass(slots=True, eq=False)
 class EffectRequests:
-    """All requests of the agents of one species in one step."""
+    """All requests that the agents of one species make in one step."""
 
     claims: list[ClaimEntry] = field(default_factory=list)
     gifts: list[GiftEntry] = field(default_factory=list)
@@ -78,7 +78,7 @@ class EffectRequests:
 
     @property
     def has_pending(self) -> bool:
-        """Return whether any request, claim or gift is still pending."""
+        """Return whether any request, claim or gift has not been applied yet."""
         return bool(self.requests or self.claims or self.gifts)
 
     def add_request(self, entry: RequestEntry) -> None:
@@ -86,11 +86,11 @@ class EffectRequests:
         self.requests.setdefault(entry.request.op, []).append(entry)
 
     def take_requests(self, op: str) -> list[RequestEntry]:
-        """Remove all requests of one operation, such as `deposit`, and return them."""
+        """Remove and return all requests of one operation, such as `deposit`."""
         return self.requests.pop(op, [])
 
     def append_all(self, other: EffectRequests) -> None:
-        """Append all claims, gifts, faults and requests of another `EffectRequests`."""
+        """Append all claims, gifts, faults and requests of `other` to these."""
         self.claims += other.claims
         self.gifts += other.gifts
         self.faults += other.faults

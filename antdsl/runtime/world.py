@@ -1,7 +1,7 @@
 """All mutable data of a running simulation, as arrays: agents, items and fields.
 
-Registers are one array each, float32 unless the plan says otherwise; positions are also stored in float64. `start` has the
-values at the start of the step, which all agents sense. `now` has the values that agents have written in this step."""
+Each register is an array, float32 unless the plan declares another type. Positions are also stored as float64. Agents sense
+the values at the start of the step (`start`), and write to the current values (`now`)."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Options of a run. They do not change results, except `on_fault`, which determines what happens after a fault. `chunk`:
-    number of rows that a thread processes at once. `shuffle_rows`: a seed for a random order of rows. `wait_for_code`: the
-    first step waits for machine code, instead of running in NumPy. `feet`: compute positions of feet."""
+    """Options of a run. Only `on_fault` affects results: it determines what happens after a fault. `chunk`: the number of rows
+    that a thread processes at once. `shuffle_rows`: a seed for a random order of rows. `wait_for_code`: whether the first step
+    waits for machine code instead of running in NumPy. `feet`: whether positions of feet are computed."""
 
     backend: Literal["numpy", "native", "reference"] = "native"
     chunk: int = 16_384
@@ -70,8 +70,9 @@ class Options:
 
 @dataclass(slots=True, eq=False)
 class Items:
-    """The items that share a name. `names`: the name of each item.
-    `amounts` float64: the current amounts. `visible_values` float32: the amounts at the start of the step, for senses."""
+    """All items that share a name in the scene. `names`: the name of each item. `amounts` float64: current amounts.
+
+    `visible_values` float32: the amounts at the start of the step, which agents sense."""
 
     name: str
     names: tuple[str, ...]
@@ -89,7 +90,7 @@ class Items:
 
 
 class FixedColumn(Generic[Scalar]):
-    """An attribute of a population that reads and replaces the array of the same name in `columns`."""
+    """An attribute of a population that gets and sets the array of the same name in `columns`."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -103,8 +104,9 @@ class FixedColumn(Generic[Scalar]):
 
 @dataclass(slots=True, eq=False)
 class Population:
-    """All living agents of one species, one row each. `columns`: the arrays of `FIXED_COLUMN_BY_NAME`.
-    `start`, `now`: the registers at the start of the step, and their current values. `cells`: each agent's cell, by field."""
+    """All living agents of one species, as arrays with one row per agent. `columns`: the arrays that `FIXED_COLUMN_BY_NAME`
+    lists. `start`, `now`: the registers at the start of the step, and their current values. `cells`: each agent's cell, by
+    field."""
 
     ids = FixedColumn[np.int64]()
     born = FixedColumn[np.int64]()
@@ -147,7 +149,7 @@ class Population:
         return self._cached_state_names[1]
 
     def clear_temps(self, threads: int = 1) -> None:
-        """Set registers that exist only within a step to zero."""
+        """Set all registers that exist only within a step to 0."""
         n = len(self)
         if self._cached_temps is None or self._cached_temps[0] is not self.plan or self._cached_temps[1] != n:
             temps = {name: each for name, each in self.plan.registers.items() if each.role == "temp"}
@@ -157,7 +159,7 @@ class Population:
         self._zero_copier.copy(list(map(self.now.__getitem__, zeros_of)), list(zeros_of.values()), threads)
 
     def get_buffers(self, name: str, count: int, shape: tuple[int, ...], dtype: type[np.generic]) -> tuple[NDArray[Any], ...]:
-        """Return `count` arrays for results of a step. They are reused in the next step, which overwrites them."""
+        """Return `count` arrays for results of a step. The same arrays are returned, and overwritten, in the next step."""
         arrays = self.buffers.get(name)
         if arrays is None or arrays[0].shape != shape:
             arrays = self.buffers[name] = tuple(np.empty(shape, dtype) for _ in range(count))
@@ -171,14 +173,14 @@ class Population:
         return len(self.columns["ids"])
 
     def sorted_ids(self) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-        """Return ids in ascending order, and their rows. Callers must not change the arrays."""
+        """Return all ids in ascending order, and the row of each id. Callers must not change these arrays."""
         if self._cached_rows is None or self._cached_rows[0] != self.version:
             order = sort_stably(self.ids)
             self._cached_rows = (self.version, self.ids[order], order)
         return self._cached_rows[1], self._cached_rows[2]
 
     def find_rows(self, ids: NDArray[np.int64]) -> NDArray[np.intp]:
-        """Return the row of each id, or -1 if the agent is dead or there is none."""
+        """Return the row of each id; -1 for dead agents and for the id -1."""
         known, order = self.sorted_ids()
         if not len(known):
             return np.full(np.shape(ids), -1, np.intp)
@@ -186,24 +188,24 @@ class Population:
         return np.where(known[at] == ids, order[at], -1)
 
     def rows_by_id(self) -> NDArray[np.intp]:
-        """Return all rows, in the order of their ids."""
+        """Return all rows in ascending order of the agents' ids."""
         return self.sorted_ids()[1]
 
     def id_ranks(self) -> NDArray[np.int32]:
-        """Return the rank of each row in the order of ids."""
+        """Return, for each row, the rank of its id among all ids."""
         if self._cached_ranks is None or self._cached_ranks[0] != self.version:
             self._cached_ranks = self.version, invert_order(self.rows_by_id())
         return self._cached_ranks[1]
 
     def pick_ids(self, share: NDArray[np.uint64]) -> NDArray[np.int64]:
-        """Return the id of a living agent for each 32-bit random word, evenly distributed; -1 if no agent lives."""
+        """Return the id of a living agent for each 32-bit random word, uniformly distributed. -1 if no agent lives."""
         known, _ = self.sorted_ids()
         if not len(known):
             return np.full(np.shape(share), -1, np.int64)
         return known[((share * np.uint64(len(known))) >> np.uint64(32)).astype(np.intp)]
 
     def read_vector(self, name: str, *, is_current: bool = True) -> NDArray[np.float64]:
-        """Return the three registers of a vector as float64 (n, 3)."""
+        """Return the components of a vector register, float64 (n, 3): current values, or those at the start of the step."""
         source = self.now if is_current else self.start
         return np.stack([source[f"{name}.{axis}"] for axis in AXES], axis=1).astype(np.float64)
 
@@ -212,20 +214,21 @@ class StepBackend(Protocol):
     """The interface of backends, which run the blocks of a plan; see `backends`."""
 
     def begin(self, world: World) -> None:
-        """Begin a step: drop data cached for the last step."""
+        """Begin a step: discard data that was cached for the last step."""
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
-        """Run a block for some agents (None: all)."""
+        """Run a block for the agents `rows`; None means all agents."""
 
     def messages(self) -> list[str]:
-        """Return messages for the user about differences from the requested execution. These differences change no result."""
+        """Return messages for the user, for example that NumPy runs instead of machine code. Results are the same."""
 
 
 @dataclass(slots=True, eq=False)
 class World:
-    """A bound plan during a run.
-    `frame`: the number of the current frame. During a step, it is the frame before the step. `origin` (mm): subtracted from all
-    positions at binding, so that float32 stays precise far from the scene's zero."""
+    """The state of a running simulation, made from a plan and a setting.
+
+    `frame`: the number of the current frame. During a step, it is the frame before the step. `origin` (mm): subtracted from
+    all positions at binding, so that float32 stays precise far from the scene's zero."""
 
     plan: ir.Plan
     setting: WorldSetting
@@ -277,7 +280,7 @@ class World:
 
     @property
     def display_frame(self) -> int:
-        """Return the frame that computations belong to: during a step the frame that it produces, else the current frame."""
+        """Return the frame to which computations belong: during a step the frame that it produces, else the current one."""
         return self.frame + self.is_stepping
 
     def __len__(self) -> int:
@@ -285,7 +288,7 @@ class World:
 
 
 def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
-    """Return the registers that a block or phase may change after birth."""
+    """Return the registers that a block or a phase may change after birth."""
     names = {*MOVED_REGISTERS, PUSHED_REGISTER, *UNWRAPPED_REGISTERS}
     pending: list[ir.Block] = [plan.decide, plan.act, plan.blend]
     while pending:
@@ -302,8 +305,9 @@ def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
 
 
 def shares_start_array(plan: ir.SpeciesPlan, register: str, stored_registers: frozenset[str]) -> bool:
-    """Return whether a register needs only one array, which has both its values at the start of a step and its current values.
-    This holds if the register never changes, or exists only within a step."""
+    """Return whether one array is enough for both the start values and the current values of a register.
+
+    It is if the register never changes after birth, or exists only within a step."""
     return register not in stored_registers or plan.registers[register].role == "temp"
 
 
@@ -317,7 +321,7 @@ def make_empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
 
 
 def make_fixed_columns(count: int, **known: Any) -> dict[str, NDArray[Any]]:
-    """Return the arrays of `FIXED_COLUMN_BY_NAME` for `count` new rows, from `known` or else filled with zeros."""
+    """Return the columns of `FIXED_COLUMN_BY_NAME` for `count` new rows: `known` arrays, else initial values."""
     return {
         name: np.asarray(known[name])
         if name in known
@@ -333,8 +337,8 @@ def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
 
 
 def publish_state(population: Population, threads: int, rows: NDArray[np.intp] | None = None) -> None:
-    """Make the current values the start values of the next step, which agents sense. `rows`: a new order of the agents.
-    Registers stay in their arrays, unless one array serves as both `start` and `now`."""
+    """Make the current values the start values of the next step, which agents sense. `rows`: a new order of the agents; None
+    to retain their order. Current and start values stay in their arrays, unless one array serves for both."""
     start, now = population.start, population.now
     if rows is not None:
         _reorder_columns(population, rows)
@@ -362,7 +366,7 @@ def _reorder_columns(population: Population, rows: NDArray[np.intp]) -> None:
 
 
 def _select_vectors(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
-    """Return the given rows of vectors (n, 3), with each component contiguous."""
+    """Return the given rows of vectors (n, 3). Each component of the result is contiguous in memory."""
     picked = np.empty((3, len(rows)), vectors.dtype)
     for component, own in zip(picked, vectors.T, strict=True):
         own.take(rows, out=component, mode="clip")
@@ -370,7 +374,7 @@ def _select_vectors(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[An
 
 
 def add_rows(population: Population, ids: NDArray[np.int64], frame: int, place: NDArray[np.float64], footing: Footing) -> slice:
-    """Append agents with all registers zero; return their rows."""
+    """Append agents with their registers at the initial values to a population. Return their rows."""
     old, count = len(population), len(ids)
     added = make_fixed_columns(count, ids=ids, born=np.full(count, frame, np.int64), position=place)
     for name, array in population.columns.items():
@@ -386,8 +390,8 @@ def add_rows(population: Population, ids: NDArray[np.int64], frame: int, place: 
 
 
 def _replace_registers(population: Population, change: Callable[[NDArray[Any], str], NDArray[Any]]) -> None:
-    """Replace every register array by the result of `change`. Registers that use one array for `start` and `now` continue to
-    do so."""
+    """Replace every register array by the result of `change`. Registers with one array for both `start` and `now` still have
+    one array."""
     for name, array in population.now.items():
         shared = population.start[name] is array
         population.now[name] = change(array, name)

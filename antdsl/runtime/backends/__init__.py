@@ -1,16 +1,16 @@
-"""The backends that run a plan's blocks. BACKENDS has them by name. Their results are bit-identical.
+"""The backends that run a plan's blocks, by name in BACKENDS. Their results are bit-identical.
 
 `reference` runs one agent and one operation at a time, in plain Python. It defines the language, and `explain` uses it.
 
-`numpy_backend` runs a block over all agents of a species. `block_compiler` converts the block once into lists of instructions
-over slots (values). `numpy_calls` and `numpy_statements` turn each instruction into a function call. A conditional part runs
+`numpy_backend` runs a block over all agents of a species. `block_compiler` converts each block once into lists of instructions on
+slots, which hold values. `numpy_calls` and `numpy_statements` turn each instruction into a function call. A conditional part runs
 only for the rows where its condition holds.
 
-`native` compiles the same lists to machine code, and uses NumPy until the code is ready.
+`native` compiles the same lists to machine code. NumPy runs the blocks until the code is ready.
 
-Elementwise operations come from one table (`numerics.elementwise`), sums over sets are exact, and random draws depend only on
-the agent's id. So no result depends on rows, chunks or threads. A backend fills an `EffectRequests`; the phases of the step
-apply it."""
+All backends take elementwise operations from one table (`numerics.elementwise`), sums over sets are exact, and random draws
+depend only on the agent's id. So results do not depend on row order, chunks or threads. A backend fills an `EffectRequests`; the
+phases of the step apply it."""
 
 from collections.abc import Callable, Mapping
 

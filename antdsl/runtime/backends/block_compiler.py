@@ -1,9 +1,9 @@
 """Converts a block of the plan into lists of vectorised instructions over slots.
 
-A slot holds one value for all rows of a scope. A scope is the set of rows for which a region's condition holds. A value is
-computed in the first scope that uses it; inner scopes gather it from there. Senses that the plan marks as lazy are stored for
-the complete step, in arrays as long as the species. Later uses compute them only for rows that have no value yet. NumPy runs
-the instructions one by one (`numpy_calls`). `native` makes machine code from the same lists."""
+A slot holds one value for each row of a scope. A scope is the set of rows for which a region's condition holds. A value is
+computed in the first scope that uses it, and inner scopes gather it from there. Lazy senses are stored for the complete step, in
+arrays with one entry per agent. A later use computes them only for rows that have no value yet. NumPy runs the instructions one
+by one (`numpy_calls`). `native` makes machine code from the same lists."""
 
 from __future__ import annotations
 
@@ -53,13 +53,12 @@ class InstructionKind(Enum):
 
 @dataclass(slots=True, eq=False)
 class BlockInstruction:
-    """One instruction of a block; `subject` is its node or statement.
+    """One instruction of a block. `subject`: the node or the statement that it computes.
 
-    `slot`, `inputs`: the slot of its result, and the slots of its operands. `dtype`: the type of the buffer for its result;
-    None if it allocates an array. `scope`: the rows for which it runs. `span`: the source text that it computes. `layer`: the
-    number of the first layer that needs the instruction, -1 for none. `inner`: the inner scope that the instruction runs for
-    some of the rows. `inner_result_slot`: the slot of that scope's result. `order`: the position of a statement in the text of
-    its species."""
+    `slot`, `inputs`: the slots of its result and of its operands. `dtype`: the type of the buffer for its result; None if it
+    allocates an array. `scope`: the rows for which it runs. `span`: the source text from which it comes. `layer`: the number of
+    the first layer that needs the instruction, -1 for none. `inner`: the inner scope that it runs for some of these rows.
+    `inner_result_slot`: the slot of that scope's result. `order`: the position of a statement in the source of its species."""
 
     kind: InstructionKind
     subject: ir.PlanNode | ir.PlanStatement
@@ -77,11 +76,11 @@ class BlockInstruction:
 
 @dataclass(slots=True, eq=False)
 class RowScope:
-    """The rows for which a region runs, and the region's instructions `code`. `parent`: the scope around it.
+    """The rows for which a region runs, and the region's instructions `code`. `parent`: the enclosing scope.
 
     Three fields are slots. `rows`: the row numbers in the species (slice or array). `parent_indices`: the indices of these rows
-    in the parent's rows (None: all). `row_count`: the number of rows.
-    `slot_by_node`: the slots of values that this scope contains. `pairs`: the pairs of each set."""
+    within the parent's rows (None: all). `row_count`: the number of rows. `slot_by_node`: the slots of the values that this scope
+    computes or gathers. `pairs`: the pairs of each set."""
 
     parent: RowScope | None
     rows: int
@@ -97,7 +96,8 @@ class RowScope:
 
 @dataclass(slots=True, eq=False)
 class PairScope:
-    """The pairs of one set in one scope: the `slot` of the pairs, and, for each node, the slot with one value per pair."""
+    """The pairs of one set in one scope. `slot`: the slot of the pairs. `slot_by_node`: for each node, the slot of its values,
+    one per pair."""
 
     slot: int
     slot_by_node: dict[ir.PlanNode, int] = field(default_factory=dict)
@@ -160,7 +160,7 @@ class BlockCompiler:
         )
 
     def compile(self, block: ir.Block) -> None:
-        """Emit the instructions of a block, starting from its root scope."""
+        """Emit the instructions of a block into the root scope."""
         self.early = find_early_loads(block)
         self.stored_registers.update(
             name for _, each in iterate_with_positions(block) if (name := find_written_register(each)) is not None
@@ -170,7 +170,8 @@ class BlockCompiler:
     # --- statements ----------------------------------------------------------------------------------------------------
 
     def _compile_block(self, scope: RowScope, block: ir.Block, path: tuple[int, ...]) -> None:
-        """Emit the statements of a block or region. `path`: its position in the nested regions."""
+        """Emit the statements of a block or region into `scope`. `path`: the position of the block or region in the nested
+        regions."""
         for k, (statement, layer) in enumerate(zip(block.statements, self._find_statement_layers(block), strict=True)):
             self._layer_number = layer
             for node in self.early.get((*path, k), ()):
@@ -186,10 +187,10 @@ class BlockCompiler:
             self._emit_instruction(scope, InstructionKind.STATEMENT, statement, -1, inputs)
 
     def _find_statement_layers(self, block: ir.Block) -> list[int]:
-        """Return the layer of each statement, by its line.
+        """Return the layer of each statement, found by its source line.
 
-        A statement that stores a behaviour's memory is in another file. Its layer is the one that called the behaviour: the
-        layer of the next statement that has one."""
+        A statement that stores the memory of a behaviour is in another file. It belongs to the layer that called the behaviour,
+        which is the layer of the next statement that has one."""
         if not self._layer_spans:
             return [-1] * len(block.statements)
         numbers, current = [], self._layer_number
@@ -204,9 +205,9 @@ class BlockCompiler:
     # --- values --------------------------------------------------------------------------------------------------------
 
     def emit_value(self, scope: RowScope, node: ir.PlanNode, recompute: bool = False) -> int:
-        """Return the slot of a node's value in a scope. If the value is not computed yet, emit the instructions for it.
+        """Return the slot of a node's value in a scope. Emit the instructions for the value unless it is already computed.
 
-        `recompute`: whether to compute a value that is stored for the step."""
+        `recompute`: whether to compute the value even if it is stored for the step."""
         if node.rate <= ir.UpdateRate.STEP:
             return self._find_uniform_slot(node)
         missing: set[ir.PlanNode] = set()
@@ -228,22 +229,23 @@ class BlockCompiler:
         return self._find_stored_slot(scope, node)
 
     def _find_uniform_slot(self, node: ir.PlanNode) -> int:
-        """Return the slot of a value that is equal for all agents."""
+        """Return the slot of a node's value that is equal for all agents."""
         if node not in self.uniform_slots:
             self.uniform_slots[node] = self.allocate_slot()
         return self.uniform_slots[node]
 
     @staticmethod
     def _find_holding_scope(scope: RowScope | None, node: ir.PlanNode) -> RowScope | None:
-        """Return the innermost scope that has the value of a node: `scope` or a scope around it. None if no scope has it."""
+        """Return the innermost scope, starting from `scope`, that contains the value of a node. None if no enclosing scope
+        contains it."""
         while scope is not None and node not in scope.slot_by_node:
             scope = scope.parent
         return scope
 
     def _find_stored_slot(self, scope: RowScope, node: ir.PlanNode) -> int:
-        """Return the slot of a value that this scope or an outer scope contains.
+        """Return the slot of a value that this scope or an enclosing scope contains.
 
-        For a value of an outer scope, emit an instruction that gathers it for the rows of this scope."""
+        If an enclosing scope contains it, emit an instruction that gathers it for the rows of this scope."""
         if node.rate <= ir.UpdateRate.STEP:
             return self._find_uniform_slot(node)
         holders = [scope]
@@ -258,7 +260,7 @@ class BlockCompiler:
         return scope.slot_by_node[node]
 
     def _emit_node(self, scope: RowScope, node: ir.PlanNode) -> None:
-        """Emit the instruction of one node; its operands already have slots."""
+        """Emit the instruction of one node, given that its operands have slots."""
         if node.op.startswith("reduce."):
             does, inputs = InstructionKind.REDUCE, self._emit_reduction(scope, node)
         else:
@@ -268,7 +270,7 @@ class BlockCompiler:
         scope.slot_by_node[node] = slot
 
     def _emit_lazy_sense(self, scope: RowScope, node: ir.PlanNode) -> None:
-        """Emit a sense that is computed only for rows without a stored value, in an inner scope, and stored for the step."""
+        """Emit a sense that is stored for the step. An inner scope computes it for the rows that have no stored value yet."""
         inner = self._new_scope(scope)
         result = self.emit_value(inner, node, recompute=True)
         slot = scope.slot_by_node[node] = self.allocate_slot()
@@ -277,7 +279,7 @@ class BlockCompiler:
     # --- sets ----------------------------------------------------------------------------------------------------------
 
     def _emit_reduction(self, scope: RowScope, node: ir.PlanNode) -> tuple[int, ...]:
-        """Emit the pairs of a reduction, and its values for each pair. Return the slots of the reduction's inputs."""
+        """Emit the pairs of a reduction, and its values for these pairs. Return the slots of the reduction's inputs."""
         pairs = self._find_or_emit_pairs(scope, node.args[0])
         bodies = node.args[1:]
         for each in collect_required_nodes(bodies):
@@ -286,7 +288,7 @@ class BlockCompiler:
         return pairs.slot, *(self._find_or_emit_pair_value(scope, pairs, body) for body in bodies)
 
     def _find_or_emit_pairs(self, scope: RowScope, node: ir.PlanNode) -> PairScope:
-        """Return the pairs of a set in a scope. Emit the instruction that finds them if it is missing."""
+        """Return the pairs of a set in a scope. Emit the instruction that finds them, unless the scope already has them."""
         if node not in scope.pairs:
             if node.op == "set.every" and not is_nearest_only(self._species, node):
                 self.complete_species.add(node.attrs[0])
@@ -298,9 +300,9 @@ class BlockCompiler:
         return scope.pairs[node]
 
     def _find_or_emit_pair_value(self, scope: RowScope, pairs: PairScope, node: ir.PlanNode) -> int:
-        """Return the slot of a node's value over pairs. Emit its instructions if they are missing.
+        """Return the slot of a node's values over pairs, one per pair. Emit its instructions unless the scope already has them.
 
-        A value of the requesting agent is repeated for its pairs."""
+        A value of the requesting agent is repeated for each of its pairs."""
         if node.rate <= ir.UpdateRate.STEP:
             return self._find_uniform_slot(node)
         if node in pairs.slot_by_node:
@@ -324,9 +326,9 @@ class BlockCompiler:
 
 
 def _flatten_instructions(scope: RowScope, order: list[tuple[BlockInstruction, bool]]) -> None:
-    """Append the instructions of a scope to `order` in execution order, each with whether its inner scope has run.
+    """Append the instructions of a scope to `order` in execution order, as pairs (instruction, whether its inner scope has run).
 
-    An instruction with an inner scope is appended twice: before that scope with False, and after it with True."""
+    An instruction with an inner scope is appended twice: with False before that scope, and with True after it."""
     for instruction in scope.code:
         order.append((instruction, False))
         if instruction.inner is not None:
@@ -337,8 +339,9 @@ def _flatten_instructions(scope: RowScope, order: list[tuple[BlockInstruction, b
 def bind_calls(compiler: BlockCompiler, find_maker: Callable[[BlockInstruction, BlockCompiler], SlotFunctionMaker]) -> None:
     """Assign buffers to elementwise results, and create the function call of each instruction.
 
-    `find_maker` returns the function that creates the call. After the last use of a value, its buffer is reused. This is a
-    linear scan over the execution order (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895). No region runs twice."""
+    `find_maker`: returns the function that creates an instruction's call. A buffer is reused after the last use of its value: a
+    linear scan over the execution order (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895). It is valid because no region
+    runs twice."""
     order: list[tuple[BlockInstruction, bool]] = []
     _flatten_instructions(compiler.root_scope, order)
     last: dict[int, int] = {}

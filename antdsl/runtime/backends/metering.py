@@ -1,4 +1,4 @@
-"""Measures the time of each call in a compiled block, excluding calls nested inside it."""
+"""Measures the time of each call of a compiled block, without the time of the calls nested in it."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from antdsl.runtime.backends.block_compiler import (
 
 
 class MeteredBlock:
-    """A compiled block. Its calls are timed until `stop` is called.
+    """A compiled block with calls that are timed until `stop` is called.
 
-    `seconds`: the time of each of `instructions`. If threads run in parallel, times are scaled so that their sum does not
-    exceed the elapsed time."""
+    `seconds`: the time of each of `instructions`. If several threads run, times are scaled so that their sum does not exceed the
+    elapsed time."""
 
     def __init__(self, compiler: BlockCompiler) -> None:
         self.instructions: list[BlockInstruction] = []
@@ -37,25 +37,26 @@ class MeteredBlock:
         self.seconds = [0.0] * len(self.instructions)
 
     def make_counters(self) -> list[float]:
-        """Return counters for one chunk, all 0: a time (s) for each instruction, then the time of calls nested inside the
-        current one."""
+        """Return counters for one chunk, all 0: one time (s) for each instruction, and a last one for the calls nested in the
+        current call."""
         return [0.0] * (len(self.instructions) + 1)
 
     def add_counters(self, counters: list[list[float]], elapsed: float) -> None:
-        """Add the `counters` of all chunks of one run of the block to `seconds`. `elapsed`: the wall time (s) of the run."""
+        """Add the times of one run of the block to `seconds`. `counters`: those of all chunks. `elapsed`: the wall time (s) of
+        the run."""
         share = min(1.0, elapsed / max(sum(lane[-1] for lane in counters), 1e-12))
         for lane in counters:
             for k, seconds in enumerate(lane[:-1]):
                 self.seconds[k] += seconds * share
 
     def stop(self) -> None:
-        """Restore the block's original calls."""
+        """Replace the timed calls by the block's original calls."""
         for scope, calls in self._original_calls:
             scope.calls = calls
 
 
 def list_instructions(root: RowScope) -> list[BlockInstruction]:
-    """Return the instructions of a scope and its inner scopes, in the order of `MeteredBlock`."""
+    """Return the instructions of a scope and its inner scopes, in the order of `MeteredBlock.instructions`."""
     return [each for scope in _iterate_scopes(root) for each in scope.code]
 
 
@@ -68,7 +69,7 @@ def _iterate_scopes(root: RowScope) -> Iterator[RowScope]:
 
 
 def _time_call(call: SlotFunction, number: int) -> SlotFunction:
-    """Wrap `call` so that its time, excluding nested calls, is added to counter `number`."""
+    """Return `call` wrapped in a function that adds its time, without nested calls, to counter `number`."""
 
     def run_timed(v: SlotValues) -> None:
         spent = v[SPENT_SECONDS_SLOT]

@@ -1,4 +1,5 @@
-"""The NumPy backend. Each operation is one pass over arrays with a value per agent, in chunks of rows and possibly in threads."""
+"""The NumPy backend. Each operation is a pass over arrays with one value per agent, in chunks of rows, possibly in several
+threads."""
 
 from __future__ import annotations
 
@@ -40,7 +41,7 @@ StoredSenses = dict[ir.PlanNode, tuple[NDArray[np.bool_], list[NDArray[Any]]]]
 
 
 class NumpyBackend:
-    """The NumPy backend of one plan, which is compiled once. Call `begin` at the start of each step, and `run` for each block
+    """The NumPy backend of one plan. The plan is compiled once. Call `begin` at the start of each step, then `run` for each block
     of each species."""
 
     spare_rows = 0  # spare rows at the end of arrays over a species
@@ -80,11 +81,11 @@ class NumpyBackend:
 
     @property
     def backend_name(self) -> str:
-        """Return the name, for users, of the backend that runs the blocks of this step."""
+        """Return the name of the backend that runs the blocks in this step, as users see it."""
         return "NumPy"
 
     def set_timing(self, enabled: bool) -> None:
-        """Measure the time of each call from the next step on, or stop this. Results do not change."""
+        """Start or stop to measure the time of each call, from the next step on. Results do not change."""
         if enabled == bool(self.metered_blocks):
             return
         for each in self.metered_blocks.values():
@@ -112,7 +113,7 @@ class NumpyBackend:
             }
 
     def messages(self) -> list[str]:
-        """Return an empty list: this backend runs everything as requested."""
+        """Return an empty list, because this backend runs everything as requested."""
         return []
 
     def _compute_step_values(self, world: World, species: str) -> dict[ir.PlanNode, Any]:
@@ -157,7 +158,7 @@ class NumpyBackend:
     def _split_rows(
         self, world: World, population: Population, compiler: BlockCompiler, rows: NDArray[np.intp] | None
     ) -> list[Any]:
-        """Split the rows, without quarantined agents, into chunks. Each chunk is a slice or an array."""
+        """Split the rows into chunks, without quarantined agents. Each chunk is a slice or an array of rows."""
         size = max(1, world.options.chunk)
         for species in compiler.complete_species:
             size = max(1, min(size, MAX_PAIRS_PER_CHUNK // max(1, len(world.populations[species]))))
@@ -180,8 +181,8 @@ class NumpyBackend:
     ) -> None:
         """Run a block for one chunk of rows, and add its requests to `effects`.
 
-        `spent_seconds`: counters for the times of calls, or None. `lane`: the number of the thread. `is_only_chunk`: whether no
-        other thread runs."""
+        `spent_seconds`: counters for the time of each call, or None. `lane`: the number of the thread. `is_only_chunk`: whether
+        this is the only chunk, so that no other thread runs."""
         v: list[Any] = [None] * compiler.slot_count
         v[WORLD_SLOT], v[POPULATION_SLOT], v[EFFECTS_SLOT], v[LAZY_VALUES_SLOT] = (
             world,
@@ -203,7 +204,7 @@ class NumpyBackend:
                 call(v)
 
     def _prepare_buffers(self, compiler: BlockCompiler, size: int, lane: int) -> dict[Any, list[NDArray[Any]]]:
-        """Return output buffers of at least `size` rows for a block, by dtype; they are reused per thread."""
+        """Return output buffers for at least `size` rows of a block, by dtype. Each thread uses its buffers again."""
         while len(self._buffers) <= lane:
             self._buffers.append({})
         pool = self._buffers[lane]
@@ -217,7 +218,7 @@ class NumpyBackend:
 
 
 def compute_constants(nodes: Iterable[ir.PlanNode]) -> dict[ir.PlanNode, Any]:
-    """Return the values that are constant over all steps. In `nodes`, operands come before the nodes that use them."""
+    """Return the values of nodes that are constant over all steps. In `nodes`, operands come before the nodes that use them."""
     values: dict[ir.PlanNode, Any] = {}
     with np.errstate(all="ignore"):
         for node in nodes:
@@ -229,9 +230,9 @@ def compute_constants(nodes: Iterable[ir.PlanNode]) -> dict[ir.PlanNode, Any]:
 def compute_uniform_values(
     world: World, nodes: list[ir.PlanNode], known_values: dict[ir.PlanNode, Any] | None = None
 ) -> dict[ir.PlanNode, Any]:
-    """Return the values that are equal for all agents, as NumPy scalars, together with those in `known_values`.
+    """Return the values that are equal for all agents, as NumPy scalars by node, together with `known_values`.
 
-    `nodes`: operands come before the nodes that use them. If `nodes` is empty, `known_values` itself is returned."""
+    In `nodes`, operands come before the nodes that use them. If `nodes` is empty, `known_values` itself is returned."""
     if known_values is not None and not nodes:
         return known_values
     values = dict(known_values or {})

@@ -1,7 +1,7 @@
-"""Function calls for the instructions of compiled blocks. Each public `make_…` function returns a maker: a function that
-creates a call. A call takes the list of slots of one run.
+"""Function calls for the instructions of compiled blocks.
 
-`v` is the list of slots. The first slots hold the world, the population, the effects, the buffers and the cached senses."""
+Each public `make_…` function returns a maker, which is a function that creates a call. A call takes `v`, the list of slots of one
+run. The first slots hold the world, the population, the effects, the buffers and the cached senses."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ from antdsl.runtime.sensing.world_senses import SENSE_FUNCTIONS
 
 
 def make_call(instruction: BlockInstruction, compiler: BlockCompiler) -> SlotFunctionMaker:
-    """Return the maker of an instruction's call. The maker takes the slots of output, inputs and buffer, and returns the call."""
+    """Return the maker of an instruction's call. The maker takes the output slot, the input slots and the buffer, and returns the
+    call."""
     scope, what = instruction.scope, instruction.subject
     if not isinstance(what, ir.PlanNode):
         return make_statement_call(instruction) if instruction.inner is None else make_region_call(scope, instruction.inner)
@@ -58,7 +59,7 @@ def make_call(instruction: BlockInstruction, compiler: BlockCompiler) -> SlotFun
 
 
 def enter_scope(v: SlotValues, scope: RowScope, rows: Any, size: int, parent_rows: NDArray[np.intp] | None) -> None:
-    """Write a scope's rows, their number `size`, their indices in the parent's rows, and views of its output buffers to `v`."""
+    """Write the rows of a scope to `v`, with their number `size`, indices within the parent's rows, and views of buffers."""
     v[scope.rows], v[scope.row_count], v[scope.parent_indices] = rows, size, parent_rows
     buffers = v[BUFFERS_SLOT]
     for (dtype, number), slot in scope.view_slots.items():
@@ -66,7 +67,7 @@ def enter_scope(v: SlotValues, scope: RowScope, rows: Any, size: int, parent_row
 
 
 def run_inner_scope(v: SlotValues, scope: RowScope, inner: RowScope, parent_rows: NDArray[np.intp] | None) -> None:
-    """Run an inner scope for some of a scope's rows (None: all)."""
+    """Run an inner scope for some rows of the enclosing scope (None: all)."""
     rows = v[scope.rows]
     if parent_rows is None:
         enter_scope(v, inner, rows, v[scope.row_count], None)
@@ -79,7 +80,7 @@ def run_inner_scope(v: SlotValues, scope: RowScope, inner: RowScope, parent_rows
 
 
 def make_region_call(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
-    """Return the maker of the call of an `If`: it runs the inner scope for the rows for which the condition holds."""
+    """Return the maker of the call for an `If`, which runs the inner scope for the rows where the condition holds."""
 
     def make_region(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         (a,) = inputs
@@ -100,7 +101,7 @@ def make_region_call(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
 
 
 def make_gather_call(scope: RowScope, is_tuple: bool) -> SlotFunctionMaker:
-    """Return the maker of a call that copies a value of the outer scope to the rows of this scope."""
+    """Return the maker of a call that copies a value of the enclosing scope for the rows of this scope."""
     picked = scope.parent_indices
 
     def make_gather(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
@@ -121,7 +122,7 @@ def make_gather_call(scope: RowScope, is_tuple: bool) -> SlotFunctionMaker:
 
 
 def make_cached_sense_call(node: ir.PlanNode, scope: RowScope, inner: RowScope, result: int) -> SlotFunctionMaker:
-    """Return the maker of the call for a sense that is cached for the step. It is computed only for rows without a value."""
+    """Return the maker of the call for a sense that is stored for the step and computed only for rows without a stored value."""
 
     def make_sense(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def read_cached_sense(v: SlotValues) -> None:
@@ -142,7 +143,7 @@ def make_cached_sense_call(node: ir.PlanNode, scope: RowScope, inner: RowScope, 
 
 
 def make_elementwise_call(node: ir.PlanNode) -> SlotFunctionMaker | None:
-    """Return the maker of the call for an operation of the elementwise table, or None for other nodes."""
+    """Return the maker of the call for an elementwise operation; None for any other node."""
     f = FUNCTION_BY_NAME.get(node.op)
     if f is None:
         return None
@@ -210,7 +211,7 @@ def make_leaf_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) 
 
 
 def _make_draw_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
-    """Return the maker of the call for a random draw. Four draws of one site come from one run of the generator."""
+    """Return the maker of the call for a random draw. One run of the generator serves four draws of the same site."""
     site, index = node.attrs
     key = (site, index >> 2)
     fresh = key not in scope.draw_slots
@@ -232,7 +233,7 @@ def _make_draw_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope)
 def make_pairs_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
     """Return the maker of the call that finds the pairs of a set.
 
-    If several regions use a set, it is cached for the step once it has been computed for a complete chunk."""
+    If several regions use the set, its pairs are stored for the step as soon as they are computed for a complete chunk."""
     shared, root, rows = compiler.region_count_by_set, compiler.root_scope.rows, scope.rows
 
     def make_pairs(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
@@ -254,7 +255,7 @@ def make_pairs_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope)
 
 
 def make_spread_call(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
-    """Return the call that repeats an agent's value for each of its pairs."""
+    """Return a call that repeats the value of an agent for each of its pairs."""
     value, pair = inputs
 
     def spread_value(v: SlotValues) -> None:
@@ -264,7 +265,7 @@ def make_spread_call(result_slot: int, inputs: tuple[int, ...], buffer: int | No
 
 
 def make_pair_leaf_call(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker:
-    """Return the maker of a call that reads a value of each pair's other agent.
+    """Return the maker of a call that reads a value of the other agent of each pair.
 
     A sense is evaluated at the position of the requesting agent."""
     sense, rows = SENSE_FUNCTIONS.get(node.op), scope.rows

@@ -1,5 +1,4 @@
-"""Function calls for the statements of compiled blocks. Statements store values in registers, or request something of the
-world."""
+"""Function calls for the statements of compiled blocks, which store values in registers or request something of the world."""
 
 from __future__ import annotations
 
@@ -26,17 +25,17 @@ ALL_ROWS = slice(None)
 
 
 def convert_to_row_array(rows: Any) -> NDArray[np.intp]:
-    """Return rows, given as a slice or an array, as an array."""
+    """Return rows as an array, given a slice or an array."""
     return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else rows
 
 
 def _copy_row_values(v: SlotValues, scope: RowScope, value: Any) -> NDArray[Any]:
-    """Return one value for each row of a scope in a new array, because buffers are reused."""
+    """Return a new array with one value for each row of a scope. A copy is needed because buffers are reused."""
     return np.full(v[scope.row_count], value) if value.ndim == 0 else value.copy()
 
 
 def is_storable(value: NDArray[Any], allows_infinity: bool) -> NDArray[np.bool_]:
-    """Return a mask of values that may be stored: finite values and, with `allows_infinity`, +inf."""
+    """Return a mask of the values that may be stored: finite values, and +inf if `allows_infinity`."""
     good: NDArray[np.bool_] = np.isfinite(value)
     return good | (value == np.inf) if allows_infinity else good
 
@@ -46,7 +45,7 @@ def _record_fault(v: SlotValues, block: str, register: str, span: Any, rows: NDA
 
 
 def _make_store_call(statement: ir.Store, block: str, scope: RowScope) -> SlotFunctionMaker:
-    """Return the maker of the call that stores a value in a register. A value that is not storable is a fault."""
+    """Return the maker of the call that stores a value in a register. A value that may not be stored is a fault."""
     name, infinite, span = statement.register, statement.allows_infinity, statement.span
     number = statement.value.kind is ir.ValueKind.F32
 
@@ -77,7 +76,7 @@ def _select_finite_amounts(
 ) -> tuple[NDArray[np.intp], NDArray[Any], Any]:
     """Return the rows with finite values, these values, and the indices of these rows in the scope.
 
-    Record a fault for all other rows."""
+    Record a fault for each of the other rows."""
     rows, value = convert_to_row_array(v[scope.rows]), _copy_row_values(v, scope, value)
     good = np.isfinite(value)
     if good.all():
@@ -112,7 +111,7 @@ def _make_claim_call(statement: ir.Claim, block: str, scope: RowScope, order: in
 
 
 def _make_gift_call(statement: ir.Give, block: str, scope: RowScope) -> SlotFunctionMaker:
-    """Return the maker of the call that subtracts gifts from registers, and adds them to the effects of the step."""
+    """Return the maker of the call that subtracts gifts from the agents' registers, and adds them to the effects of the step."""
 
     def make_gift(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def add_gifts(v: SlotValues) -> None:
@@ -139,7 +138,7 @@ def _make_gift_call(statement: ir.Give, block: str, scope: RowScope) -> SlotFunc
 
 
 def _make_request_call(statement: ir.Request, block: str, scope: RowScope, order: int) -> SlotFunctionMaker:
-    """Return the maker of the call that adds a request to the effects of the step. A value that is not finite is a fault."""
+    """Return the maker of the call that adds a request to the effects of the step. Values that are not finite are faults."""
     row = effects.EFFECT_BY_OPERATION[statement.op]
     refused = row.fault_name.format(of=statement.target)
 

@@ -1,7 +1,7 @@
 """The reference backend: plain Python, one agent and one operation at a time. It is slow, and it defines the meaning of plans.
 
-Neighbours are found by measuring the distance to all agents. Only geometry (rays, fields, curves) uses the same code as the
-other backends."""
+It finds neighbours by measuring the distance to every agent. It shares only geometry (rays, fields, curves) with the other
+backends."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ STEP_BLOCKS = ("decide", "act", "blend")
 
 
 class ReferenceBackend:
-    """Runs a plan with the interface of the NumPy backend."""
+    """The reference backend, with the same interface as the NumPy backend."""
 
     def __init__(self, plan: ir.Plan) -> None:
         self._orders = {name: number_statements(species) for name, species in plan.species.items()}
 
     def begin(self, world: World) -> None:
-        """Do nothing, because this backend caches no data from step to step."""
+        """Do nothing, because this backend caches no data between steps."""
 
     def messages(self) -> list[str]:
-        """Return an empty list: this backend runs everything as requested."""
+        """Return an empty list, because this backend runs everything as requested."""
         return []
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
-        """Run one block."""
+        """Run a block for the agents `rows`; None means all agents."""
         rows = np.flatnonzero(~population.quarantined) if rows is None else rows
         with np.errstate(all="ignore"):
             for row in rows:
@@ -55,7 +55,7 @@ class ReferenceBackend:
 
 
 class NodeFault(Exception):
-    """A signal that ends the repeated run of an agent, once it has reached the node with the faulty value."""
+    """A signal that ends the repeated run of an agent as soon as it has computed the node with the faulty value."""
 
     def __init__(self, node: ir.PlanNode) -> None:
         super().__init__()
@@ -63,7 +63,7 @@ class NodeFault(Exception):
 
 
 class AgentRun:
-    """The run of one block for one agent. `now[name][at]` is the agent's register `name`. All other arrays are indexed by
+    """The run of one block for one agent. The agent's register `name` is `now[name][at]`. All other arrays are indexed by
     `row`."""
 
     def __init__(
@@ -83,7 +83,7 @@ class AgentRun:
         self.on_fault: Callable[[str, Span | None, ir.PlanNode], None] | None = None
 
     def run(self, block: str, plan: ir.SpeciesPlan | None = None) -> None:
-        """Run a block of the species, or of another plan of the same species."""
+        """Run a block of the agent's species, or of `plan`, another plan of the same species."""
         tree: ir.Block = getattr(plan or self.population.plan, block)
         self.block, self.values, self.early = block, {}, _find_early_loads(tree)
         self._run_block(tree, ())
@@ -101,7 +101,8 @@ class AgentRun:
                 getattr(self, "_" + type(statement).__name__.lower())(statement)
 
     def _compute_finite_value(self, node: ir.PlanNode, value_name: str, span: Span | None, infinite: bool = False) -> Any:
-        """Return a node's value if it may be stored, else record a fault and return None. `infinite`: whether +inf is allowed."""
+        """Return a node's value if it may be stored, else record a fault and return None. `infinite`: whether +inf may be
+        stored."""
         value = self.compute_value(node)
         if node.kind is not ir.ValueKind.F32 or np.isfinite(value) or (infinite and value == np.inf):
             return value
@@ -151,7 +152,7 @@ class AgentRun:
     # --- values --------------------------------------------------------------------------------------------------------
 
     def compute_value(self, node: ir.PlanNode) -> Any:
-        """Return a node's value for this agent. Each node is computed once."""
+        """Return the value of a node for this agent. Each node is computed only once."""
         pending = [node]
         while pending:
             top = pending[-1]
@@ -196,7 +197,7 @@ class AgentRun:
         return _REDUCTION_FUNCTIONS[node.op](self, node, chosen, matches)
 
     def _find_members(self, node: ir.PlanNode) -> list[SetMember]:
-        """Return the members of a set for this agent: the others within the radius and the field of view, at most the cap."""
+        """Return the members of a set for this agent: the others within the radius and in view, at most as many as the cap."""
         own = [self.population.start[f"position.{axis}"][self.row] for axis in AXES]
         args = [self.values[a] for a in node.args]
         if node.op == "set.items":
@@ -218,7 +219,7 @@ class AgentRun:
         return [m for m in measured if (m[1] * hx + m[2] * hy) + m[3] * hz >= args[1] * m[4]]
 
     def _compute_pair_values(self, set_node: ir.PlanNode, member: SetMember, roots: list[ir.PlanNode]) -> list[Any]:
-        """Return the values of the nodes `roots` for one other agent or item."""
+        """Return the values of the nodes `roots` for one member of a set."""
         pair_values: dict[ir.PlanNode, Any] = {}
         for node in _list_pair_nodes(tuple(roots)):
             args = [pair_values[a] if a in pair_values else self.values[a] for a in node.args]
@@ -242,7 +243,7 @@ class AgentRun:
         return other.ids[row] if node.op == "other.id" else other.start[node.attrs[0]][row]
 
     def get_member_id(self, set_node: ir.PlanNode, member: SetMember) -> int:
-        """Return the id of an agent, or the number of an item, in a set."""
+        """Return the id of an agent, or the number of an item, that is a member of a set."""
         return member[0] if set_node.op == "set.items" else int(self.world.populations[set_node.attrs[0]].ids[member[0]])
 
 
@@ -253,13 +254,13 @@ def _find_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode
 
 @cache
 def _list_pair_nodes(roots: tuple[ir.PlanNode, ...]) -> tuple[ir.PlanNode, ...]:
-    """Return the nodes `roots` and their operands that have one value per pair. Operands come first."""
+    """Return those of the nodes `roots` and their operands that have one value per pair. Operands come first."""
     return tuple(n for n in collect_required_nodes(roots) if n.rate == ir.UpdateRate.PAIR)
 
 
 @cache
 def _list_own_operands(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
-    """Return those nodes of the agent's own values on which a node depends, also inside its sets and reductions."""
+    """Return the nodes with one value per agent on which a node depends, directly or through sets and reductions."""
     operands: list[ir.PlanNode] = []
     pending = list(node.args)
     while pending:
@@ -272,7 +273,7 @@ def _list_own_operands(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
 
 
 def _measure_members(world: World, positions: list[Any], own_position: list[Any]) -> list[SetMember]:
-    """Return the row, offset (mm) and distance (mm) of every agent from one position."""
+    """Return every agent as a set member: its row, and its offset and distance (mm) from `own_position`."""
     dx, dy, dz = measure_offsets(world, positions, own_position)
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
     return [(k, dx[k], dy[k], dz[k], distance[k]) for k in range(len(distance))]
@@ -334,9 +335,9 @@ _REDUCTION_FUNCTIONS: dict[str, Callable[[AgentRun, ir.PlanNode, ir.PlanNode, Me
 def find_fault_operands(
     world: World, population: Population, row: int, block: str, value_name: str, span: Span | None
 ) -> tuple[tuple[str, str], ...]:
-    """Return the operands, as text and value, of the operation that first produced the non-finite value.
+    """Return the operands, as (text, value), of the operation that first produced the non-finite value.
 
-    To find it, one agent's step is run again, without effects, up to that value."""
+    To find it, the agent's step is repeated without effects, up to that value."""
     now = {name: population.start[name][row : row + 1].copy() for name in population.now}
     for name, register in population.plan.registers.items():
         if register.role == "temp":
@@ -360,7 +361,7 @@ def find_fault_operands(
 
 
 def apply_claims(agent: AgentRun, population: Population) -> None:
-    """Set the registers of an agent that is run again to the results of its claims."""
+    """Set the registers of an agent to the results of its claims, before its step is repeated."""
     for claim in agent.effects.claims:
         won = bool(population.now[claim.statement.won_register][agent.row])
         agent.now[claim.statement.won_register][0] = won
@@ -373,7 +374,7 @@ def apply_claims(agent: AgentRun, population: Population) -> None:
 
 
 def _find_fault_origin(agent: AgentRun, node: ir.PlanNode) -> tuple[tuple[str, str], ...]:
-    """Return the first operation, in evaluation order, that has finite operands and a result that is not finite."""
+    """Return the operands of the first operation, in evaluation order, with finite operands and a result that is not finite."""
 
     def is_valid(n: ir.PlanNode) -> bool:
         value = agent.values.get(n)

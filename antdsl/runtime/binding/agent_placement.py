@@ -1,6 +1,7 @@
 """Places agents at the start: on the ground or inside things, outside obstacles, without overlaps.
 
-A position depends on the seed, the agent's species and id, and the agents placed before. Adding agents moves no other agent."""
+The position of an agent depends on the seed, its species, its id, and the agents that were placed before it. So adding agents
+does not move the others."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ _MIN_NORMAL_SINE = 1e-3  # if the sine of a direction's angle to the normal is s
 
 
 def place_crowds(world: World) -> None:
-    """Add all crowds to the world, with ids in the order of the scene's crowd lines."""
+    """Add all crowds to the world. Ids follow the order of the scene's crowd lines."""
     for line in world.crowd_lines:
         world.populations[line.species].next_id += len(line)
     lines = zip(world.setting.crowds, world.crowd_lines, strict=True)
@@ -49,11 +50,11 @@ def place_crowds(world: World) -> None:
 
 
 def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray[np.int64]]]) -> dict[str, NDArray[np.intp]]:
-    """Add agents of crowd lines and return their rows, by species. Only their positions are set.
+    """Add agents of crowd lines. Return their rows, by species. Only their positions are set.
 
-    Agents overlap neither each other nor existing agents. Positions that the scene gives as points come first and are used
-    unchanged. Each line avoids the agents of earlier lines. `world.overcrowded_lines` receives the lines that have no space
-    for all their agents."""
+    The new agents overlap neither each other nor existing agents. Positions that the scene gives as points come first, and are
+    not changed. Each line avoids the agents of the lines before it. Lines without space for all their agents are added to
+    `world.overcrowded_lines`."""
     new_crowds = [(crowd, ids) for crowd, ids in new_crowds if len(ids)]
     if not new_crowds:
         return {}
@@ -99,7 +100,7 @@ def _find_reachable_box(
     radius: Sequence[NDArray[np.float64]],
     tries: int,
 ) -> NDArray[np.float64]:
-    """Return the corners (2, 3) of a box that contains the bodies of new agents at all positions that they may try."""
+    """Return the corners (2, 3) of a box that contains the bodies of new agents at all positions they may try."""
     drawn = [start.draw(ids, range(tries)).position for (_, ids), start in zip(new_crowds, starts, strict=True)]
     widest = max(float(own[has_extent(own)].max(initial=0.0)) for own in radius)
     points = np.concatenate(drawn)
@@ -109,14 +110,14 @@ def _find_reachable_box(
 def _find_rows_in_reach(
     position: NDArray[np.float64], radius: NDArray[np.float64], box: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return a mask of the agents at `position` (n, 3) with `radius` (n) that extend into a box with corners (2, 3)."""
+    """Return a mask of the agents with bodies that extend into a box with corners (2, 3). `position` (n, 3), `radius` (n): mm."""
     reach = 1.01 * np.where(has_extent(radius), radius, 0.0)[:, None]
     is_near: NDArray[np.bool_] = ((position >= box[0] - reach) & (position <= box[1] + reach)).all(axis=1)
     return is_near
 
 
 def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], draws: StartPositionDraws) -> NDArray[np.intp]:
-    """Add the agents of one crowd line at drawn positions; return their rows."""
+    """Add the agents of one crowd line at their drawn positions. Return their rows."""
     population = world.populations[crowd.species]
     rows = add_rows(population, ids, world.display_frame, draws.position, draws.footing)
     for k, axis in enumerate(AXES):
@@ -129,9 +130,9 @@ def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], draws: 
 def _compute_birth_radii(
     world: World, new_crowds: Sequence[tuple[CrowdData, NDArray[np.int64]]], starts: Sequence[StartPositionSampler]
 ) -> list[NDArray[np.float64]]:
-    """Return the radius (mm) at birth of each line's agents, at the positions of their first draw.
+    """Return the radii (mm) at birth of each line's agents, for the positions of the first try.
 
-    A radius may depend on any value available at birth, so it is computed in a temporary world."""
+    A radius may depend on any value that is available at birth, so it is computed in a temporary world."""
     trial = replace(
         world,
         populations={name: make_empty_population(p.plan, world.ground) for name, p in world.populations.items()},
@@ -162,10 +163,10 @@ def _compute_spacing_radii(
     starts: Sequence[StartPositionSampler],
     radius: list[NDArray[np.float64]],
 ) -> list[NDArray[np.float64]]:
-    """Return the radius (mm) of the disc that each agent of a line occupies at the start.
+    """Return the radii (mm) of the discs that the agents of each line occupy at the start.
 
-    They are at least `radius`, and at least half the distance that a line declares between its agents. For an even crowd, the
-    discs are as large as random placement allows. For this, lines with the same place are counted together."""
+    A radius is at least that of the agent, `radius`, and at least half the distance that the line declares between agents. For an
+    even crowd, discs are as large as random placement permits. Lines with the same place are treated together for this."""
     radii = []
     for (crowd, _), start, own in zip(new_crowds, starts, radius, strict=True):
         half = crowd.place.spacing / 2
@@ -177,12 +178,12 @@ def _compute_spacing_radii(
 
 
 def _make_place_key(place: PlacementData) -> tuple[object, ...]:
-    """Return a key that is equal for two lines that distribute their agents evenly in the same place."""
+    """Return a key that is equal for lines that distribute their agents evenly in the same place."""
     return place.surfaces, place.disc_centre, place.radius, place.density, place.is_by_area, place.spacing
 
 
 def _compute_position_precision(world: World) -> float:
-    """Return the precision (mm) of positions, which are float32 relative to the world's origin."""
+    """Return the precision (mm) of positions, which are stored as float32 relative to the world's origin."""
     meshes = world.ground.meshes
     far = 0.0 if meshes is None else float(np.abs([meshes.low, meshes.high]).max(initial=0.0))
     return far * float(np.finfo(np.float32).eps)
@@ -191,7 +192,7 @@ def _compute_position_precision(world: World) -> float:
 def initialise_agents(world: World, new_rows: Mapping[str, NDArray[np.intp]]) -> None:
     """Set the orientation, the registers and the start velocity of new agents. `new_rows`: their rows, by species.
 
-    Events that they emit at birth are visible in the first step, or, within a step, in the next one."""
+    Events that they emit at birth are sensed in the first step, or in the next one for agents created within a step."""
     for name, rows in new_rows.items():
         _orient_agents(world, world.populations[name], rows)
     initialise_newborn(world, new_rows)
@@ -223,7 +224,7 @@ def _shuffle_rows(world: World, population: Population) -> None:
 def _choose_headings(
     world: World, population: Population, rows: NDArray[np.intp], up: VectorArrays, drawn_headings: VectorArrays
 ) -> VectorArrays:
-    """Return headings along the ground: the heading that the start point defines, or else the drawn heading."""
+    """Return headings along the ground: the heading that the scene defines for the start point, else the drawn heading."""
     heading = drawn_headings
     for crowd in world.setting.crowds:
         if crowd.species != population.name or (crowd.place.headings is None and crowd.place.facing is None):
@@ -247,7 +248,8 @@ def _choose_headings(
 
 
 def _orient_agents(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Set up direction, heading and velocity (0) of agents. Up follows their ground; the heading is the scene's or random."""
+    """Set up direction, heading and velocity (0) of agents. Up is the ground's normal; the heading is set in the scene or
+    random."""
     target_up = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
     up = vec.split_columns(world.ground.compute_upright_normals(population.footing, target_up)[rows], np.float32)
     angle = _draw_uniform(world, population.name, 0, population.ids[rows]) * FULL_TURN
@@ -263,7 +265,8 @@ def _orient_agents(world: World, population: Population, rows: NDArray[np.intp])
 
 
 def _set_start_velocity(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Set the velocity along the heading, at a random share of full speed (T02). Skip species that set their motion at birth."""
+    """Set the velocity along the heading, at a random fraction of top speed (T02). Skip species that set their motion at
+    birth."""
     if any(
         isinstance(s, ir.Store) and s.register.startswith("velocity.") for _, s in iterate_with_positions(population.plan.born)
     ):

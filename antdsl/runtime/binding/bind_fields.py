@@ -1,4 +1,4 @@
-"""Creates the fields of a plan on the surfaces of a setting: cells, start amounts, and rates per step."""
+"""Creates the fields of a plan on the surfaces of a setting: their cells, start amounts, and rates per step."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def bind_fields(
     report: Report,
     binding_cache: BindingCache,
 ) -> None:
-    """Make all fields of the plan; write errors to the report."""
+    """Create all fields of the plan in the world. Add errors to the report."""
     cells: dict[tuple[tuple[str, ...], float], SurfaceCells] = {}
     for plan in world.plan.fields.values():
         size = value(world, plan.cell)
@@ -83,7 +83,7 @@ def bind_fields(
 def _check_settings(
     plan: ir.FieldPlan, size: float, retained_share: float, diffuse: float, limit: float, dt: float, report: Report
 ) -> bool:
-    """Return whether the settings of a field are valid; write errors to the report."""
+    """Return whether the settings of a field are valid. Add errors to the report."""
     if not (np.isfinite(size) and size > 0):
         report.error("field-setting", f"field `{plan.name}` has no cell size", plan.span, "write `cell 4 mm`")
         return False

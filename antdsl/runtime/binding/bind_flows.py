@@ -1,4 +1,4 @@
-"""Creates the flows and maps of a setting on the ground: points at the required resolution, and values at these points."""
+"""Creates the flows and maps of a setting on the ground: points at the requested resolution, and the values at these points."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _RAY_HEIGHT_PER_EDGE = 0.25  # height of obstacle rays above the ground, as a sh
 
 
 def bind_flows(world: World, report: Report, binding_cache: BindingCache) -> None:
-    """Make all maps and flows of the setting that the plan uses. Flows that never change are cached in `binding_cache`."""
+    """Create all maps and flows of the setting that the plan uses. Flows that never change are cached in `binding_cache`."""
     setting = world.setting
     for name, painted in setting.maps.items():
         world.maps[name] = PaintedMap(_collect_corner_values(world, painted)[:, :, 0])
@@ -57,13 +57,13 @@ def bind_flows(world: World, report: Report, binding_cache: BindingCache) -> Non
 
 
 def _get_cached_flow(world: World, name: str, flow: FlowData) -> SurfaceFlow | None:
-    """Return a bound flow; None if binding reports an error."""
+    """Return a bound flow that can be cached. None if binding reports an error."""
     bind_flow(world, name, flow, Report())
     return world.flows.get(name)
 
 
 def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
-    """Make one flow, and store it in the world under its name. Write errors to the report."""
+    """Create one flow, and add it to the world under its name. Add errors to the report."""
     try:
         world.flows[name] = bound_flow = _make_flow(world, flow)
         if not isinstance(flow, PaintedValues) and _may_change(world, flow):
@@ -89,7 +89,7 @@ def _make_flow(world: World, flow: FlowData) -> SurfaceFlow:
 
 
 def _may_change(world: World, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> bool:
-    """Return whether any input of a flow moves: surfaces, its target, or obstacles for paths."""
+    """Return whether any input of a flow may move: surfaces, the target, or obstacles that paths avoid."""
     moves = world.setting.motion
     moving = [name for name in moves.meshes if name in world.setting.surfaces or isinstance(flow, SolvedFlowData)]
     dug = bool(world.solids) and isinstance(flow, SolvedFlowData)
@@ -97,7 +97,7 @@ def _may_change(world: World, flow: SpreadFlowData | BorderFlowData | SolvedFlow
 
 
 def _recompute_flow(world: World, bound_flow: SurfaceFlow, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> None:
-    """Replace a flow's values by those for the current positions of its inputs."""
+    """Replace the values of a flow by values for the current positions of its inputs."""
     if isinstance(flow, SolvedFlowData):
         assert isinstance(bound_flow, PathFlow) and bound_flow.crossable_ground is not None
         known = bound_flow.crossable_ground
@@ -113,7 +113,7 @@ def _recompute_flow(world: World, bound_flow: SurfaceFlow, flow: SpreadFlowData 
 
 
 def _get_ground_meshes(world: World) -> MeshSurfaces:
-    """Return the meshes of the ground; flows are on these meshes."""
+    """Return the meshes of the ground, on which flows are defined."""
     meshes = world.ground.meshes
     assert meshes is not None
     return meshes
@@ -123,7 +123,7 @@ def _get_ground_meshes(world: World) -> MeshSurfaces:
 
 
 def _collect_corner_values(world: World, painted_values: PaintedValues) -> Floats:
-    """Return painted values at the corners of all faces of the ground, (3, faces, width); 0 on unpainted surfaces."""
+    """Return painted values at the corners of all ground faces, (3, faces, width). They are 0 on unpainted surfaces."""
     _, faces, mesh, _ = _get_ground_meshes(world).triangles
     own = np.flatnonzero(mesh == world.surface_index[painted_values.surface])
     values = painted_values.values.reshape(len(painted_values.values), -1)
@@ -135,7 +135,7 @@ def _collect_corner_values(world: World, painted_values: PaintedValues) -> Float
 
 
 def _make_painted_flow(world: World, painted_values: PaintedValues) -> SurfaceFlow:
-    """Return a flow that interpolates painted vectors."""
+    """Return a flow that interpolates the painted vectors."""
     table = _get_ground_meshes(world).triangles[3]
     corners = _collect_corner_values(world, painted_values)
     parts = [project_to_faces(corners[k], table.axis1, table.axis2) for k in range(3)]
@@ -147,7 +147,7 @@ def _make_painted_flow(world: World, painted_values: PaintedValues) -> SurfaceFl
 
 
 def _select_faces(world: World, surfaces: tuple[str, ...]) -> Flags:
-    """Return a mask of the faces of the flow's surfaces. Faces of area 0 are excluded."""
+    """Return a mask of the faces of the surfaces `surfaces`, without faces of area 0."""
     _, _, mesh, table = _get_ground_meshes(world).triangles
     mesh_numbers = [world.surface_index[name] for name in surfaces] or list(world.surface_index.values())
     chosen: Flags = table.is_live & np.isin(mesh, mesh_numbers)
@@ -155,7 +155,7 @@ def _select_faces(world: World, surfaces: tuple[str, ...]) -> Flags:
 
 
 def _measure_longest_edges(world: World) -> tuple[Floats, Floats]:
-    """Return the longest edge (mm) and the middle (n, 3; mm) of each ground face."""
+    """Return the length of the longest edge (mm), and the centre (n, 3; mm), of each ground face."""
     vertices, faces, _, _ = _get_ground_meshes(world).triangles
     corners = vertices[faces]
     edges = np.stack([corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)])
@@ -163,13 +163,14 @@ def _measure_longest_edges(world: World) -> tuple[Floats, Floats]:
 
 
 def _make_lattice(world: World, is_chosen: Flags, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> FaceLattice:
-    """Return a lattice with the flow's resolution on the chosen faces. Raises LatticeTooFine if the flow's cell is too small."""
+    """Return a lattice on the selected faces, at the flow's resolution. Raises LatticeTooFine if the flow's cells are too
+    small."""
     edges = np.where(is_chosen, _measure_longest_edges(world)[0], 0.0)
     return FaceLattice.from_edge_pieces(choose_edge_pieces(flow, edges, _get_ground_meshes(world).extent))
 
 
 def _locate_slots(world: World, lattice: FaceLattice) -> tuple[Index, Floats]:
-    """Return the face and the position (n, 3) mm of each slot."""
+    """Return the face and the position (n, 3; mm) of each slot of a lattice."""
     table = _get_ground_meshes(world).triangles[3]
     face = lattice.get_face_by_slot()
     b1, b2 = lattice.compute_slot_weights()
@@ -261,7 +262,7 @@ def _make_solved_flow(world: World, flow: SolvedFlowData) -> SurfaceFlow:
     looked = [_list_solid_versions(world)]
 
     def is_update_due(current_world: World) -> bool:
-        """Return whether a new solution is due and has changed inputs."""
+        """Return whether it is time for a new solution, and its inputs have changed."""
         if (current_world.frame - current_world.setting.first_frame) % every:
             return False
         previous_state, looked[0] = looked[0], _list_solid_versions(current_world)
@@ -279,14 +280,13 @@ def _make_solved_flow(world: World, flow: SolvedFlowData) -> SurfaceFlow:
 
 
 def _list_solid_versions(world: World) -> list[int]:
-    """Return a number for each solid that changes when the solid is dug."""
+    """Return one number per solid, which changes whenever the solid is dug."""
     return [volume.bricks.volume_steps for volume in world.solids.values()]
 
 
 def _make_crossable_ground(world: World, lattice: FaceLattice, is_chosen: Flags, point: Index | None = None) -> CrossableGround:
-    """Return the surface for paths on a lattice: points merged across faces, open triangles, and links between surfaces.
-
-    A triangle is open if no obstacle cuts it and it is not inside undug solid. `point`: the point of each slot, if known."""
+    """Return the ground on which paths run, for a lattice: merged points, open triangles, and links between surfaces. A triangle
+    is open if no obstacle cuts it and it is not inside undug solid. `point`: the point of each slot, if already known."""
     _, _, mesh, table = _get_ground_meshes(world).triangles
     face, place = _locate_slots(world, lattice)
     if point is None:
@@ -310,7 +310,7 @@ def _make_crossable_ground(world: World, lattice: FaceLattice, is_chosen: Flags,
 
 
 def _find_blocked_triangles(world: World, triangles: Index, points: Floats, normal: Floats) -> Flags:
-    """Return the triangles with an edge that hits an obstacle, tested slightly above the ground."""
+    """Return the triangles that have an edge which hits an obstacle. Edges are tested slightly above the ground."""
     cut = np.zeros(len(triangles), bool)
     for name in world.plan.obstacles:
         if name not in world.obstacles:
@@ -326,7 +326,7 @@ def _find_blocked_triangles(world: World, triangles: Index, points: Floats, norm
 
 
 def _link_points_of_surfaces(points: Floats, surface_numbers: NDArray[np.int32], used_points: Index, areas: Floats) -> Index:
-    """Return pairs (k, 2) of near points on different surfaces."""
+    """Return pairs (k, 2) of points that are on different surfaces and near each other."""
     from scipy.spatial import cKDTree
 
     surfaces = np.unique(surface_numbers[used_points])
@@ -342,10 +342,10 @@ def _link_points_of_surfaces(points: Floats, surface_numbers: NDArray[np.int32],
 
 
 def _find_goal_points(world: World, flow: SolvedFlowData, grounds: CrossableGround) -> tuple[Index, Floats, float]:
-    """Return the points at the target, their remaining distances (mm), and the gap (mm) between target and ground.
+    """Return the points at the target, their remaining distances to it (mm), and the gap (mm) between target and ground.
 
-    These are the points within the target's radius, and the point nearest to each position of the target. The gap is the least
-    distance of a position from a point, minus the radius."""
+    Points at the target are within its radius, or nearest to one of its positions. The gap is the least distance of such a
+    position from a point, minus the radius."""
     from scipy.spatial import cKDTree
 
     land = grounds.surface
@@ -373,7 +373,7 @@ def _find_goal_points(world: World, flow: SolvedFlowData, grounds: CrossableGrou
 
 
 def _compute_triangle_costs(world: World, flow: SolvedFlowData, grounds: CrossableGround) -> Floats:
-    """Return the path cost per mm within each triangle, without agents."""
+    """Return the cost of a path within each triangle, per mm, without the cost of agents in the way."""
     land = grounds.surface
     _, owner = grounds.lattice.compute_triangles()
     normal = _get_ground_meshes(world).triangles[3].normal.T[owner]

@@ -1,4 +1,4 @@
-"""Binds a plan to a setting: makes ground and ray scenes from meshes, and arrays from items and crowds. The result is a world
+"""Binds a plan to a setting. Ground and ray scenes are made from meshes, and arrays from items and crowds. The result is a world
 at its first frame."""
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class BindError(ValueError):
 
 
 def _make_note_run(setting: WorldSetting) -> NoteRun | None:
-    """Return the notes of a setting as a `NoteRun`; None without notes. Scene models are imported only if there are notes."""
+    """Return the notes of a setting as a `NoteRun`. None if it has no notes; then scene models are not imported."""
     if not setting.notes:
         return None
     from antdsl.runtime.notes.note_run import NoteRun
@@ -63,10 +63,10 @@ def _make_note_run(setting: WorldSetting) -> NoteRun | None:
 def bind(
     plan: ir.Plan, setting: WorldSetting, options: Options | None = None, *, binding_cache: BindingCache | None = None
 ) -> World:
-    """Return the world at `setting.first_frame`: the agents that exist at the start are placed, and none has moved.
+    """Return the world at `setting.first_frame`. Agents that exist at the start are placed, and have not moved yet.
 
-    `plan`: an optimised and verified plan. `binding_cache`: a cache for data made from meshes, for use in other worlds. Raises
-    BindError with a report if plan and setting do not match."""
+    `plan`: an optimised and verified plan. `binding_cache`: retains data made from meshes for other worlds. Raises BindError with
+    a report if plan and setting do not match."""
     world = bind_empty(plan, setting, options, binding_cache=binding_cache)
     stages.begin_stage("placing agents")
     with np.errstate(all="ignore"):
@@ -85,9 +85,10 @@ def bind_empty(
     binding_cache: BindingCache | None = None,
     origin: NDArray[np.float64] | None = None,
 ) -> World:
-    """Return a world as `bind` does, but without agents.
+    """Return the same world as `bind`, but without agents.
 
-    `origin` (mm): an existing origin that positions are relative to. Raises MachineCodeUnavailableError if no kernel can run."""
+    `origin` (mm): an origin to use for positions, for example another world's. Raises MachineCodeUnavailableError if no kernel
+    runs."""
     llvm_compiler.require_llvm()
     options, binding_cache = options or Options(), binding_cache or BindingCache()
     origin = compute_world_origin(setting) if origin is None else origin
@@ -140,7 +141,7 @@ def bind_empty(
 
 
 def set_param(world: World, name: str, value: float) -> None:
-    """Set the param `name` from the next step on, without compilation. `value`: in base units (mm, s, g, rad)."""
+    """Set the param `name` from the next step on, without compiling anything. `value`: in base units (mm, s, g, rad)."""
     if name not in world.plan.params:
         raise KeyError(name)
     world.params[name] = np.float32(value)
@@ -183,7 +184,7 @@ def _make_ground(
     has_ray_starts: bool,
     binding_cache: BindingCache,
 ) -> Ground:
-    """Return the ground of agents: a plane, meshes, solids, or meshes with solids."""
+    """Return the ground of the agents: a plane, meshes, solids, or meshes and solids."""
     if not meshes and not solids:
         return PlaneGround(up)
     ground = _make_mesh_ground(meshes, moving_names, has_ray_starts, binding_cache)
@@ -195,7 +196,7 @@ def _make_ground(
 def _make_mesh_ground(
     meshes: dict[str, MeshData], moving_names: Iterable[str], has_ray_starts: bool, binding_cache: BindingCache
 ) -> MeshGround | None:
-    """Return the part of the ground that consists of meshes, or None if the setting has no meshes."""
+    """Return the part of the ground that consists of meshes. None if the setting has no meshes."""
     surfaces = {name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
     moved = [name for name in moving_names if name in surfaces]
     if moved:
@@ -209,7 +210,7 @@ def _make_mesh_ground(
 
 
 def _make_ray_scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], binding_cache: BindingCache) -> dict[str, Obstacle]:
-    """Return everything that rays can hit, by name: meshes, and solids in their current state."""
+    """Return everything that rays can hit, by name: meshes, and solids in their current shape."""
     if not meshes and not solids:
         return {}
     scenes: dict[str, Obstacle] = {
@@ -234,7 +235,7 @@ def _make_items(setting: WorldSetting, plan: ir.ItemsPlan, origin: NDArray[np.fl
 
 
 def _set_params(world: World) -> None:
-    """Set params to the scene's values, or else to their defaults."""
+    """Set the params to the values in the scene, or to their defaults."""
     for name, param in world.plan.params.items():
         scene_value = world.setting.params.get(name)
         world.params[name] = np.float32(compute_run_value(world, param.default) if scene_value is None else scene_value)
@@ -246,7 +247,7 @@ def compute_run_value(world: World, node: ir.PlanNode) -> float:
 
 
 def set_flow(world: World, name: str, flow: FlowData) -> None:
-    """Replace a flow from the next step on, without compilation. Raises BindError under the same conditions as `bind`."""
+    """Replace a flow from the next step on, without compiling anything. Raises BindError under the same conditions as `bind`."""
     if name not in world.plan.list_things_of_kind("flow"):
         raise KeyError(name)
     from antdsl.runtime.binding.bind_flows import bind_flow
@@ -269,7 +270,7 @@ def _bind_flows(world: World, binding_cache: BindingCache) -> None:
 
 
 def _bind_detail_levels(world: World, obstacles: dict[str, MeshData]) -> None:
-    """Add levels of detail if the scene requests them."""
+    """Add levels of detail to the world if the scene requests them."""
     if world.setting.level_of_detail is None:
         return
     from antdsl.runtime.level_of_detail import DetailLevels

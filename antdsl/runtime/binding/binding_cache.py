@@ -1,6 +1,7 @@
-"""A cache of data computed from meshes, for use in later worlds. Its keys are digests of the inputs.
+"""A cache of data computed from meshes, for later worlds. Its keys are digests of the inputs.
 
-Meshes seldom change when a program is edited. Preparing a ground with its rays and cells takes longer than a step."""
+It pays because meshes seldom change when a program is edited, and preparing a ground with its rays and cells takes longer than a
+step."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ T = TypeVar("T")
 
 
 class BindingCache:
-    """A cache of grounds, ray scenes, cells, volumes and flows in their initial state.
+    """A cache of grounds, ray scenes, cells, volumes and flows, all in their initial state.
 
     Data that changes during a run, such as diggable or moving things, is returned as a copy."""
 
@@ -25,10 +26,10 @@ class BindingCache:
         self._used_keys: set[str] = set()
 
     def get_or_make(self, kind: str, inputs: object, make: Callable[[], T], *, copy_value: Callable[[T], T] | None = None) -> T:
-        """Return the result of `make`, or the cached result for an equal `inputs`.
+        """Return the result of `make`, or a cached result for equal `inputs`.
 
-        `inputs`: arrays, numbers, texts and combinations of these. If `make` raises an exception, it propagates and nothing is
-            cached."""
+        `inputs`: any combination of arrays, numbers and texts. `copy_value`: copies a result before it is returned; None for no
+        copy. An exception of `make` propagates, and nothing is cached."""
         key = compute_digest((kind, inputs))
         self._used_keys.add(key)
         if key not in self._values:
@@ -37,24 +38,25 @@ class BindingCache:
         return product if copy_value is None else copy_value(product)
 
     def get_deep_copy(self, kind: str, inputs: object, make: Callable[[], T]) -> T:
-        """Return a deep copy of the cached or new result of `make`. Use it for values that change later."""
+        """Return a deep copy of the new or cached result of `make`. Use it for values that change during a run."""
         return self.get_or_make(kind, inputs, make, copy_value=deepcopy)
 
     def drop_unused(self) -> None:
-        """Remove the values that were not used since the last call of this method."""
+        """Remove all values that were not used since the last call of this method."""
         self._values = {key: value for key, value in self._values.items() if key in self._used_keys}
         self._used_keys = set()
 
 
 def compute_digest(value: object) -> str:
-    """Return a hash of a value by its content. It may consist of arrays, numbers, texts, mappings, sequences and dataclasses."""
+    """Return a hash of the content of a value, which may consist of arrays, numbers, texts, mappings, sequences and
+    dataclasses."""
     hashed = sha256()
     _add_to_digest(hashed.update, value)
     return hashed.hexdigest()
 
 
 def _add_to_digest(update: Callable[[bytes], None], value: object) -> None:
-    """Pass the content of a value to `update`, together with marks for types and lengths."""
+    """Pass the content of a value to `update`, with markers for types and lengths."""
     if isinstance(value, np.ndarray):
         update(f"a{value.dtype.str}{value.shape}".encode())
         update(np.ascontiguousarray(value).tobytes())

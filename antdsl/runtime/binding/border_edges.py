@@ -1,4 +1,4 @@
-"""The open borders of surfaces, as edges with their inward directions."""
+"""The open borders of surfaces, as edges with a direction into the surface."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class BorderEdges(NamedTuple):
 
 
 def find_border_edges(meshes: MeshSurfaces, is_chosen: NDArray[np.bool_]) -> BorderEdges:
-    """Return the edges of chosen faces that no other chosen face shares. `is_chosen`: a flag for each face of all surfaces."""
+    """Return the edges of chosen faces that belong to no other chosen face. `is_chosen`: a flag for each face of all surfaces."""
     vertices, faces, _, table = meshes.triangles
     half = np.flatnonzero((table.link[0] == NO_LINKED_EDGE) & np.repeat(is_chosen, 3))
     own, k = half // 3, half % 3

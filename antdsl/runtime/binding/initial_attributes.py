@@ -1,6 +1,6 @@
 """The values that crowd lines give to attributes and states at birth. The block `born` reads them from temporary registers.
 
-A value depends only on (seed, species, attribute, id) and, if it is painted, on the position."""
+A value depends only on (seed, species, attribute, id), and a painted value also on the position."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FULL_TURN = _F(2 * np.pi)
 
 
 def write_initial_values(world: World, population: Population, rows: Rows, crowd: CrowdData) -> None:
-    """Write the values that a crowd line gives to attributes into registers of `rows`. Values of points override the others."""
+    """Write the attribute values of a crowd line into the registers of `rows`. Values given for a point override others."""
     for name, draw in crowd.initial_values.items():
         if (register := ir.format_birth_register_name(name)) in population.now:
             population.now[register][rows] = _draw_values(world, population, rows, name, draw)
@@ -30,7 +30,7 @@ def write_initial_values(world: World, population: Population, rows: Rows, crowd
 
 
 def _draw_values(world: World, population: Population, rows: Rows, name: str, draw: ValueDraw) -> NDArray[np.float32]:
-    """Return a value of the attribute `name` for each row, drawn as `draw` describes."""
+    """Return a random value of the attribute `name` for each row. `draw`: how to draw it."""
     low, high = _F(draw.low), _F(draw.high)
     if draw.kind == "number":
         return np.full(len(rows), low)

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 class OvercrowdedLine:
     """A crowd line of the scene with more agents than fit into its place. `group`: the number of the line.
 
-    `fitting_count`: how many of its `count` agents have space. `radius` (mm): the least and the greatest radius of its agents.
-    `covered_area`, `available_area` (mm²): the area that all agents would cover, and the available area (None if unknown).
-    `sufficient_radius` (mm): a radius of the place at which all agents fit; None if there is none. `fits_by_area`: whether all
-    agents would have space with `by: area`."""
+    `fitting_count`: how many of its `count` agents fit. `radius` (mm): the least and the greatest radius of its agents.
+    `covered_area`, `available_area` (mm²): the area that all agents would cover, and the area of the place (None if unknown).
+    `sufficient_radius` (mm): a radius of the place with which all agents would fit; None if there is none. `fits_by_area`:
+    whether all agents would have space with `by: area`."""
 
     group: int
     species: str

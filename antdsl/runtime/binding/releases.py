@@ -1,5 +1,6 @@
-"""Creates agents of crowd lines during the run. At each frame, the agents that are due get their positions and ids. The number
-of agents that a line has created depends only on the frame. Their ids are reserved in `World.crowd_lines`. So no id is used
+"""Creates agents of crowd lines during the run. In each frame, the agents that are due get their positions and ids.
+
+How many agents a line has created depends only on the frame, and their ids are reserved in `World.crowd_lines`. So no id is used
 twice, and a run that continues from a checkpoint creates the same agents."""
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def release_agents(world: World) -> None:
-    """Add the agents of crowd lines that are due in the frame of the step in progress."""
+    """Add the agents that crowd lines release in the frame of the current step."""
     frame = world.display_frame
     joining: list[tuple[CrowdData, NDArray[np.int64]]] = []
     capacity = limits.MAX_AGENTS - len(world)

@@ -1,8 +1,8 @@
-"""The spacing of agents at the start: each gets the first of its random positions at which its disc touches no earlier agent.
+"""The spacing of agents at the start. Each agent gets the first of its random positions where its disc touches no earlier agent.
 
 Method: random sequential addition of discs (dart throwing), in rounds over all agents at once. In a round, each agent without a
-position tries the next positions of its series. If two agents touch, the later one tries again. So an agent's result depends only
-on earlier agents, and adding agents moves none of them.
+position tries the next of its random positions. If two agents touch, the later one tries again. So the position of an agent
+depends only on earlier agents, and adding agents does not move them.
 
 Random discs of one size cover at most 54.7 % of a plane and approach that ever more slowly. The number of tries is therefore
 limited (J. Feder, Random sequential adsorption, J. Theor. Biol. 87, 1980)."""
@@ -36,7 +36,7 @@ _CELLS_PER_BODY = 8  # cells per body length; of agents that may overlap, each c
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartPositionDraws:
-    """Drawn start positions: footings, positions (n, 3) mm, up directions (n, 3), and whether an agent may start there."""
+    """Drawn start positions: footings, positions (n, 3) mm, up directions (n, 3), and flags whether an agent may start there."""
 
     footing: Footing
     position: Floats
@@ -59,7 +59,7 @@ PositionDrawer = Callable[[NDArray[np.int64], range], StartPositionDraws]
 
 @dataclass(frozen=True, eq=False)
 class _DiscGroup:
-    """Discs of similar size: their positions (k, 3) mm, their entry numbers in `Occupancy`, and the largest radius (mm)."""
+    """Discs of similar size: positions (k, 3) mm, entry numbers in `Occupancy`, and the largest radius (mm)."""
 
     position: Floats
     entries: Rows
@@ -67,17 +67,17 @@ class _DiscGroup:
 
     @cached_property
     def tree(self) -> Any:
-        """Return a k-d tree of the positions."""
+        """Return a k-d tree of the discs' positions."""
         from scipy.spatial import cKDTree
 
         return cKDTree(self.position)
 
 
 class Occupancy:
-    """The occupied positions, as discs, called entries.
+    """The positions that are already occupied, as discs, called entries.
 
-    An entry has a position, a radius and a number in the order in which agents start. If two entries overlap, the later one
-    moves. `rounding`: the precision of positions (mm)."""
+    An entry has a position, a radius, and a number in the order in which agents start. If two entries overlap, the later one must
+    move. `rounding`: the precision of positions (mm)."""
 
     def __init__(self, rounding: float = 0.0) -> None:
         self._rounding = rounding
@@ -88,13 +88,13 @@ class Occupancy:
         self._groups: list[_DiscGroup] = []
 
     def add_fixed(self, place: Floats, radius: Floats) -> None:
-        """Add agents that are already placed and do not move. They may overlap each other."""
+        """Add agents that are already placed and cannot move. They may overlap each other."""
         rows = np.flatnonzero(has_extent(radius))
         rows = rows[_find_first_per_cell(place[rows], radius[rows], _CELLS_PER_BODY)]
         self.add(place[rows], radius[rows], np.full(len(rows), -1))
 
     def add(self, place: Floats, radius: Floats, order: Rows) -> Rows:
-        """Add discs at `place` (n, 3). Return their entry numbers. `order`: their numbers in the start order."""
+        """Add discs at `place` (n, 3; mm). Return their entry numbers. `order`: their numbers in the start order."""
         first = len(self._order)
         self._place = np.concatenate([self._place, place])
         self._radius = np.concatenate([self._radius, radius])
@@ -113,17 +113,17 @@ class Occupancy:
         self._rebuild_groups(np.flatnonzero(self._is_present))
 
     def _rebuild_groups(self, entries: Rows) -> None:
-        """Rebuild the groups from these entries, one for each size class."""
+        """Make the groups again from these entries, one group for each size class."""
         classes = _compute_size_class(self._radius[entries])
         chosen = [entries[classes == size] for size in np.unique(classes)]
         self._groups = [_DiscGroup(self._place[each], each, float(self._radius[each].max())) for each in chosen]
 
     def find_overlaps(self, place: Floats, radius: Floats, order: Rows | None = None) -> tuple[Rows, Rows, Floats]:
-        """Return pairs of a given disc and an entry that overlap: the disc, the entry, and their relative distance.
+        """Return pairs of a given disc and an entry that overlap: indices of discs, entry numbers, and relative distances.
 
-        The relative distance is the distance divided by the distance at which both touch. `order`: the numbers of the discs in
-        the start order; if set, only earlier entries are considered. Thousands of smaller entries may overlap one disc, so
-        only the entry with the most overlap is returned."""
+        A relative distance is the distance divided by the distance at which the discs touch. `order`: the numbers of the given
+        discs in the start order; if set, only earlier entries count. A disc may overlap thousands of smaller entries, so only the
+        worst overlap of each disc is returned."""
         pairs: list[tuple[Rows, Rows, Floats]] = []
         classes = _compute_size_class(radius)
         for size in np.unique(classes):
@@ -147,7 +147,7 @@ class Occupancy:
         return i, entry, share
 
     def _compute_distance_share(self, place: Floats, radius: Floats, entry: Rows) -> Floats:
-        """Return the distance between each disc and its entry, divided by the distance at which both touch."""
+        """Return the distance of each disc from its entry, divided by the distance at which the two touch."""
         displacement = place - self._place[entry]
         square = (
             displacement[..., 0] * displacement[..., 0]
@@ -160,9 +160,9 @@ class Occupancy:
     def _find_worst_overlap(
         self, place: Floats, radius: Floats, order: Rows, rows: Rows, group: _DiscGroup
     ) -> tuple[Rows, Rows, Floats]:
-        """Find, for each of `rows` of the discs, the earlier entry of a group with the most overlap. Discs without overlap are
-        omitted. The results are the rows, the entries, and the relative distances as in `find_overlaps`. Nearest entries are
-        checked until no entry farther away can overlap more."""
+        """Find the worst overlap of each disc in `rows` with an earlier entry of a group. Return the rows that have one, the
+        entries, and the relative distances (see `find_overlaps`). Entries are checked from the nearest outwards, until none
+        farther away can overlap more."""
         entry, least = np.zeros(len(rows), np.intp), np.full(len(rows), np.inf)
         pending_discs, count = np.arange(len(rows)), _FIRST_QUERY_NEIGHBOURS
         while pending_discs.size:
@@ -183,7 +183,7 @@ class Occupancy:
         return rows, entry, least
 
     def measure_freedom(self, place: Floats, radius: Floats, order: Rows) -> Floats:
-        """Return the freedom (n) of discs: 1 without overlap with earlier entries, 0 at the centre of such an entry."""
+        """Return the freedom (n) of discs: 1 without overlap with an earlier entry, down to 0 at the centre of such an entry."""
         i, _, share = self.find_overlaps(place, radius, order)
         least = np.ones(len(place))
         np.minimum.at(least, i, share)
@@ -192,7 +192,7 @@ class Occupancy:
     def find_displaced_entries(self, entries: Rows) -> tuple[Rows, Floats]:
         """Return the entries that must move because the given entries were added, and the freedom of their positions.
 
-        These may include given entries. The freedom is defined in `measure_freedom`."""
+        Given entries may be among them. For the freedom see `measure_freedom`."""
         i, entry, share = self.find_overlaps(self._place[entries], self._radius[entries])
         own = entries[i]
         loser = np.where(self._order[entry] < self._order[own], own, entry)
@@ -208,7 +208,7 @@ class Occupancy:
 
 
 def has_extent(radius: NDArray[np.floating[Any]]) -> Flags:
-    """Return a mask of the radii that are above 0 and not NaN. Only agents with such a radius occupy space."""
+    """Return a mask of the radii that are positive and not NaN. Only agents with such a radius occupy space."""
     wide: Flags = np.isfinite(radius) & (radius > 0)
     return wide
 
@@ -221,11 +221,11 @@ def spread_agents(
     first: int,
     max_rounds: tuple[int, ...] | None = None,
 ) -> tuple[StartPositionDraws, Flags]:
-    """Return positions for agents in the order of `ids`, and a mask of agents that touch no other agent there.
+    """Return positions for the agents `ids`, in this order, and a mask of the agents that touch no other agent there.
 
-    An agent without a free position gets the one at which it overlaps earlier agents least. Only agents with a free position
-    are added to `occupancy`. `first`: the number of the first agent in the start order. `max_rounds`: how many positions an
-    agent tries in each round; None for as many as are worthwhile."""
+    An agent without a free position gets the one with the least overlap. Only agents with a free position are added to
+    `occupancy`. `first`: the number of the first agent in the start order. `max_rounds`: the number of positions that an agent
+    tries in each round; None for as many as are worthwhile."""
     chosen: StartPositionDraws | None = None
     fits = np.zeros(len(ids), np.bool_)
     rounds: tuple[int, ...] = _SPACING_ROUNDS[0][1] if max_rounds is None else max_rounds
@@ -245,7 +245,7 @@ def spread_agents(
 def _place_batch(
     occupancy: Occupancy, draw: PositionDrawer, ids: NDArray[np.int64], radius: Floats, first: int, rounds: tuple[int, ...]
 ) -> tuple[StartPositionDraws, Flags]:
-    """Place one batch of agents in rounds. Return their positions, and whether each position is free."""
+    """Place one batch of agents in rounds. Return their positions, and a mask of the positions that are free."""
     n, wide = len(ids), has_extent(radius)
     held, best, entry_of = np.zeros(n, np.bool_), np.full(n, -2.0), np.full(n, -1, np.intp)
     order = np.arange(first, first + n)
@@ -287,7 +287,7 @@ def _place_batch(
 def _score_positions(
     occupancy: Occupancy, draws: StartPositionDraws, rows: Rows, radius: Floats, is_wide: Flags, order: Rows
 ) -> Floats:
-    """Return a score of each drawn position: 1 if it is free, less if it is occupied, and -1 if no agent may start there."""
+    """Return a score for each drawn position: 1 if it is free, less if it is occupied, -1 if no agent may start there."""
     score = np.where(draws.is_allowed, 1.0, -1.0)
     good_rows = np.flatnonzero(draws.is_allowed & is_wide[rows])
     score[good_rows] = occupancy.measure_freedom(draws.position[good_rows], radius[rows[good_rows]], order[rows[good_rows]])
@@ -302,14 +302,14 @@ def _join_draws(first: StartPositionDraws, second: StartPositionDraws) -> StartP
 
 
 def _compute_size_class(radius: Floats) -> NDArray[np.int64]:
-    """Return the size class of each radius. Radii in one class differ by less than a factor of 2."""
+    """Return the size class of each radius. Radii of the same class differ by less than a factor of 2."""
     return np.frexp(radius)[1].astype(np.int64)
 
 
 def _find_first_per_cell(place: Floats, radius: Floats, subdivisions: int) -> Rows:
-    """Return the first disc of each size class in each cell of a grid, ascending.
+    """Return, in ascending order, the first disc of each size class in each cell of a grid.
 
-    Two discs in one cell overlap, even if cells are not divided by `subdivisions`. So few discs remain that their pairs can be
+    Two discs in the same cell overlap, even without `subdivisions` of cells. So few discs remain, and their pairs can be
     counted."""
     size = _compute_size_class(radius)
     smallest = np.ldexp(0.5, size)  # smallest radius of the class

@@ -1,4 +1,4 @@
-"""Warnings about a crowd's start, after binding: too little space for all agents, or no path to the target of a flow."""
+"""Warnings about the start of crowds, after binding: too little space for all agents, or no path to the target of a flow."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _UNREACHABLE_HELP = (
 
 
 def find_start_warnings(scene: Scene, world: World) -> Report:
-    """Return warnings about the crowd of a world, each located in the scene."""
+    """Return warnings about the start of a world's crowds, each with its location in the scene."""
     report = find_crowding_warnings(scene, world)
     report.extend(find_far_targets(scene, world))
     for name, flow in world.setting.flows.items():
@@ -47,9 +47,9 @@ def find_start_warnings(scene: Scene, world: World) -> Report:
 
 
 def _measure_excessive_gap(world: World, name: str) -> float:
-    """Return the distance (mm) of a target from the ground if it exceeds a tenth of the ground's extent, else 0.
+    """Return the distance (mm) of a flow's target from the ground, or 0 if it is at most a tenth of the ground's extent.
 
-    Smaller distances, such as a target slightly above the ground, are not a problem."""
+    Smaller distances are normal, for example for a target slightly above the ground."""
     flow = world.flows[name]
     if not isinstance(flow, PathFlow) or flow.crossable_ground is None:
         return 0.0
@@ -58,14 +58,14 @@ def _measure_excessive_gap(world: World, name: str) -> float:
 
 
 def count_agents_with_path(world: World, species: str, flow: str) -> int:
-    """Return how many agents of a species can reach the target of a flow."""
+    """Return how many agents of a species have a path to the target of a flow."""
     population = world.populations[species]
     place, up = population.position.astype(np.float64), population.normal.astype(np.float64)
     return int(np.count_nonzero(world.flows[flow].has_flow_at(world.ground.meshes, population.footing, place, up)))
 
 
 def _find_flow_operations(species: SpeciesPlan) -> dict[str, set[str]]:
-    """Return, by flow name, the operations with which a species reads each flow."""
+    """Return, by flow name, the operations by which a species reads the flow."""
     uses: dict[str, set[str]] = {}
     operand_nodes = [
         node for _, block in list_blocks(species) for _, each in iterate_statements(block) for node in list_operands(each)
@@ -77,9 +77,9 @@ def _find_flow_operations(species: SpeciesPlan) -> dict[str, set[str]]:
 
 
 def find_crowding_warnings(scene: Scene, world: World) -> Report:
-    """Return warnings for crowd lines without space for all agents, each located at the place of the line.
+    """Return a warning for each crowd line without space for all its agents, located at the place of the line.
 
-    Lines with a place off all surfaces are skipped, because another check reports them."""
+    Lines with a place that is off all surfaces are skipped, because another check reports them."""
     report, setting = Report(), world.setting
     for line in world.overcrowded_lines:
         if is_away_from_surfaces(setting.crowds[line.group].place, setting, scene.model.up):
@@ -109,6 +109,6 @@ def find_crowding_warnings(scene: Scene, world: World) -> Report:
 
 
 def _round_up(value: float) -> str:
-    """Return the number as text, rounded up to two digits."""
+    """Return a number as text, rounded up to two significant digits."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     return f"{math.ceil(value / step) * step:g}"

@@ -45,7 +45,7 @@ class StartPositionSampler:
             )
 
     def estimate_area(self) -> float | None:
-        """Return the ground area (mm²) on which agents can start, or None if unknown. An area from samples has two digits."""
+        """Return the ground area (mm²) on which agents can start; None if unknown. Estimates from samples have two digits."""
         place = self.place
         if self.has_points or has_shape(place) or place.ray_origin is not None:
             return None
@@ -68,7 +68,7 @@ class StartPositionSampler:
         return total_area if share == 1 else float(f"{total_area * share:.1e}")
 
     def find_sufficient_radius(self, agent_area: float) -> float | None:
-        """Return a radius (mm) of the place at which agents that cover `agent_area` (mm²) fit, or None if there is none."""
+        """Return a radius (mm) of the place that suffices for agents that cover `agent_area` (mm²). None if there is none."""
         radius = self.place.radius
         for _ in range(_MAX_RADIUS_TRIES):
             if radius is None:
@@ -83,7 +83,7 @@ class StartPositionSampler:
     def fits_on_all_sides(self, agent_area: float) -> bool:
         """Return whether agents that cover `agent_area` (mm²) would fit on all sides of the surface, not only on its upper side.
 
-        It is False unless the agents start anywhere on a surface, placed from above."""
+        Always False unless the line starts agents anywhere on a surface, from above."""
         place = self.place
         if (
             self.has_points
@@ -97,8 +97,8 @@ class StartPositionSampler:
         return wider is not None and wider * MAX_RANDOM_COVERED_SHARE >= agent_area
 
     def draw(self, ids: Ids, tries: range) -> StartPositionDraws:
-        """Return start positions for each try in `tries`: first the positions of all agents for the first try, then for the
-        next."""
+        """Return start positions for each try in `tries`: the positions of all agents for the first try, then for the next try,
+        and so on."""
         world, place = self._world, self.place
         if has_shape(place):
             return self._draw_by_shape(ids, tries)
@@ -120,7 +120,7 @@ class StartPositionSampler:
     def _draw_by_shape(self, ids: Ids, tries: range) -> StartPositionDraws:
         """Return positions of a shape, such as ranks, lines or clumps, dropped onto the ground below.
 
-        Positions of edges, volumes and areas are moved to the nearest point of the ground instead."""
+        For edges, volumes and areas, return the nearest points of the ground instead."""
         world, place = self._world, self.place
         points = self._wrap_points([self._find_shape_points(ids, attempt) for attempt in tries])
         has_ground = np.ones(len(points), np.bool_)
@@ -135,12 +135,12 @@ class StartPositionSampler:
         return StartPositionDraws(footing, at, up, is_allowed)
 
     def _wrap_points(self, point_sets: list[Floats]) -> Floats:
-        """Concatenate the points (n, 3) mm of several sets. In a periodic world, move them into its box."""
+        """Concatenate sets of points (n, 3; mm). In a periodic world, move the points into its box."""
         points, periodic = np.concatenate(point_sets), self._world.periodic
         return points if periodic is None else periodic.box.wrap_points(points)
 
     def _find_shape_points(self, ids: Ids, attempt: int) -> Floats:
-        """Return the requested positions (n, 3) mm. Agents of a clump stand around one position of the place."""
+        """Return the positions (n, 3; mm) that the place defines. Agents of a clump start around a common position."""
         world, place = self._world, self.place
         numbers = world.crowd_lines[self._crowd.line_index].find_positions_in_line(ids)
         if place.clumps is None:
@@ -163,7 +163,7 @@ class StartPositionSampler:
         return randomness.draw_uniform(seed, PLACEMENT_FRAME, self._species, site, index, ids)
 
     def _find_target_points(self, ids: Ids, attempt: int, site: str = "place") -> Floats:
-        """Return the requested positions (n, 3) mm, from which agents are dropped onto the ground."""
+        """Return the positions (n, 3; mm) from which agents are dropped onto the ground."""
         world, place = self._world, self.place
         if place.points is not None and len(place.points):
             return np.asarray(place.points, np.float64)[ids % len(place.points)] - world.origin
@@ -181,7 +181,7 @@ class StartPositionSampler:
         return _draw_points_on_faces([self._get_ground_meshes[name] for name in self._surface_names], u, v, w) - world.origin
 
     def _draw_by_area(self, faces: FaceArea, ids: Ids, tries: range) -> StartPositionDraws:
-        """Return positions spread evenly over faces of any orientation, with up directions along their normals."""
+        """Return positions spread evenly over faces of any orientation. The up directions are the normals of the faces."""
         draws = [np.concatenate([self._draw_uniform(ids, 4 * attempt + k) for attempt in tries]) for k in range(4)]
         footing, up, can_stand = faces.draw_footings(*draws)
         at = self._world.ground.position(footing)
@@ -190,7 +190,7 @@ class StartPositionSampler:
     def _draw_by_rays(self, start: Floats, ids: Ids, tries: range) -> StartPositionDraws:
         """Return the first hits of rays from `start` in random directions, with up directions towards `start`.
 
-        If a ray hits no mesh, or a mesh outside `on`, the result is the nearest surface, and no agent may start there."""
+        If a ray hits no mesh that `on` permits, return the nearest surface point, marked as not allowed."""
         world, meshes = self._world, self._world.ground.meshes
         assert meshes is not None
         mesh_numbers = [meshes.names.index(name) for name in (self.place.surfaces or meshes.names) if name in meshes.names]
@@ -212,7 +212,7 @@ class StartPositionSampler:
 def _draw_points_on_faces(
     meshes: list[MeshData], u: NDArray[np.float32], v: NDArray[np.float32], w: NDArray[np.float32]
 ) -> Floats:
-    """Return points spread evenly over the area of the given meshes, from random numbers u, v and w."""
+    """Return points spread evenly over the area of the given meshes. `u`, `v`, `w`: random numbers from 0 to 1."""
     corners = np.concatenate([m.vertices[m.faces] for m in meshes])
     edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = vec.cross(vec.split_columns(edge, np.float64), vec.split_columns(other, np.float64))
@@ -225,7 +225,7 @@ def _draw_points_on_faces(
 
 
 def is_inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
-    """Return a mask of points inside an obstacle. A ray upwards from such a point first hits the back of a face."""
+    """Return a mask of the points that are inside an obstacle: an upward ray from the point first hits the back of a face."""
     is_inside = np.zeros(len(points), np.bool_)
     up = np.broadcast_to(world.up, points.shape)
     for name in world.plan.obstacles:

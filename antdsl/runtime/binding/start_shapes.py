@@ -1,6 +1,6 @@
-"""The shapes of crowds at the start: ranks, curves, borders, volumes and clumps. Also the directions that agents face.
+"""The shapes that crowds have at the start: ranks, curves, borders, volumes and clumps. Also the directions that agents face.
 
-Positions and directions are those of the current frame: curves, surfaces and items may move."""
+Positions and directions are for the current frame, because curves, surfaces and items may move."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PAIRS_PER_BLOCK = 1 << 20  # pairs of position and edge that are measured at on
 
 
 def locate_place(world: World, place: PlacementData) -> PlacementData:
-    """Return a place with its centre at the current position of the item that the scene names as its centre."""
+    """Return a place with its centre at the current position of the item that the scene names as the centre."""
     centre = place.centre_item
     if centre is None or centre.items not in world.setting.motion.items or centre.items not in world.items:
         return place
@@ -34,12 +34,12 @@ def locate_place(world: World, place: PlacementData) -> PlacementData:
 
 
 def has_shape(place: PlacementData) -> bool:
-    """Return whether a place has one of the shapes of this module."""
+    """Return whether the shape of a place is one of those in this module."""
     return any(part is not None for part in (place.ranks, place.curve_name, place.border_surface, place.volume, place.clumps))
 
 
 def draw_shape_points(world: World, place: PlacementData, numbers: Ids, draw: Draw) -> Floats:
-    """Return positions (n, 3; mm) on a line or an edge, in a volume or in ranks, relative to the world's origin.
+    """Return positions (n, 3; mm) on a line or an edge, in a volume or in ranks. They are relative to the world's origin.
 
     `numbers`: the number of each agent in its crowd line. `draw`: returns random numbers by their index."""
     if place.ranks is not None:
@@ -59,7 +59,7 @@ def draw_shape_points(world: World, place: PlacementData, numbers: Ids, draw: Dr
 
 
 def draw_disc(world: World, radius: float, u: NDArray[np.float32], v: NDArray[np.float32]) -> Floats:
-    """Return offsets (n, 3; mm) from the centre of a level disc, evenly distributed in it. `u`, `v`: random numbers."""
+    """Return offsets (n, 3; mm) from the centre of a horizontal disc, spread evenly over it. `u`, `v`: random numbers."""
     away, angle = np.sqrt(u).astype(np.float64) * radius, v * FULL_TURN
     up = vec.split_columns(np.broadcast_to(world.up, (len(u), 3)), np.float64)
     side = vec.find_perpendicular(up)
@@ -81,7 +81,7 @@ def _draw_in_volume(volume: VolumeData, draw: Draw) -> Floats:
 
 
 def _find_segments(world: World, place: PlacementData) -> tuple[Floats, Floats]:
-    """Return the starts and the ends (m, 3) of the straight pieces of the place's curve or border."""
+    """Return the start and the end (m, 3) of each straight segment of the place's curve or border."""
     if place.curve_name is not None:
         samples = world.curves[place.curve_name].samples
         return (samples[:-1], samples[1:]) if len(samples) > 1 else (samples, samples)
@@ -90,7 +90,7 @@ def _find_segments(world: World, place: PlacementData) -> tuple[Floats, Floats]:
 
 
 def _find_border(world: World, place: PlacementData) -> BorderEdges:
-    """Return the open border of the place's surface; if there is none, return no edges."""
+    """Return the edges of the open border of the place's surface; no edges if it has no border."""
     meshes = world.ground.meshes
     none = np.empty((0, 3))
     if meshes is None or place.border_surface not in meshes.names:
@@ -99,7 +99,7 @@ def _find_border(world: World, place: PlacementData) -> BorderEdges:
 
 
 def _compute_ranks(world: World, place: PlacementData, ranks: RanksData, numbers: Ids) -> Floats:
-    """Return positions in ranks. These are centred at the place, with the first rank in front."""
+    """Return the positions of agents in ranks. The first rank is in front, and the ranks are centred at the place."""
     middle = np.asarray(place.disc_centre or (0.0, 0.0, 0.0), np.float64) - world.origin
     up, facing = world.up, place.facing
     ahead = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
@@ -117,7 +117,7 @@ def _compute_ranks(world: World, place: PlacementData, ranks: RanksData, numbers
 
 
 def compute_facing(world: World, crowd: CrowdData, position: Floats) -> Floats | None:
-    """Return the directions (n, 3) that agents of a line face at their positions, 0 for agents without a direction.
+    """Return the direction (n, 3) that each agent of a line faces at its position; 0 for agents without a direction.
 
     None if the scene sets no direction, so that headings are random."""
     place = locate_place(world, crowd.place)
@@ -154,7 +154,7 @@ def _find_centre(place: PlacementData) -> Floats:
 
 
 def _find_nearest_edges(border: BorderEdges, position: Floats) -> NDArray[np.intp] | None:
-    """Return the number of the edge nearest to each position; None without edges."""
+    """Return the index of the edge nearest to each position. None if there are no edges."""
     if not len(border.start):
         return None
     step = border.end - border.start

@@ -1,4 +1,4 @@
-"""Random points on surfaces, on faces of any orientation. They are distributed evenly, or by a density that a map defines."""
+"""Random points on surfaces, on faces of any orientation. They are distributed evenly, or with a density that a map defines."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _QUARTER_CORNERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FaceArea:
-    """The m triangles in which positions are drawn. Each is one of k faces, or a part of a face.
+    """The m triangles on which positions are drawn. Each is one of k faces, or a part of it.
 
-    `first_corner`, `edge1`, `edge2` (k, 3; mm): the first corner of each face relative to the world's origin, and the edges from
-    it. `ball`: the centre and the radius (mm) of the ball in which positions must be, or None."""
+    `first_corner`, `edge1`, `edge2` (k, 3; mm): the first corner of each face relative to the world's origin, and the two edges
+    from it. `ball`: the centre and the radius (mm) of the ball in which positions must be, or None."""
 
     world: World
     mesh_numbers: NDArray[np.int32]  # (k) the mesh of each face; numbers of solids follow those of meshes
@@ -43,10 +43,10 @@ class FaceArea:
     def draw_points(
         self, u: NDArray[np.float32], *draws: NDArray[np.float32]
     ) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
-        """Return random points: their faces (n), weights b1 (n) and b2 (n), and positions (n, 3; mm). Each point uses four
-        draws. A linear density in a triangle is a mixture of three densities, each proportional to one corner's weight. The
-        gaps between sorted draws, with two gaps merged, have these densities (L. Devroye, Non-Uniform Random Variate
-        Generation, 1986, V.2, XI.4). If there are no triangles, the face is -1 and the position zero."""
+        """Return random points: faces (n), weights b1 (n) and b2 (n), and positions (n, 3; mm). `u`: four random numbers per
+        point. A linear density in a triangle is a mixture of three densities, each proportional to the weight of one corner. The
+        gaps between sorted random numbers, with two gaps merged, have these densities (L. Devroye, Non-Uniform Random Variate
+        Generation, 1986, V.2, XI.4). Without triangles, the face is -1 and the position 0."""
         if not len(self.cumulative_area):
             return np.full(len(u), -1), np.zeros(len(u)), np.zeros(len(u)), np.zeros((len(u), 3))
         pick = np.searchsorted(self.cumulative_area, u.astype(np.float64) * self.cumulative_area[-1], side="right")
@@ -64,8 +64,8 @@ class FaceArea:
         return face, b1, b2, place
 
     def draw_footings(self, *draws: NDArray[np.float32]) -> tuple[Footing, Floats, Flags]:
-        """Return the footings of random points, the normals of their faces (n, 3), and a mask of points where an agent can
-        stand. These must be inside the ball and outside all solids."""
+        """Return the footings of random points, the normals of their faces (n, 3), and a mask of points where an agent can stand.
+        Agents can stand on points that are inside the ball and outside all solids."""
         face, b1, b2, place = self.draw_points(*draws)
         if not len(self.cumulative_area):
             return Footing.create_unplaced(len(face)), np.array(np.broadcast_to(self.world.up, place.shape)), face >= 0
@@ -83,7 +83,7 @@ class FaceArea:
         return self._snap_to_solids(footing, place, up, can_stand)
 
     def _snap_to_solids(self, on_mesh: Footing, place: Floats, up: Floats, can_stand: Flags) -> tuple[Footing, Floats, Flags]:
-        """Move points on solids to the current surface of the solid. Return the results of `draw_footings` for these points."""
+        """Move points on a solid to the current surface of the solid. Return the same values as `draw_footings`."""
         ground, footing = self.world.ground, on_mesh.with_position_columns()
         first = len(ground.names) - len(self.world.solids)
         for k, (name, volume) in enumerate(self.world.solids.items()):
@@ -101,10 +101,10 @@ class FaceArea:
 def find_face_area(
     world: World, names: tuple[str, ...], density: str | None, around: PointMm | None, radius: float | None
 ) -> FaceArea:
-    """Return the faces of surfaces and solids `names` at their current positions, from which positions are drawn.
+    """Return the faces of the surfaces and solids `names`, at their current positions, for drawing positions.
 
-    `around`, `radius` (mm): the ball in which positions must be. `density`: the map that gives their density. If the ball
-    contains no face, it is enlarged until it reaches its original radius beyond the nearest face."""
+    `around`, `radius` (mm): the ball in which positions must be. If it contains no face, it is enlarged until it extends by its
+    original radius beyond the nearest face. `density`: the map that gives the density of positions."""
     mesh, local, corner, edge1, edge2, weight = _collect_faces(world, names, density)
     face, weights = np.arange(len(mesh)), np.broadcast_to(_CORNER_WEIGHTS, (len(mesh), 3, 2))
     ball = None
@@ -129,9 +129,10 @@ _FaceArrays = tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats, Floats
 
 
 def _collect_faces(world: World, surface_names: tuple[str, ...], density: str | None) -> _FaceArrays:
-    """Return all faces of surfaces `surface_names` that have an area, as six arrays.
+    """Return all faces with an area above 0 of the surfaces `surface_names`, as six arrays.
 
-    They are the mesh, the number in the mesh, the first corner, both edges from it, and the density at the corners (k, 3)."""
+    The arrays are: the mesh, the face's number in the mesh, the first corner, the two edges from it, and the density at the
+    corners (k, 3)."""
     ground = world.ground.meshes
     face_groups: list[_FaceArrays] = []
     if ground is not None:
@@ -159,9 +160,9 @@ def _collect_faces(world: World, surface_names: tuple[str, ...], density: str | 
 def _triangulate_ball_faces(
     ball: tuple[Floats, float], corner: Floats, edge1: Floats, edge2: Floats
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return triangles that cover the part of the faces within a ball: the face of each (m), and its corners' weights (m, 3, 2).
+    """Return triangles that cover the part of the faces inside a ball: the face of each (m), and its corners' weights (m, 3, 2).
 
-    A triangle that extends beyond the ball is divided into four while it is larger than half the radius."""
+    A triangle that extends beyond the ball is divided into four, until it is smaller than half the radius."""
     middle, radius = ball
     face, weights = np.arange(len(corner)), np.broadcast_to(_CORNER_WEIGHTS, (len(corner), 3, 2))
     pieces: list[tuple[NDArray[np.int64], Floats]] = []
@@ -182,11 +183,11 @@ def _triangulate_ball_faces(
 
 
 def _cut_triangles(face: NDArray[np.int64], weights: Floats, corners: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Divide triangles into four at the midpoints of their edges. Return the faces and the corners' weights of the parts.
+    """Divide each triangle into four at the midpoints of its edges. Return the faces and the corners' weights of the parts.
 
-    `face`, `weights`: the face of each triangle, and the weights of its corners. `corners` (m, 3, 3): its corners (mm).
-    Thin triangles are divided into two at the midpoint of the longest edge. Otherwise the number of
-    quarters in the ball would grow without limit."""
+    `face`, `weights`: the face of each triangle, and the weights of its corners. `corners` (m, 3, 3): its corners (mm). Thin
+    triangles are only divided into two, at the midpoint of the longest edge. Otherwise the number of parts in the ball would grow
+    without limit."""
     sides = ((np.roll(corners, -1, axis=1) - corners) ** 2).sum(axis=2)
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     thin = sides.max(axis=1) > _THIN_TRIANGLE_RATIO * np.sqrt((across * across).sum(axis=1))

@@ -1,4 +1,4 @@
-"""Estimates of the memory that is needed to bind a scene, from extents and areas, before any allocation."""
+"""Estimates of the memory that binding a scene needs, from extents and areas, before anything is allocated."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ _BYTES_PER_LEG = 550  # bytes of a walking leg
 
 
 class WorkEstimate(NamedTuple):
-    """The cost of one thing of the world: the number of its parts, the plural name of these parts, and approximate bytes."""
+    """The memory that a thing of the world needs: the number of its parts, the plural name of the parts, and approximate
+    bytes."""
 
     thing: str
     part_count: int
@@ -33,11 +34,10 @@ class WorkEstimate(NamedTuple):
 def estimate_world_work(
     setting: WorldSetting, fields: Mapping[str, tuple[tuple[str, ...], float]], agent_bytes: Mapping[str, int]
 ) -> list[WorkEstimate]:
-    """Return the estimate for each thing of a setting.
+    """Return an estimate for each thing of a setting. Pairs of neighbours and contacts are not included.
 
-    `fields`: for each field, its surfaces and the edge (mm) of its cells.
-    `agent_bytes`: the size of the registers of one agent of each species; a step has two copies.
-    Pairs of neighbours and contacts are not included."""
+    `fields`: for each field, its surfaces and the edge length (mm) of its cells. `agent_bytes`: for each species, the size of one
+    agent's registers; a step needs two copies."""
     return [
         *_estimate_meshes(setting),
         *_estimate_fields(setting, fields),
@@ -47,7 +47,7 @@ def estimate_world_work(
 
 
 def _saturate_count(count: float) -> int:
-    """Convert an estimate to an integer. Very large and infinite values are limited."""
+    """Return an estimated number as an integer, limited to a maximum, because it may be infinite."""
     return int(min(count, 2.0**62)) if count > 0 else 0
 
 
@@ -87,14 +87,14 @@ def _estimate_flows(setting: WorldSetting) -> Iterator[WorkEstimate]:
 
 
 def _measure_surface_extent(setting: WorldSetting) -> float:
-    """Return the longest side (mm) of the box around all surfaces."""
+    """Return the longest side (mm) of the bounding box of all surfaces."""
     boxes = [[mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)] for mesh in setting.surfaces.values() if len(mesh.vertices)]
     corners = np.concatenate(boxes) if boxes else np.zeros((1, 3))
     return float(np.ptp(corners, axis=0).max())
 
 
 def _measure_longest_edges(mesh: MeshData) -> Floats:
-    """Return the longest edge (mm) of each face."""
+    """Return the length of the longest edge (mm) of each face."""
     corners = mesh.vertices[mesh.faces]
     edges = corners[:, [1, 2, 0]] - corners
     longest: Floats = np.sqrt((edges * edges).sum(axis=2)).max(axis=1) if len(corners) else np.zeros(0)

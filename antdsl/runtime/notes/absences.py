@@ -1,4 +1,4 @@
-"""Removes agents that never appear, because of the notes `without` and `thin`. They are removed at birth, before they act.
+"""Removes the agents that the notes `without` and `thin` exclude. They are removed at birth, before they act.
 
 Their ids and start positions stay reserved, so all other agents are the same as without the note."""
 
@@ -19,9 +19,9 @@ _THIN_SITE = "note.thin"
 
 
 def remove_absent(world: World, notes: Iterable[Note], first_rows: dict[str, int], is_start: bool) -> None:
-    """Remove agents that never appear. `first_rows`: by species, the first row of the agents that are just born.
+    """Remove newborn agents that notes exclude. `first_rows`: by species, the row of the first newborn agent.
 
-    `is_start`: whether these are the agents of the crowd; only these are thinned."""
+    `is_start`: whether these are agents that the scene places; only such agents are thinned out."""
     absences = [note for note in notes if isinstance(note, WithoutNote) or (is_start and isinstance(note, ThinNote))]
     if not absences:
         return
@@ -37,7 +37,7 @@ def remove_absent(world: World, notes: Iterable[Note], first_rows: dict[str, int
 
 
 def _thin_out(world: World, species: str, mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
-    """Return which of the agents in a mask are absent. The fraction `share` of them, with the greatest random draws, stays."""
+    """Return a mask of the agents in `mask` to remove. The fraction `share` of them, with the least random draws, remains."""
     rows = np.flatnonzero(mask)
     ids = world.populations[species].ids[rows]
     draws = draw_uniform(world.setting.seed, 0, species, _THIN_SITE, 0, ids)

@@ -1,4 +1,4 @@
-"""Verbs that raise the events of `note_programs`: changes of state, clips and looks."""
+"""Verbs that change states, play clips and turn gazes, by raising events of `note_programs`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FAR_MM = 1e6  # mm, at which agents look that look in a direction
 
 
 def change_states(agents: NoteAgents) -> None:
-    """Raise the event of a `change`. This is its only frame."""
+    """Raise the event of a `change` note, which lasts for one frame."""
     note, population = agents.active.note, agents.population
     assert isinstance(note, ChangeNote)
     for machine in population.plan.machines:
@@ -33,7 +33,7 @@ def change_states(agents: NoteAgents) -> None:
 
 
 def show_displays(agents: NoteAgents) -> None:
-    """Raise the events of the clip and the looks of a note, and set the points that its agents look at."""
+    """Raise the events for the clip and the looks of a note, and set the points at which its agents look."""
     note = agents.active.note
     agents = select_inside(agents.select(agents.world.display_frame <= find_last_frames(note, agents.delays)))  # others fade out
     population, rows = agents.population, agents.rows
@@ -54,7 +54,7 @@ def show_displays(agents: NoteAgents) -> None:
 
 
 def end_displays(world: World, population: Population) -> None:
-    """Raise the events that end clips and looks of all agents for which no note requests any in this step."""
+    """Raise the events that end clips and looks, for all agents of which no note requests any in this step."""
     for machine in population.plan.machines:
         off = format_event_name(machine.name, OFF_STATE_NAME)
         if off in population.events:

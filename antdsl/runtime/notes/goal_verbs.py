@@ -1,4 +1,4 @@
-"""Verbs that lead agents somewhere: `reach` and `path`."""
+"""Verbs that lead agents to a target: `reach` and `path`."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ _NOT_LEFT = np.iinfo(np.int64).min  # stands for the frame of a departure that h
 
 
 class Journey(NamedTuple):
-    """Agents on their way to a target, at the start of a step.
+    """The motion of agents towards a target, at the start of a step.
 
-    `velocity` (k, 3) mm/s: the velocity with which they arrive in time. `share` (k,): its weight in what states steer.
-    `urgency` (k,): its weight in the result of all layers."""
+    `velocity` (k, 3) mm/s: the velocity at which they arrive in time. `share` (k,): its weight in what states steer. `urgency`
+    (k,): its weight in the result of all layers."""
 
     velocity: Floats
     share: Floats
@@ -43,7 +43,7 @@ class Journey(NamedTuple):
 
 
 def lead_to_target(agents: NoteAgents, register: str, is_final: bool) -> None:
-    """Lead agents of a `reach` to their target."""
+    """Steer the agents of a `reach` note to their target."""
     note = agents.active.note
     assert isinstance(note, ReachNote)
     journey = find_journey(agents, find_reach_goal(agents, note), note.frame + agents.delays)
@@ -51,7 +51,7 @@ def lead_to_target(agents: NoteAgents, register: str, is_final: bool) -> None:
 
 
 def find_reach_goal(agents: NoteAgents, note: ReachNote) -> TargetPoints | NearestOnMesh | OwnPoints:
-    """Return the target of a `reach`. The order of its agents along a curve is stored, and computed again when other agents
+    """Return the target of a `reach` note. If it is a curve, the order of its agents is stored, and computed again when agents
     join."""
     if note.target is not None:
         return find_goal(agents.world, note.target)
@@ -67,12 +67,12 @@ def find_reach_goal(agents: NoteAgents, note: ReachNote) -> TargetPoints | Neare
 
 
 def _read_ranks(agents: NoteAgents) -> NDArray[np.int64]:
-    """Return the ids and ranks (k, 2) of agents along the curve of their note, as they are remembered."""
+    """Return the ids of agents and their ranks along the note's curve (k, 2), from the note's memory."""
     return agents.read_memory("places", np.empty((0, 2), np.int64))
 
 
 def lead_along_path(agents: NoteAgents, register: str, is_final: bool) -> None:
-    """Lead agents of a `path` to its beginning, then along it."""
+    """Steer the agents of a `path` note to the beginning of the path, then along it."""
     note, world = agents.active.note, agents.world
     assert isinstance(note, PathNote)
     count = len(agents.rows)
@@ -96,9 +96,9 @@ def lead_along_path(agents: NoteAgents, register: str, is_final: bool) -> None:
 
 
 def find_journey(agents: NoteAgents, target: TargetPoints | NearestOnMesh | OwnPoints, frames: NDArray[np.int64]) -> Journey:
-    """Return the journey of agents that are to be at a target in their frames (k,).
+    """Return the journey of agents that must be at a target in `frames` (k,), one frame per agent.
 
-    Each agent leaves as late as it can without hurrying, and stays away from the target until then."""
+    Each agent leaves as late as it can without hurrying. Until then, it stays away from the target."""
     world, p, rows = agents.world, agents.population, agents.rows
     offset, distance = target.find_nearest(p.position[rows])
     direction, most = lay_on_ground(p, rows, offset), read_max_speeds(p, rows)
@@ -119,7 +119,7 @@ def find_journey(agents: NoteAgents, target: TargetPoints | NearestOnMesh | OwnP
 
 
 def compute_turn_seconds(heading: Floats, direction: Floats, max_turn: Floats) -> Floats:
-    """Return how long (s) agents take to turn to a direction (k, 3); 0 where it is zero."""
+    """Return how long (s) agents take to turn from `heading` to `direction` (k, 3). It is 0 where `direction` is 0."""
     across = length(np.cross(heading, direction))
     angle = elementary.atan2(across.astype(np.float32), dot(heading, direction).astype(np.float32)).astype(np.float64)
     return np.where(np.isfinite(max_turn), angle / np.maximum(max_turn, 1e-6), 0.0)
@@ -131,9 +131,9 @@ def _compute_urgency(speed: Floats, max_speed: Floats) -> Floats:
 
 
 def _record_departures(agents: NoteAgents, leaves: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the frame in which each agent left for its target; `_NOT_LEFT` for agents that have not left.
+    """Return the frame in which each agent left for its target, `_NOT_LEFT` for agents that have not left yet.
 
-    `leaves`: agents that leave now, unless they left earlier."""
+    `leaves`: a mask of the agents that leave now, unless they have already left."""
     known = agents.read_memory("departures", np.empty((0, 2), np.int64))
     at, has_left = match_ids(agents.ids, known[:, 0])
     frames = np.where(leaves, agents.world.display_frame, _NOT_LEFT)

@@ -1,4 +1,4 @@
-"""The notes of a running world: the affected agents, and the values stored between steps."""
+"""The notes of a running world: the agents to which they apply, and the values that they store between steps."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ _PACE_KEY = "pace"  # of the shares of the speed in the last step
 
 @dataclass(slots=True, eq=False)
 class NoteRun:
-    """The notes of a world, by the keys that identify them in the memory.
+    """The notes of a world, by the keys that they have in the memory.
 
-    `memory`: arrays by name that a later step needs: the ids that a selector of positions or states found, and the shares of the
-    speed in the last step. `active`: the notes of this step. `paces`: by species, of this step. `outlines`: a
-    cache, by thing and frame."""
+    `memory`: named arrays for later steps: ids found by selectors of positions or states, and the fractions of speed of the last
+    step. `active`: the active notes of this step. `paces`: the fractions of speed in this step, by species. `outlines`: a cache,
+    by thing and frame."""
 
     notes: Mapping[str, Note]
     memory: dict[str, NDArray[Any]] = field(default_factory=dict)
@@ -53,7 +53,7 @@ class NoteRun:
 
     @staticmethod
     def of(setting: WorldSetting) -> NoteRun | None:
-        """Return the notes of a setting; None without notes."""
+        """Return the notes of a setting. None if it has no notes."""
         notes: dict[str, Note] = {}
         counts: Counter[str] = Counter()  # equal notes have different keys
         for note in setting.notes:
@@ -64,13 +64,13 @@ class NoteRun:
         return NoteRun(notes) if notes else None
 
     def restore_memory(self, memory: Mapping[str, NDArray[Any]]) -> None:
-        """Store copies of the arrays that belong to these notes, and no other arrays."""
+        """Replace the memory by copies of those arrays that belong to these notes."""
         self.memory = {n: array.copy() for n, array in memory.items() if n.partition(".")[0] in {_PACE_KEY, *self.notes}}
 
     # --- stages of a step ---------------------------------------------------------------------------------------------
 
     def begin_step(self, world: World) -> None:
-        """Find the active notes and their agents, and the agents that move at another speed."""
+        """Find the active notes and their agents, and the agents that move at another speed than usual."""
         frame: SelectableFrame | None = None
         self.active.clear()
         for key, note in self.notes.items():
@@ -85,30 +85,30 @@ class NoteRun:
         self._begin_paces(world)
 
     def change_wishes(self, world: World, register: str) -> None:
-        """Mix the wishes of notes into what states steer, or into the result of the layers."""
+        """Mix the wishes of notes into a register: into what states steer, or into the result of the layers."""
         for functions, agents in self._iterate_agents(world):
             is_mixed = has_state_wish(agents.population)
             if functions.wish is not None and (is_mixed or register == FINAL_WISH):
                 functions.wish(agents, register, is_mixed and register == FINAL_WISH)
 
     def set_values(self, world: World) -> None:
-        """Set the attributes of agents."""
+        """Set attributes of agents as the active notes request."""
         for functions, agents in self._iterate_agents(world):
             if functions.values is not None:
                 functions.values(agents)
 
     def remove_absent(self, world: World, first_rows: dict[str, int], *, is_start: bool = False) -> None:
-        """Remove agents that never appear, among newborn agents. `first_rows`: by species, the row of the first newborn agent."""
+        """Remove newborn agents that notes exclude. `first_rows`: by species, the row of the first newborn agent."""
         remove_absent(world, self.notes.values(), first_rows, is_start)
 
     def begin_move(self, world: World) -> None:
-        """Prepare the species with agents that move at another speed."""
+        """Scale the limits of agents that move at another speed than usual."""
         for name, paces in self.paces.items():
             paces.scale_limits(world.populations[name])
 
     def cut_steps(self, world: World, population: Population, motion: tuple[VectorArrays, VectorArrays], dt: float) -> None:
-        """Shorten the steps and velocities of a species where notes forbid them. `motion`: steps (mm) and velocities (mm/s) of
-        a substep of `dt` s."""
+        """Shorten the steps of a species where notes forbid them. `motion`: steps (mm) and velocities (mm/s), changed in place,
+        for a substep of `dt` s."""
         for active in self.active:
             cut = VERBS[active.note.verb].step
             if cut is None or population.name not in active.rows:
@@ -122,9 +122,9 @@ class NoteRun:
                 motion[1][k][rows[at]] = steps[at, k] / dt
 
     def cut_pushes(self, world: World, starts: Mapping[str, NDArray[np.float64]], dt: float) -> None:
-        """Walk agents back that contacts pushed to positions that notes forbid.
+        """Walk agents back if contacts have pushed them to positions that notes forbid.
 
-        `starts`: by species, positions (n, 3) mm at the start of a substep of `dt` s."""
+        `starts`: by species, the positions (n, 3) mm at the start of the substep of `dt` s."""
         cuts = [(active, cut) for active in self.active if (cut := VERBS[active.note.verb].step) is not None and active.rows]
         crowd = CapsuleCrowd(world) if cuts else None
         for active, cut in cuts:
@@ -146,7 +146,7 @@ class NoteRun:
                     )
 
     def end_move(self, world: World) -> None:
-        """Restore the limits of agents that moved at another speed, and record the agents that missed their target."""
+        """Restore the limits that `begin_move` changed, and record agents that missed their target."""
         for name, paces in self.paces.items():
             paces.restore_limits(world.populations[name])
         missed = (find_missed_target(agents) for _, agents in self._iterate_agents(world))
@@ -155,12 +155,12 @@ class NoteRun:
     # --- agents -------------------------------------------------------------------------------------------------------
 
     def _may_hold(self, world: World, key: str, note: Note) -> bool:
-        """Return whether a note may apply to any agent in this step."""
+        """Return whether a note may apply to at least one agent in this step."""
         most = find_greatest_delay(world, key, self.memory)
         return bool(compute_ease_weight(note.first_frame, note.last_frame + most, note.ease_frames, world.display_frame))
 
     def _activate(self, world: World, key: str, note: Note, frame: SelectableFrame) -> ActiveNote:
-        """Return a note with the agents for which it holds in this step."""
+        """Return a note together with the agents to which it applies in this step."""
         rows = self._find_rows(world, key, note, frame)
         delays = find_delays(world, note, rows, self.memory, key)
         if note.delay_rule is not None:
@@ -170,8 +170,8 @@ class NoteRun:
         return ActiveNote(note, key, {name: own for name, own in rows.items() if len(own)}, delays)
 
     def _find_rows(self, world: World, key: str, note: Note, frame: SelectableFrame) -> dict[str, Rows]:
-        """Return the living agents of a note, by species. Selectors of positions and states are evaluated once, when the note
-        begins."""
+        """Return the living agents that a note selects, by species. Selectors of positions and states are evaluated only when the
+        note begins."""
         selector = note.selector
         names = {species: f"{key}.{species}.ids" for species in world.populations}
         if not needs_frame(selector):
@@ -190,7 +190,7 @@ class NoteRun:
                 yield VERBS[active.note.verb], NoteAgents(world, active, world.populations[species])
 
     def _begin_paces(self, world: World) -> None:
-        """Compute the fraction of its speed at which each agent moves. It is the product of the fractions that all notes give."""
+        """Compute for each agent the fraction of its speed at which it moves: the product of the fractions of active notes."""
         shares: dict[str, NDArray[np.float32]] = {}
         for functions, agents in self._iterate_agents(world):
             if functions.pace is not None:

@@ -1,5 +1,5 @@
-"""Outlines of things, as seen from above, in the current and later frames. Meshes are convex polygons, items and agents are
-circles, cameras are points."""
+"""Outlines of things as seen from above, in current and later frames. Outlines of meshes are convex polygons, those of items and
+agents are circles, and those of cameras are points."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ _PAIRS_PER_BLOCK = 1 << 18  # pairs of a point and an edge that are measured at 
 
 
 class Outline(NamedTuple):
-    """A convex polygon along the ground's two axes, with corners (k, 2) mm in order, widened by `margin` mm.
+    """A convex polygon in the ground's two axes, with corners (k, 2) mm in order, widened by `margin` mm.
 
-    Fewer than three corners are points or a line."""
+    One or two corners stand for a point or a line."""
 
     corners: Floats
     margin: float
 
 
 def find_outlines(world: World, thing: AnySelector, frame: int) -> list[Outline]:
-    """Return the outlines of a mesh, an item, items, a camera or agents at a frame. Outlines of agents are extrapolated from
-    their velocity. All others are cached, because later steps need the same frames."""
+    """Return the outlines of a mesh, items, a camera or agents at a frame. For agents, positions are extrapolated from
+    velocities. All other outlines are cached, because later steps need the same frames."""
     assert world.notes is not None
     if find_own_agents(world, thing):
         return _predict_agents(world, thing, frame)
@@ -48,7 +48,7 @@ def find_outlines(world: World, thing: AnySelector, frame: int) -> list[Outline]
 
 
 def find_own_agents(world: World, thing: AnySelector) -> Mapping[str, NDArray[np.bool_]]:
-    """Return, by species, the agents that a thing consists of; nothing for meshes, items and cameras."""
+    """Return, by species, a mask of the agents of which a thing consists. Empty for meshes, items and cameras."""
     setting, name = world.setting, thing.name if isinstance(thing, AgentName) and thing.first is None else ""
     items = (each for group, members in setting.items.items() for each in (group, *(item.name for item in members)))
     if name and (name in setting.obstacles or name in setting.surfaces or name in items or _find_camera(world, thing)):
@@ -57,7 +57,7 @@ def find_own_agents(world: World, thing: AnySelector) -> Mapping[str, NDArray[np
 
 
 def is_moving(world: World, thing: AnySelector) -> bool:
-    """Return whether a thing may be elsewhere in other frames."""
+    """Return whether a thing may have other positions in other frames."""
     camera = _find_camera(world, thing)
     return camera.data.is_moving if camera is not None else bool(world.setting.motion or find_own_agents(world, thing))
 
@@ -96,20 +96,20 @@ def _compute_outlines(world: World, name: str, frame: int) -> list[Outline]:
 
 
 def find_level_axes(world: World) -> NDArray[np.intp]:
-    """Return the two axes along the ground: x and z, or x and y."""
+    """Return the two axes along the ground: x and z, or x and y. Up is the third."""
     return np.flatnonzero(np.arange(3) != int(np.abs(world.up).argmax()))
 
 
 def find_centre(world: World, outlines: list[Outline]) -> Floats:
-    """Return the middle (3,) of outlines, along the ground's axes; 0 along the world's up."""
+    """Return the centre (3,) of outlines along the ground's axes. Its component along the world's up is 0."""
     centre = np.zeros(3)
     centre[find_level_axes(world)] = np.mean([outline.corners.mean(axis=0) for outline in outlines], axis=0) if outlines else 0.0
     return centre
 
 
 def measure_outlines(world: World, outlines: list[Outline], position: Floats, reach: float) -> tuple[Floats, Floats]:
-    """Return the distances (n,) mm of positions (n, 3) from the nearest outline, negative inside, and the directions out
-    (n, 3). Beyond `reach` (mm) the distance is inf."""
+    """Return the distance (n,) mm of each position (n, 3) from the nearest outline, negative inside, and the direction out of the
+    outline (n, 3). Beyond `reach` (mm), the distance is inf."""
     axes = find_level_axes(world)
     nearest, outward = np.full(len(position), np.inf), np.zeros((len(position), 3))
     for outline in outlines:
@@ -128,8 +128,8 @@ def measure_outlines(world: World, outlines: list[Outline], position: Floats, re
 
 
 def _find_hull(points: Floats) -> Floats:
-    """Return the corners of the convex hull of points (n, 2), counter-clockwise: A. M. Andrew, Another efficient algorithm for
-    convex hulls in two dimensions, IPL 1979."""
+    """Return the corners of the convex hull of points (n, 2), counter-clockwise. Source: A. M. Andrew, Another efficient
+    algorithm for convex hulls in two dimensions, IPL 1979."""
     ordered = np.unique(points, axis=0)
     chains = []
     for chain_points in (ordered, ordered[::-1]):
@@ -147,7 +147,7 @@ def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float,
 
 
 def _measure_polygon(corners: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Return the distances (n,) of points (n, 2) from a convex polygon, negative inside, and the directions out (n, 2)."""
+    """Return the distance (n,) of each point (n, 2) from a convex polygon, negative inside, and the direction outwards (n, 2)."""
     edge = np.roll(corners, -1, axis=0) - corners
     square = edge[:, 0] * edge[:, 0] + edge[:, 1] * edge[:, 1]
     divisor = np.where(square > 0, square, 1.0)

@@ -1,4 +1,4 @@
-"""Verbs that change how fast agents move: they return a share of the speed for each agent."""
+"""Verbs that change how fast agents move. They return, for each agent, the fraction of its speed at which it moves."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ Shares = NDArray[np.float32]
 
 
 def hold_agents(agents: NoteAgents) -> Shares:
-    """Return the speed share of agents that a `hold` or `release` note stops."""
+    """Return the speed fractions for a `hold` or `release` note, which stops agents."""
     return _mix_shares(agents, 0.0)
 
 
 def retime_agents(agents: NoteAgents) -> Shares:
-    """Return the share of a `retime`."""
+    """Return the speed fractions for a `retime` note."""
     assert isinstance(agents.active.note, RetimeNote)
     return _mix_shares(agents, agents.active.note.speed)
 

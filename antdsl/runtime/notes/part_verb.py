@@ -1,4 +1,4 @@
-"""The verb `part`: agents make way for something before it reaches them."""
+"""The verb `part`: agents make way for a thing before it reaches them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _URGENT_SHARE = 0.6  # of the need, from which on the other layers count less
 
 
 def make_way(agents: NoteAgents, register: str, is_final: bool) -> None:
-    """Lead agents of a `part` away from the outline, and out of its way."""
+    """Steer the agents of a `part` note away from the outline of the thing, and out of its path."""
     p, rows = agents.population, agents.rows
     need, direction = _find_needs(agents)
     share = apply_smoothstep((need - _URGENT_SHARE) / (1.0 - _URGENT_SHARE)) if is_final else need
@@ -30,7 +30,7 @@ def make_way(agents: NoteAgents, register: str, is_final: bool) -> None:
 
 
 def stop_at_outline(agents: NoteAgents, step: Floats) -> Floats:
-    """Return the steps (k, 3) mm of agents, cut at the outline in the new frame."""
+    """Return the steps (k, 3) mm of agents, cut off at the outline of the thing in the new frame."""
     note, world, p, rows = agents.active.note, agents.world, agents.population, agents.rows
     assert isinstance(note, PartNote)
     outlines = find_outlines(world, note.thing, world.display_frame)
@@ -42,7 +42,7 @@ def stop_at_outline(agents: NoteAgents, step: Floats) -> Floats:
 
 
 def _find_needs(agents: NoteAgents) -> tuple[Floats, Floats]:
-    """Return how much agents need to make way, from 0 to 1, and the direction (k, 3)."""
+    """Return how urgently each agent needs to make way (k,), 0 to 1, and in which direction (k, 3)."""
     note, world, p, rows = agents.active.note, agents.world, agents.population, agents.rows
     assert isinstance(note, PartNote)
     distance = note.distance.to_millimetres(world.setting.unit_mm)
@@ -66,7 +66,7 @@ def _find_needs(agents: NoteAgents) -> tuple[Floats, Floats]:
 
 
 def _find_excluded(agents: NoteAgents) -> NDArray[np.bool_]:
-    """Return a mask (k,) of the agents that belong to the thing that the others make way for."""
+    """Return a mask (k,) of the agents that are part of the thing for which the others make way."""
     note, p = agents.active.note, agents.population
     assert isinstance(note, PartNote)
     own = find_own_agents(agents.world, note.thing).get(p.name, np.zeros(len(p), np.bool_))
@@ -74,8 +74,8 @@ def _find_excluded(agents: NoteAgents) -> NDArray[np.bool_]:
 
 
 def _turn_aside(world: World, outward_directions: Floats, travel: Floats) -> Floats:
-    """Turn outward directions (k, 3) to the side of a thing that moves by `travel` (3,) mm, so that no agent runs in front of
-    it."""
+    """Turn outward directions (k, 3) to the side of a moving thing, so that agents do not run ahead of it. `travel` (3,): its
+    motion (mm)."""
     (distance,) = length(travel[None]).tolist()
     if distance < 1e-6:
         return outward_directions

@@ -1,4 +1,4 @@
-"""Verbs with a region: `slow`, `forbid`, `attract`, `repel` and `lane`."""
+"""Verbs that have a region: `slow`, `forbid`, `confine`, `attract`, `repel` and `lane`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from antdsl.scene.notes.notes_model import AttractNote, ConfineNote, ForbidNote,
 
 
 def slow_in_region(agents: NoteAgents) -> Shares:
-    """Return the shares of a `slow`."""
+    """Return the speed fractions for a `slow` note."""
     note, distances = agents.active.note, measure_note_region(agents)
     assert isinstance(note, SlowNote)
     share = compute_region_share(agents, None if distances is None else distances.outside)
@@ -23,14 +23,14 @@ def slow_in_region(agents: NoteAgents) -> Shares:
 
 
 def lead_out_of_region(agents: NoteAgents, register: str, is_final: bool) -> None:
-    """Steer agents out of the region of a `forbid`, or into the region of a `confine`."""
+    """Steer agents out of the region of a `forbid` note, or into the region of a `confine` note."""
     distances = measure_note_region(agents)
     assert distances is not None
     _wish_direction(agents, distances.outward_directions, compute_region_share(agents, distances.outside), register, is_final)
 
 
 def stop_at_region(agents: NoteAgents, step: Floats) -> Floats:
-    """Return the steps (k, 3) mm of agents, cut at the border of a `forbid` or `confine`."""
+    """Return the steps (k, 3) mm of agents, cut off at the border of a `forbid` or `confine` note's region."""
     distances = measure_note_region(agents)
     assert isinstance(agents.active.note, ForbidNote | ConfineNote) and distances is not None
     distances = distances._replace(outside=distances.outside - agents.population.now["radius"][agents.rows])
@@ -38,7 +38,7 @@ def stop_at_region(agents: NoteAgents, step: Floats) -> Floats:
 
 
 def lead_towards(agents: NoteAgents, register: str, is_final: bool) -> None:
-    """Lead agents towards the target of an `attract`, until they reach it."""
+    """Steer agents towards the target of an `attract` note until they reach it."""
     note = agents.active.note
     assert isinstance(note, AttractNote)
     offset, distance = find_goal(agents.world, note.target).find_nearest(agents.population.position[agents.rows])
@@ -46,7 +46,7 @@ def lead_towards(agents: NoteAgents, register: str, is_final: bool) -> None:
 
 
 def lead_away(agents: NoteAgents, register: str, is_final: bool) -> None:
-    """Lead agents away from the target of a `repel`."""
+    """Steer agents away from the target of a `repel` note."""
     note = agents.active.note
     assert isinstance(note, RepelNote)
     offset, distance = find_goal(agents.world, note.target).find_nearest(agents.population.position[agents.rows])
@@ -54,7 +54,7 @@ def lead_away(agents: NoteAgents, register: str, is_final: bool) -> None:
 
 
 def lead_along_lane(agents: NoteAgents, register: str, is_final: bool) -> None:
-    """Lead agents along the curve of a `lane`, and back to its middle."""
+    """Steer agents along the curve of a `lane` note, and back towards the curve."""
     note, world, position = agents.active.note, agents.world, agents.population.position[agents.rows]
     assert isinstance(note, LaneNote)
     closest = find_curve(world, note.along).find_closest(*position.T)
@@ -71,7 +71,7 @@ def lead_along_lane(agents: NoteAgents, register: str, is_final: bool) -> None:
 def _lead_by_distance(
     agents: NoteAgents, note: AttractNote | RepelNote, direction: Floats, distance: Floats, register: str, is_final: bool
 ) -> None:
-    """Lead agents in a direction: fully at the target, and not at all from the radius of the note on."""
+    """Steer agents in a direction, with full weight at the target, and with none beyond the radius of the note."""
     share = compute_region_share(agents, None) * np.isfinite(distance)
     if note.radius is not None:
         share *= apply_smoothstep(2.0 - 2.0 * distance / note.radius.to_millimetres(agents.world.setting.unit_mm))
@@ -79,7 +79,7 @@ def _lead_by_distance(
 
 
 def _wish_direction(agents: NoteAgents, direction: Floats, share: Floats, register: str, is_final: bool) -> None:
-    """Mix a wish for full speed in a direction into what agents steer."""
+    """Mix a wish for top speed in a direction into what states steer. Do nothing if `is_final`."""
     if is_final:
         return
     p, chosen = agents.population, np.flatnonzero(share > 0)

@@ -1,4 +1,4 @@
-"""Regions of notes: how far agents are outside them, and which direction leads out."""
+"""Regions of notes: the distance of agents from a region, and the direction that leads out of it."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from antdsl.scene.thing_models import convert_point
 
 
 class RegionDistances(NamedTuple):
-    """The distances of agents from a region. `outside` (n,): the distance (mm), negative inside. `outward_directions` (n, 3):
-    the unit direction out of the region, or away from it."""
+    """The distances of agents from a region. `outside` (n,): distances (mm), negative inside. `outward_directions` (n, 3): unit
+    vectors that point out of the region or, for agents outside, away from it."""
 
     outside: Floats
     outward_directions: Floats
@@ -55,7 +55,7 @@ def measure_region(world: World, region: NoteRegion, agents: NoteAgents) -> Regi
 
 
 def select_inside(agents: NoteAgents) -> NoteAgents:
-    """Return the agents that are inside the region of their note, or all agents if the note has no region."""
+    """Return the agents that are inside the region of their note. If the note has no region, return all agents."""
     note = agents.active.note
     if not isinstance(note, PassingNote) or note.inside is None:
         return agents
@@ -63,14 +63,15 @@ def select_inside(agents: NoteAgents) -> NoteAgents:
 
 
 def _measure_tube(offset: Floats, radius: float) -> RegionDistances:
-    """Return the distances from all points within `radius` mm of a line or point. `offset` (n, 3): from its nearest point to
-    each position."""
+    """Return the distances from the region within `radius` mm of a line or point. `offset` (n, 3): the vector from the nearest
+    point of the line to each position."""
     distance = length(offset)
     return RegionDistances(distance - radius, offset / np.where(distance > 1e-9, distance, np.inf)[:, None])
 
 
 def _measure_view(world: World, view: View, position: Floats) -> RegionDistances:
-    """Return the distances from the pyramid that a camera sees in the new frame: of its planes, the one that is farthest out."""
+    """Return the distances from the pyramid that a camera sees in the new frame. Of its planes, the one that is farthest outside
+    counts."""
     eye, ahead, sides = SensedCamera(world.setting.cameras[view.in_view], world.origin).find_pyramid(world.display_frame)
     bounds = [
         (axis, tangent * (2 * share - 1), sign)
@@ -85,7 +86,7 @@ def _measure_view(world: World, view: View, position: Floats) -> RegionDistances
 
 
 def _measure_box(world: World, box: Box, position: Floats) -> RegionDistances:
-    """Return the distances from a box. Inside it, the direction is along the ground, never to the top or bottom of the box."""
+    """Return the distances from a box. Inside it, directions are along the ground, never towards its top or bottom."""
     corners = np.array([convert_point(point, world.setting.unit_mm) for point in (box.corner, box.opposite)]) - world.origin
     middle, half = corners.mean(axis=0), np.abs(corners[1] - corners[0]) / 2
     offset = position - middle
@@ -104,9 +105,9 @@ def _measure_box(world: World, box: Box, position: Floats) -> RegionDistances:
 
 
 def compute_region_share(agents: NoteAgents, outside: Floats | None) -> Floats:
-    """Return the share (k,) of a note that its region, its falloff, its strength and its map leave for each agent.
+    """Return the weight (k,) of a note for each agent: its strength, reduced by region, falloff and map.
 
-    `outside`: the distances from the region; None if the note has none."""
+    `outside`: the distances from the region; None if the note has no region."""
     note, world = agents.active.note, agents.world
     assert isinstance(note, RegionNote)
     share = agents.weight * note.strength
@@ -120,7 +121,7 @@ def compute_region_share(agents: NoteAgents, outside: Floats | None) -> Floats:
 
 
 def measure_note_region(agents: NoteAgents) -> RegionDistances | None:
-    """Return the distances of the agents of a note from its region; None if it has none."""
+    """Return the distances of agents from the region of their note. None if the note has no region."""
     note = agents.active.note
     assert isinstance(note, RegionNote)
     if note.region is None:
@@ -130,13 +131,13 @@ def measure_note_region(agents: NoteAgents) -> RegionDistances | None:
 
 
 def invert_distances(distances: RegionDistances) -> RegionDistances:
-    """Return the distances from the outside of a region: its complement."""
+    """Return the distances from the complement of a region."""
     return RegionDistances(-distances.outside, -distances.outward_directions)
 
 
 def cut_inward_steps(agents: NoteAgents, distances: RegionDistances, step: Floats) -> Floats:
-    """Return steps (k, 3) mm of agents that end outside a region, or no deeper inside: they slide along its border. Steps of
-    agents for which the note is just beginning or ending are not changed."""
+    """Return the steps (k, 3) mm of agents, cut off so that they end outside a region, or no deeper inside. Agents slide along
+    its border. Steps of agents for which the note is just beginning or ending do not change."""
     normal = agents.population.normal[agents.rows].astype(np.float64)
     flat = distances.outward_directions - dot(distances.outward_directions, normal)[:, None] * normal
     size = length(flat)

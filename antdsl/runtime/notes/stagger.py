@@ -1,4 +1,4 @@
-"""Computes the delay, in frames, of a note for each of its agents."""
+"""The delay, in frames, of a note for each of its agents."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ Delays = NDArray[np.int64]
 def find_delays(
     world: World, note: Note, rows: Mapping[str, Rows], memory: dict[str, NDArray[Any]], key: str = ""
 ) -> dict[str, Delays]:
-    """Return by species the delays of agents in frames; 0 without a `stagger`.
+    """Return the delay of a note in frames for each of its agents, by species. It is 0 without a `stagger`.
 
-    `memory`: gets the ids and delays (n, 2) of all agents of the note, in the order of ids, below names with its `key`. A delay
-    stays. Agents without one get theirs from their position at the start of this step, or wait until the target exists."""
+    `memory`: stores the ids and delays (n, 2) of the note's agents, sorted by id, under names with `key`. Stored delays do not
+    change. Agents without one get theirs from their position at the start of this step, or wait until the target exists."""
     if note.delay_rule is None:
         return {name: np.zeros(len(own), np.int64) for name, own in rows.items()}
     ids = {name: world.populations[name].ids[own] for name, own in rows.items()}
@@ -49,7 +49,7 @@ def find_delays(
 
 
 def _has_target(world: World, stagger: Stagger) -> bool:
-    """Return whether the origin of a stagger exists now, or is not needed."""
+    """Return whether the origin of a stagger exists in this step. True if the stagger has no origin."""
     if stagger.origin is None:
         return True
     goal = find_goal(world, stagger.origin)
@@ -57,7 +57,7 @@ def _has_target(world: World, stagger: Stagger) -> bool:
 
 
 def find_greatest_delay(world: World, key: str, memory: Mapping[str, NDArray[Any]]) -> int:
-    """Return the greatest delay in frames that is stored for a note; 0 if there is none."""
+    """Return the greatest delay, in frames, that is stored for a note. 0 if none is stored."""
     known = (memory.get(_name_delays(key, name)) for name in world.populations)
     return max((int(own[:, 1].max(initial=0)) for own in known if own is not None), default=0)
 
@@ -67,7 +67,7 @@ def _name_delays(key: str, species: str) -> str:
 
 
 def _compute_delays(world: World, stagger: Stagger, ids: Mapping[str, Delays], known_count: int) -> dict[str, Delays]:
-    """Return the delays of agents with these ids, by species. `known_count`: how many agents have one already."""
+    """Return the delays of agents with these ids, by species. `known_count`: the number of agents that already have one."""
     if not ids:
         return {}
     if stagger.random is not None:
@@ -87,7 +87,7 @@ def _compute_delays(world: World, stagger: Stagger, ids: Mapping[str, Delays], k
 
 
 def _measure_distances(world: World, stagger: Stagger, species: str, ids: Delays) -> NDArray[np.float64]:
-    """Return how far (mm) agents are from the origin of a stagger; 0 without one."""
+    """Return the distance (mm) of each agent from the origin of a stagger. 0 without an origin."""
     if stagger.origin is None or not len(ids):
         return np.zeros(len(ids))
     population = world.populations[species]

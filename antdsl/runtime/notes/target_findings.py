@@ -1,4 +1,4 @@
-"""Findings about targets of notes: before a run, agents that cannot arrive in time; after it, agents that did not."""
+"""Warnings about targets of notes: before a run, agents that cannot arrive in time; after it, agents that did not."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _HELP = "write a later frame, choose nearer agents, give them a larger `max_spee
 
 
 class MissedTarget(NamedTuple):
-    """Agents that were not at the target of a note in its frame: their number, and the agent that was farthest away."""
+    """Agents that were not at the target of a note in its frame: how many there were, and which was farthest away."""
 
     note: Note
     species: str
@@ -36,9 +36,9 @@ class MissedTarget(NamedTuple):
 
 
 def find_missed_target(agents: NoteAgents) -> MissedTarget | None:
-    """Return the agents of a note that are too late at the end of a step; None if all are in time.
+    """Return the agents of a note that are late at the end of a step. None if all are in time, or no frame of the note is due.
 
-    Those that are there one step later are in time. On a path, the first and the last frame count."""
+    Agents that could arrive in one more step are in time. On a path, the first and the last frame are checked."""
     note, world, p = agents.active.note, agents.world, agents.population
     near = read_max_speeds(p, agents.rows) * world.dt
     frame = world.display_frame - agents.delays
@@ -64,7 +64,7 @@ def find_missed_target(agents: NoteAgents) -> MissedTarget | None:
 
 
 def report_missed_targets(scene: Scene, world: World) -> Report:
-    """Return warnings about agents that were not at the targets of notes during a run."""
+    """Return warnings about agents that were not at the targets of notes in time, after a run."""
     report = Report()
     for miss in world.notes.missed_targets if world.notes is not None else ():
         subject = f"`{miss.species}.{miss.agent}`" + (f" and {miss.late_count - 1:,} others" if miss.late_count > 1 else "")
@@ -83,7 +83,7 @@ def report_missed_targets(scene: Scene, world: World) -> Report:
 
 
 def find_far_targets(scene: Scene, world: World) -> Report:
-    """Return warnings about agents that are too far from the targets of notes to be there in time, at the start of a run."""
+    """Return warnings about agents that are too far from the targets of notes to arrive in time, at the start of a run."""
     report, frame = Report(), collect_selectable_frame(world)
     for number, note in enumerate(world.setting.notes):
         if not isinstance(note, ReachNote | PathNote) or note.off == "yes":
@@ -104,7 +104,7 @@ def find_far_targets(scene: Scene, world: World) -> Report:
 
 
 class _Goal(NamedTuple):
-    """What a note requires: each agent walks a `distance` (n,) mm in `seconds` (n,). `words`: what that is."""
+    """A requirement of a note: each agent must walk a `distance` (n,) mm in `seconds` (n,). `words`: a description of it."""
 
     distance: Floats
     seconds: Floats
@@ -112,7 +112,7 @@ class _Goal(NamedTuple):
 
 
 def _find_goals(agents: NoteAgents) -> list[_Goal]:
-    """Return what a `reach` or `path` requires of its agents. Targets that move are left out."""
+    """Return what a `reach` or `path` note requires of its agents. Moving targets are omitted."""
     note, world, position = agents.active.note, agents.world, agents.population.position[agents.rows]
     moves = world.setting.motion
     if isinstance(note, ReachNote):

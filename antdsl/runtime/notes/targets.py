@@ -1,4 +1,4 @@
-"""Targets of notes: points, items, agents, cameras, meshes and curves, in the world's own coordinates."""
+"""Targets of notes: points, items, agents, cameras, meshes and curves, relative to the world's origin."""
 
 from __future__ import annotations
 
@@ -28,15 +28,16 @@ _FAR_MM = 1e9  # mm, within which meshes are found
 
 
 class TargetPoints(NamedTuple):
-    """Points (k, 3) in mm, and the radius (mm) around each that counts as reached."""
+    """A target that consists of points (k, 3) in mm. `radii` (k,): the distance (mm) from each point that counts as reached."""
 
     points: Floats
     radii: Floats
 
     def find_nearest(self, position: Floats) -> tuple[Floats, Floats]:
-        """Return the offset (n, 3) to the nearest point of each position, and how far (n,) it is to its radius (mm).
+        """Return the offset (n, 3) from each position to the nearest point, and the distance (n,) to the sphere with its radius
+        (mm).
 
-        Without points, both are 0 and nan."""
+        Without points, offsets are 0 and distances nan."""
         if not len(self.points):
             return np.zeros_like(position), np.full(len(position), np.nan)
         from scipy.spatial import cKDTree
@@ -47,12 +48,12 @@ class TargetPoints(NamedTuple):
 
 
 class NearestOnMesh(NamedTuple):
-    """A target that is a mesh: the nearest point of the mesh to each position."""
+    """A target that is a mesh. Agents go to the point of the mesh nearest to them."""
 
     mesh: Obstacle
 
     def find_nearest(self, position: Floats) -> tuple[Floats, Floats]:
-        """Return the offset (n, 3) to the nearest point of the mesh, and its length (n,) in mm."""
+        """Return the offset (n, 3) from each position to the nearest point of the mesh, and its length (n,) in mm."""
         x, y, z = position.T
         hits = self.mesh.find_nearest_within(x, y, z, _FAR_MM)
         distance = np.where(hits.hit, hits.t, np.nan).astype(np.float64)
@@ -60,8 +61,8 @@ class NearestOnMesh(NamedTuple):
 
 
 def find_goal(world: World, target: PointValue | AgentName) -> TargetPoints | NearestOnMesh:
-    """Return the points of a target that agents walk to: points and cameras are dropped onto the ground, meshes are as near as
-    their nearest point."""
+    """Return a target to which agents walk. Points and cameras are projected onto the ground. For a mesh, it is the nearest
+    point."""
     mesh = find_mesh(world, target)
     if mesh is not None:
         return NearestOnMesh(world.obstacles[mesh])
@@ -71,12 +72,12 @@ def find_goal(world: World, target: PointValue | AgentName) -> TargetPoints | Ne
 
 
 def drop_points(world: World, points: Floats) -> Floats:
-    """Project points (k, 3) onto the ground below or above them, from the top. Without such ground, use the nearest point."""
+    """Project points (k, 3) onto the highest ground above or below them. Without such ground, return the nearest ground point."""
     return world.ground.position(world.ground.place_points(points, world.up)[0])
 
 
 def find_target(world: World, target: PointValue | AgentName) -> TargetPoints:
-    """Return the points of a target at the start of the step. The point of a mesh is its middle."""
+    """Return the points of a target at the start of the step. A mesh is represented by its centre."""
     if not isinstance(target, AgentName):
         point = np.array([convert_point(target, world.setting.unit_mm)], np.float64) - world.origin
         return TargetPoints(point, np.zeros(1))
@@ -97,21 +98,21 @@ def find_target(world: World, target: PointValue | AgentName) -> TargetPoints:
 
 
 def find_camera(world: World, target: PointValue | AgentName) -> SensedCamera | None:
-    """Return the camera of the setting that a target names. None if the target is a point, or if an agent or item has the same
-    name."""
+    """Return the camera that a target names. None if it is a point, or if agents or items have the same name."""
     name = _find_other_name(world, target)
     return SensedCamera(world.setting.cameras[name], world.origin) if name in world.setting.cameras else None
 
 
 def find_mesh(world: World, target: PointValue | AgentName) -> str | None:
-    """Return the mesh that a target names; None if it names none, or agents, items or a camera as well."""
+    """Return the name of the mesh that a target names. None if it names no mesh, or if agents, items or a camera have this
+    name."""
     name = _find_other_name(world, target)
     is_mesh = name in world.setting.obstacles or name in world.setting.surfaces
     return name if is_mesh and name not in world.setting.cameras else None
 
 
 def _find_other_name(world: World, target: PointValue | AgentName) -> str:
-    """Return the name of a target that is neither a point nor agents nor items; else an empty one."""
+    """Return the name of a target that is neither a point nor the name of agents or items; otherwise an empty text."""
     if not isinstance(target, AgentName) or target.first is not None:
         return ""
     lines = (crowd.name for crowd in world.setting.crowds)
@@ -120,7 +121,7 @@ def _find_other_name(world: World, target: PointValue | AgentName) -> str:
 
 
 def find_item_points(world: World, name: str) -> TargetPoints:
-    """Return the points of one item or of all items of a name."""
+    """Return the positions and radii of the item, or of all items, with this name."""
     for items_name, items in world.items.items():
         rows = np.arange(len(items)) if items_name == name else np.flatnonzero([each == name for each in items.names])
         if len(rows):
@@ -129,15 +130,16 @@ def find_item_points(world: World, name: str) -> TargetPoints:
 
 
 class Centres(NamedTuple):
-    """The centres of a region: points (k, 3) in mm, and by species which agents are among them."""
+    """The centres of a region: points (k, 3) in mm, and by species a mask of the agents that are centres."""
 
     points: Floats
     is_centre: Mapping[str, NDArray[np.bool_]]
 
 
 def find_centres(world: World, around: Any) -> Centres:
-    """Return the centres of a ball: of a point, an item or items, a camera, or agents that a selector names at the start of the
-    step."""
+    """Return the centres of a ball `around` a point, items, a camera, or agents.
+
+    Agents are those that a selector selects at the start of the step."""
     if isinstance(around, tuple) and not isinstance(around, AgentName) and isinstance(around[0], Quantity):
         return Centres(np.array([convert_point(around, world.setting.unit_mm)], np.float64) - world.origin, {})
     if isinstance(around, AgentName) and around.first is None:
@@ -153,7 +155,7 @@ def find_centres(world: World, around: Any) -> Centres:
 
 
 def find_curve(world: World, curve: str | tuple[PointValue, ...]) -> SampledCurve:
-    """Return a curve of the scene in its present position, or the curve through points."""
+    """Return a curve of the scene at its current position, or a curve through the given points."""
     if isinstance(curve, str):
         return world.curves[curve]
     return make_sampled_curve(
@@ -162,8 +164,7 @@ def find_curve(world: World, curve: str | tuple[PointValue, ...]) -> SampledCurv
 
 
 def find_line(world: World, line: str | tuple[PointValue | AgentName, ...]) -> SampledCurve | None:
-    """Return a curve of the scene, or the line through targets, each in the middle of its points. None if fewer than two of them
-    exist."""
+    """Return a curve of the scene, or a line through the centres of targets. None if fewer than two targets exist."""
     if isinstance(line, str):
         return find_curve(world, line)
     groups = (find_target(world, target).points for target in line)
@@ -172,27 +173,27 @@ def find_line(world: World, line: str | tuple[PointValue | AgentName, ...]) -> S
 
 
 class OwnPoints(NamedTuple):
-    """A target point (n, 3) mm for each agent, or one point (1, 3) for all agents."""
+    """A target with a separate point for each agent (n, 3) in mm, or with one point (1, 3) for all agents."""
 
     points: Floats
 
     def find_nearest(self, position: Floats) -> tuple[Floats, Floats]:
-        """Return the offset (n, 3) to the point of each position (n, 3), and its length (n,) in mm."""
+        """Return the offset (n, 3) from each position (n, 3) to the agent's point, and its length (n,) in mm."""
         offset = self.points - position
         return offset, length(offset)
 
 
 def find_places(world: World, along: str | tuple[PointValue, ...], ranks: NDArray[np.int64], count: int) -> OwnPoints:
-    """Return positions (n, 3) on the ground for agents with ranks (n,), if `count` agents are evenly distributed along a
-    curve."""
+    """Return positions (n, 3) on the ground for agents with ranks (n,) along a curve, if `count` agents are spread evenly along
+    it."""
     curve = find_curve(world, along)
     return OwnPoints(drop_points(world, _interpolate_curve(curve, (ranks + 0.5) / max(count, 1) * curve.length)))
 
 
 def rank_along(world: World, along: str | tuple[PointValue, ...], species: Sequence[NoteAgents]) -> list[NDArray[np.int64]]:
-    """Return for each species the ranks (k,) of its agents in the common order along a curve.
+    """Return the ranks (k,) of the agents along a curve, as one array per species. All species share one order.
 
-    They are ordered by the nearest points of the curve, then by species and id."""
+    Agents are ordered by the nearest point of the curve, then by species and id."""
     from scipy.spatial import cKDTree
 
     counts = [len(agents.rows) for agents in species]
@@ -205,11 +206,11 @@ def rank_along(world: World, along: str | tuple[PointValue, ...], species: Seque
 
 
 def find_path_points(world: World, note: PathNote, ids: NDArray[np.int64], frame: int, delays: NDArray[np.int64]) -> Floats:
-    """Return where the agents of a `path` with `delays` (n,) are to be in a frame, on the ground: (n, 3), or (1, 3) for all at
-    one point.
+    """Return the ground points where the agents of a `path` note must be in a frame: (n, 3), or (1, 3) if it is one point for
+    all.
 
-    Agents that are `apart` follow each other in the order of their ids. Before the curve begins, their places are on its straight
-    continuation."""
+    `delays` (n,): their delays. With a spacing, agents follow each other in the order of their ids. Agents for which the path has
+    not begun are on its straight extension."""
     curve, (first, last) = find_curve(world, note.along), note.frames
     own_frames = np.full(1, frame) if note.delay_rule is None else frame - delays
     distance = np.clip((own_frames - first) / max(last - first, 1), 0.0, 1.0) * curve.length
@@ -219,7 +220,7 @@ def find_path_points(world: World, note: PathNote, ids: NDArray[np.int64], frame
 
 
 def _interpolate_curve(curve: SampledCurve, distance: Floats) -> Floats:
-    """Return the points (n, 3) of a curve at distances (n,) mm from its beginning. It continues straight beyond its ends."""
+    """Return the points (n, 3) of a curve at distances (n,) mm from its beginning. Beyond its ends, it continues straight."""
     last_segment = max(len(curve.samples) - 2, 0)
     at = distance / max(curve.length, 1e-9) * (last_segment + 1)
     segment = np.clip(np.floor(at), 0, last_segment).astype(np.intp)

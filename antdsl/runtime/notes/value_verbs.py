@@ -1,4 +1,4 @@
-"""The verb `set`, which gives other values to attributes."""
+"""The verb `set`, which replaces values of attributes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from antdsl.scene.notes.notes_model import SetNote
 
 
 def set_attributes(agents: NoteAgents) -> None:
-    """Set the attributes that a `set` note lists to its values, after the layers of the program have set theirs."""
+    """Set attributes to the values that a `set` note lists, after the layers of the program have run."""
     agents = select_inside(agents)
     note, p, rows, setting = agents.active.note, agents.population, agents.rows, agents.world.setting
     assert isinstance(note, SetNote)

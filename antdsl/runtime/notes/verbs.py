@@ -1,4 +1,4 @@
-"""The table of verbs: which functions a verb has, by the stage of a step that calls them."""
+"""The table of verbs. It maps each verb to its functions, by the stage of a step at which they are called."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from antdsl.runtime.notes.wishes import Floats
 
 @dataclass(frozen=True, slots=True)
 class VerbFunctions:
-    """The functions of a verb, for the agents of one species; None: nothing happens at that stage.
+    """The functions of a verb, called for the agents of one species. None means that nothing happens at that stage.
 
-    `begin`: changes the start of the step. `values`: changes attributes after the layers.
-    `pace`: returns the share of its speed at which each agent moves.
-    `wish`: mixes wishes into the named registers: into what states steer, and then into the result of all layers. The last
-    argument says that the result has the first wish already, so that only urgent ones are added.
-    `step`: returns the steps (k, 3) mm of agents in a substep, with the parts that the note forbids cut off."""
+    `begin`: acts at the start of the step. `values`: changes attributes after the layers. `pace`: returns the fraction of its
+    speed at which each agent moves. `wish`: mixes wishes into the named registers, first into what states steer, then into the
+    result of all layers. Its last argument tells whether the first wish is already part of this result, so that only urgent
+    wishes are added. `step`: returns the steps (k, 3) mm of agents in a substep, without the parts that the note forbids."""
 
     begin: Callable[[NoteAgents], None] | None = None
     values: Callable[[NoteAgents], None] | None = None

@@ -16,8 +16,8 @@ Floats = NDArray[np.float64]
 
 
 def has_state_wish(population: Population) -> bool:
-    """Return whether the result of states' steering has an effect in a species. If so, a wish there leaves the other layers
-    unchanged."""
+    """Return whether the steering of states affects the push of a species. If so, a wish mixed into it does not change other
+    layers."""
     layers = population.plan.layers
     return f"{STATE_WISH}.x" in population.now and (
         not layers or any(layer.text.split("(")[0].split()[:1] == [_STATE_LAYER] for layer in layers)
@@ -27,7 +27,8 @@ def has_state_wish(population: Population) -> bool:
 def wish_velocities(
     world: World, population: Population, rows: Rows, velocity: Floats, share: NDArray[np.floating] | float, register: str
 ) -> None:
-    """Mix pushes that reach velocities (k, 3) mm/s within this step into the wishes of agents: `share` of each, from 0 to 1."""
+    """Mix a push into the wishes of agents that would give them `velocity` (k, 3) mm/s within this step. `share`: the weight of
+    the push for each agent, 0 to 1. `register`: the register of the wishes."""
     now, f = population.now, np.float32
     own = vec.take_rows(vec.get_vector_registers(now, "velocity"), rows)
     gain = now["mass"][rows] / (now["max_force"][rows] * f(world.dt))
@@ -43,7 +44,7 @@ def wish_velocities(
 
 
 def lay_on_ground(population: Population, rows: Rows, direction: Floats) -> Floats:
-    """Return directions (k, 3) along the ground below agents, of length 1; 0 for vectors without a component along the ground."""
+    """Return unit vectors along the ground below agents, for directions (k, 3). 0 where a direction has no component along it."""
     normal = population.normal[rows].astype(np.float64)
     flat = direction - dot(direction, normal)[:, None] * normal
     size = length(flat)
@@ -52,5 +53,5 @@ def lay_on_ground(population: Population, rows: Rows, direction: Floats) -> Floa
 
 
 def read_max_speeds(population: Population, rows: Rows) -> Floats:
-    """Return the greatest speeds (mm/s) of agents."""
+    """Return the top speeds (mm/s) of agents, at least 0."""
     return np.maximum(population.now["max_speed"][rows].astype(np.float64), 0.0)

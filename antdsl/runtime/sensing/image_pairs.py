@@ -1,7 +1,7 @@
-"""Pairs of agents in a periodic world: a pair consists of an agent and the nearest image of the other.
+"""Pairs of agents in a periodic world. A pair consists of an agent and the nearest image of another agent.
 
-For radii below half a width, pairs are found by a cell grid of all agents and their images near the box. For larger radii, all
-agents are measured."""
+For radii below half a width, pairs are found with a cell grid of all agents and their images near the box. For larger radii, the
+distances of all agents are measured."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ _PAIRS_PER_CHUNK = 1 << 20
 
 
 def measure_offsets(world: World, theirs: Any, mine: Any) -> tuple[NDArray[Any], ...]:
-    """Return the vectors x, y, z (mm) from positions `mine` to positions `theirs` (x, y, z). In a periodic world, these are
-    the vectors to the nearest images."""
+    """Return the vectors x, y, z (mm) from positions `mine` to positions `theirs`. In a periodic world, they lead to the nearest
+    images."""
     if world.periodic is None:
         return tuple(other - own for other, own in zip(theirs, mine, strict=True))
     return tuple(measure_offset(*each) for each in zip(theirs, mine, world.periodic.box.widths, strict=True))
 
 
 class ImageGrid(CellGrid):
-    """Agents of a species and their images within `reach` (mm) of the box of a periodic world, in cells."""
+    """A cell grid of the agents of a species, and of their images within `reach` (mm) of the box of a periodic world."""
 
     def __init__(self, box: PeriodicBox, other: Population, cell: float, reach: float, threads: int) -> None:
         position = tuple(other.start[f"position.{axis}"] for axis in AXES)
@@ -47,13 +47,13 @@ class ImageGrid(CellGrid):
 
 
 def fits_image_grid(world: World, radius: float) -> bool:
-    """Return whether a search with a radius (mm) can use images: no agent has two images in reach."""
+    """Return whether an image grid can serve a search with this radius (mm): no agent may have two images in reach."""
     return world.periodic is None or radius < _MAX_GRID_REACH_SHARE * world.periodic.box.least_width
 
 
 def list_image_reaches(world: World) -> Floats:
-    """Return how far (mm) along each axis others are at their nearest image, float32[3]: a little less than half a width, so that
-    no two images of an agent are within it. It is infinite along axes that do not wrap."""
+    """Return, for each axis, the distance (mm) within which others count at their nearest image, float32[3]. It is slightly less
+    than half a width, so that an agent never has two images within it. It is infinite along axes that do not wrap."""
     widths = np.zeros(3) if world.periodic is None else np.array(world.periodic.box.widths)
     return np.where(widths > 0, _MAX_GRID_REACH_SHARE * widths, np.inf).astype(np.float32)
 
@@ -66,10 +66,10 @@ def measure_pairs_within(
     radius: Any,
     view: ViewConeColumns | None = None,
 ) -> PairColumns:
-    """Return the pairs within a radius (mm) and in view by measuring all agents or items, each at its nearest image.
+    """Return the pairs within a radius (mm) and in view, by measuring all agents or items, each at its nearest image.
 
-    An agent gets at most `limits.MAX_QUERY_NEIGHBOURS` neighbours, the nearest by distance and id; items are not limited.
-    `ids`: the ids of the requesting agents, if these are of the same species."""
+    Each agent gets at most `limits.MAX_QUERY_NEIGHBOURS` neighbours, the nearest by distance and id. Items are not limited.
+    `ids`: the ids of the requesting agents if the others are of the same species, else None."""
     is_agents = isinstance(others, Population)
     source = others.start if isinstance(others, Population) else others.visible_values
     theirs = [np.asarray(source[f"position.{axis}" if is_agents else axis], np.float32) for axis in AXES]
@@ -95,7 +95,8 @@ def measure_pairs_within(
 
 
 def _limit_neighbours(columns: list[NDArray[Any]], ids: NDArray[np.int64], view: list[Floats] | None) -> list[NDArray[Any]]:
-    """Return the nearest neighbours of each requesting row, at most `limits.MAX_QUERY_NEIGHBOURS`, then those in view."""
+    """Return the pairs reduced to the nearest `limits.MAX_QUERY_NEIGHBOURS` neighbours of each requesting row, and then to those
+    in view."""
     i, j, *_, distance = columns
     order = np.lexsort((ids.take(j), distance, i))
     columns = [each.take(order) for each in columns]

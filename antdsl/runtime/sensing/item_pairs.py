@@ -1,7 +1,8 @@
-"""Finds items near agents. The result is pairs of a requesting row and an item, with an offset and a distance (mm, float32).
+"""Finds items near agents. The result is a list of pairs: a requesting row and an item, with the offset and the distance (mm,
+float32).
 
-With few items, all are measured from all rows. With many items, those too far away along two axes are excluded first. Both
-methods give the same bits."""
+If there are few items, all are measured from all rows. If there are many, items too far away along two axes are excluded first.
+Both methods give the same bits."""
 
 from __future__ import annotations
 
@@ -37,13 +38,13 @@ def find_items_within(items: Items, own_positions: tuple[Floats, ...], radius: A
 
 
 def _visible_positions(items: Items) -> VectorArrays:
-    """Return the positions of items as agents sense them, float32."""
+    """Return the positions of items as agents sense them, x, y and z as float32 arrays."""
     x, y, z = (np.asarray(items.visible_values[axis], np.float32) for axis in AXES)
     return x, y, z
 
 
 def find_pairs_among_all_items(items: Items, own_positions: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
-    """Return the pairs within `reach` (mm) by measuring the distances of all items from all agents."""
+    """Return the pairs within `reach` (mm), by measuring the distance of every item from every agent."""
     item_points, agent_points, (reach,) = (
         make_contiguous(*_visible_positions(items)),
         make_contiguous(*own_positions),
@@ -58,9 +59,9 @@ def find_pairs_among_all_items(items: Items, own_positions: tuple[Floats, ...], 
 
 
 def find_pairs_among_near_items(items: Items, own_positions: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
-    """Return the pairs within `reach` (mm) by measuring only items that are in reach along two axes.
+    """Return the pairs within `reach` (mm), by measuring only items that are within reach along two axes.
 
-    These are the axes along which the items are spread most widely."""
+    These are the two axes along which the items are spread most widely."""
     n, item_points = len(own_positions[0]), _visible_positions(items)
     with np.errstate(invalid="ignore"):
         one, two = sorted(range(3), key=lambda k: -float(np.nan_to_num(np.ptp(item_points[k]))))[:2]
@@ -103,9 +104,9 @@ def _join_columns(parts: list[ItemPairColumns]) -> ItemPairColumns:
 def _fill_pairs(
     items: VectorColumns, agent_points: VectorColumns, reach: Array1[F32], pairs: PairColumns, row: I64, used_count: I64
 ) -> tuple[I64, I64]:
-    """Write the pairs of agents from `row` on, after `used_count` earlier pairs, until all are done or the arrays are full.
+    """Write the pairs of agents from `row` on, after the first `used_count` pairs, until no agent remains or the arrays are full.
 
-    Returns the next row and the number of pairs."""
+    Return the next row, and the number of pairs."""
     ix, iy, iz = items
     x, y, z = agent_points
     i, j, dx, dy, dz, distance = pairs

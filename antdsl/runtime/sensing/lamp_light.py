@@ -1,6 +1,6 @@
-"""The sense `light`: how much light the lamps of one name cast on the ground where an agent is, as in pictures.
+"""The sense `light`: how much light the lamps with a given name cast on the ground below an agent. The same light is in pictures.
 
-Lamps are the items with `look: light`. Surfaces, obstacles and solids hide them; agents and items do not."""
+Lamps are items with `look: light`. Surfaces, obstacles and solids block their light; agents and items do not."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ Floats = NDArray[np.float64]
 
 
 def sense_light(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> NDArray[np.float32]:
-    """Return the light of the lamps at the positions of `rows`, float32[n]. A value of 1 is about the light of the sun in
-    pictures."""
+    """Return the light of the lamps at the positions of `rows`, float32[n]. 1 is about the light of the sun in pictures."""
     place = read_exact_positions(world, population, rows)
     normal = population.normal[rows].astype(np.float64)
     start = place + normal * (population.start["size"][rows].astype(np.float64) * _RAY_START_HEIGHT_PER_BODY)[:, None]
@@ -41,7 +40,7 @@ def sense_light(world: World, population: Population, node: ir.PlanNode, rows: R
 
 
 def _find_lamps(world: World, name: str) -> Iterator[LightSphere]:
-    """Yield the items of a name that emit light and have an amount above 0, at the start of the step."""
+    """Yield the items with this name that emit light, if their amount is above 0 at the start of the step."""
     items, strength = world.items[name], world.setting.lamp_strength
     for index, data in enumerate(world.setting.items.get(name, ())):
         amounts = (
@@ -56,7 +55,7 @@ def _find_lamps(world: World, name: str) -> Iterator[LightSphere]:
 
 
 def _find_hidden_share(world: World, lamp: LightSphere, start: Floats) -> Floats:
-    """Return the fraction (n,) of the lamp that is hidden, as seen from positions (n, 3)."""
+    """Return the fraction (n,) of the lamp that is hidden when seen from each position (n, 3)."""
     count, hidden = _RAYS_PER_LAMP, np.zeros(len(start) * _RAYS_PER_LAMP, np.bool_)
     if not len(start) or not world.obstacles:
         return np.zeros(len(start))

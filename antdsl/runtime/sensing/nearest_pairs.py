@@ -1,7 +1,7 @@
-"""The nearest agent of a complete species for each of many agents, found with a k-d tree.
+"""Finds, for each of many agents, the nearest agent of a complete species with a k-d tree.
 
-Source: J. L. Bentley, Multidimensional binary search trees, Comm. ACM 18, 1975. The tree only returns candidates. Among these,
-the least float32 distance counts, then the least id. So the result is the same as if all pairs were measured."""
+Source: J. L. Bentley, Multidimensional binary search trees, Comm. ACM 18, 1975. The tree only gives candidates. Of these, the one
+with the least float32 distance is chosen, then the least id. So the result is the same as if all pairs were measured."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _PAIRS_PER_CHUNK = 1 << 20  # pairs
 def find_nearest_agents(
     world: World, other: Population, own_positions: tuple[Floats, ...], ids: NDArray[np.int64] | None
 ) -> PairColumns | None:
-    """Return the nearest other of each requesting agent.
+    """Return the nearest other agent of each requesting agent.
 
-    The columns are: ascending indices of requesting agents with a result, rows of the others, offsets x, y, z from the requesting
-    agent, and distances. The result is None if a position is not finite or its square exceeds float32.
-    `own_positions`: x, y and z of the requesting agents, float32[n] mm. `ids`: their ids if both are of the same species, so
-    that no agent finds itself."""
+    The columns are: the indices of the requesting agents that have a result, ascending; the rows of the others; offsets x, y, z
+    to the others; distances. None if a position is not finite, or if its square exceeds float32. `own_positions`: x, y and z of
+    the requesting agents, float32[n] mm. `ids`: their ids if both are of the same species, so that no agent finds itself; else
+    None."""
     mine, sites = np.stack(own_positions, axis=1).astype(np.float64), _get_sites(world, other)
     if sites is None or not (np.abs(mine) < _MAX_DISTANCE_MM).all():
         return None
@@ -71,7 +71,7 @@ def find_nearest_agents(
 def _measure_all_agents(
     other: Population, own_positions: tuple[Floats, ...], ids: NDArray[np.int64] | None, requesting_rows: NDArray[np.intp]
 ) -> list[PairColumns]:
-    """Return the nearest of all others for the agents `requesting_rows`, by measuring all pairs."""
+    """Return the nearest other agent for each of `requesting_rows`, by measuring the distance to all others."""
     order = other.rows_by_id()
     known, place = other.ids.take(order), [other.start[f"position.{axis}"].take(order) for axis in AXES]
     parts, at_once = [], max(1, _PAIRS_PER_CHUNK // len(order))
@@ -89,7 +89,7 @@ def _measure_all_agents(
 
 
 def _measure_pairs(other: Population, own_positions: tuple[Floats, ...], i: NDArray[np.intp], j: NDArray[np.intp]) -> PairColumns:
-    """Return the nearest of the candidate pairs for each requesting agent."""
+    """Return, for each requesting agent, its nearest pair. `i`, `j`: the requesting agents and the rows of the others."""
     dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own_positions[k].take(i) for k, axis in enumerate(AXES))
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
     order = np.lexsort((other.ids.take(j), distance, i))
@@ -100,10 +100,10 @@ def _measure_pairs(other: Population, own_positions: tuple[Floats, ...], i: NDAr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _AgentSites:
-    """The distinct positions of agents of a species.
+    """The distinct positions of the agents of a species.
 
-    `tree`: a k-d tree of the positions. `first_rows`: the row of the agent with the least id at each position.
-    `second_rows`: the row with the second least id, -1 if there is only one; it is used if the first agent is the requester."""
+    `tree`: a k-d tree of the positions. `first_rows`: at each position, the row of the agent with the least id. `second_rows`:
+    the row with the second least id, -1 if there is none. It is used if the first agent is the requester itself."""
 
     tree: Any
     first_rows: NDArray[np.intp]
@@ -111,9 +111,9 @@ class _AgentSites:
 
 
 def _get_sites(world: World, other: Population) -> _AgentSites | None:
-    """Return the positions of a species at the start of the step, cached for the step.
+    """Return the distinct positions of a species at the start of the step. The result is cached for the step.
 
-    Return None if there is no agent, or if a position is not finite or too far from the origin."""
+    None if there are no agents, or if a position is not finite or is too far from the origin."""
     if other.name not in world.trees:
         world.trees[other.name] = _build_sites(other)
     sites: _AgentSites | None = world.trees[other.name]
@@ -121,7 +121,7 @@ def _get_sites(world: World, other: Population) -> _AgentSites | None:
 
 
 def _build_sites(other: Population) -> _AgentSites | None:
-    """Return the distinct positions of a species, or None in the cases of `_get_sites`."""
+    """Return the distinct positions of a species. None in the same cases as for `_get_sites`."""
     from scipy.spatial import cKDTree
 
     x, y, z = (other.start[f"position.{axis}"] for axis in AXES)

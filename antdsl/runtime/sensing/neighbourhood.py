@@ -1,6 +1,6 @@
 """The neighbours of an agent in the tangent plane of its ground, and the cell grids that find neighbours.
 
-Computes the velocity that avoids all neighbours, and the widest gap between them."""
+From the neighbours, it computes a velocity that avoids all of them, and the widest gap between them."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ Rows = NDArray[np.intp]
 def compute_clear_velocity(
     world: World, population: Population, rows: Rows, wish: VectorArrays, radius: Floats, horizon: Floats, max_count: Floats
 ) -> tuple[NDArray[np.float32], ...]:
-    """Return velocities (mm/s, x y z) along the ground for the given agents, as near as possible to `wish`.
+    """Return a velocity along the ground for each agent, as near as possible to `wish`: x, y and z arrays (mm/s).
 
-    They avoid collisions for `horizon` s with the `max_count` nearest agents of any species. Only agents within `radius` mm on
-    the same side of the ground count. All agents have their state at the start of the step."""
+    It avoids collisions with the `max_count` nearest agents of any species for `horizon` s. Only agents within `radius` mm on the
+    same side of the ground count. All positions and velocities are those at the start of the step."""
     crowd, requesters = build_nearest_search(world, population, rows, radius, max_count)
     a, b, c = wish
     wished = np.ascontiguousarray(a, np.float64), np.ascontiguousarray(b, np.float64), np.ascontiguousarray(c, np.float64)
@@ -49,9 +49,9 @@ def compute_clear_velocity(
 def find_widest_gap(
     world: World, population: Population, rows: Rows, radius: Floats, max_count: Floats
 ) -> tuple[NDArray[np.float32], ...]:
-    """Return unit directions (x y z) along the ground for the given agents, towards the middle of the widest gap between
-    neighbours. Neighbours are the `max_count` nearest agents of any species, within `radius` mm on the same side of the
-    ground. Without neighbours the result is 0."""
+    """Return the direction of the widest gap between an agent's neighbours, from the agent to the middle of the gap. Directions
+    are unit vectors along the ground: x, y and z arrays. Neighbours are the `max_count` nearest agents of any species, within
+    `radius` mm on the same side of the ground. Without neighbours the result is 0."""
     crowd, requesters = build_nearest_search(world, population, rows, radius, max_count)
     shape = len(rows), int(min(np.max(max_count, initial=0.0, where=max_count > 0), MAX_QUERY_NEIGHBOURS))
     x, y, is_present, axes = np.zeros(shape), np.zeros(shape), np.zeros(shape, np.bool_), np.empty((6, len(rows)))
@@ -65,7 +65,7 @@ def find_widest_gap(
 def build_nearest_search(
     world: World, population: Population, rows: Rows, radius: Floats, max_count: Floats
 ) -> tuple[CrowdTables, NeighbourRequests]:
-    """Return all agents as a crowd and the given agents as requesters, for a neighbour search."""
+    """Return the inputs of a search for the nearest neighbours: all agents as a crowd, and the given agents as requesters."""
     widest = float(np.max(radius, initial=0.0, where=np.isfinite(radius)))
     grid = _find_grid(world, _ALL_SPECIES_GRID_NAME, widest if widest > 0 else 1.0, partial(_CrowdGrid, world))
     assert isinstance(grid, _CrowdGrid)
@@ -76,7 +76,8 @@ def build_nearest_search(
 
 
 class _CrowdGrid(CellGrid):
-    """All agents of a world, sorted into cells. `first_rows`: the first row of each species. `crowd`: the tables for kernels."""
+    """All agents of a world, sorted into cells. `first_rows`: the first row of each species. `crowd`: the tables that kernels
+    read."""
 
     def __init__(self, world: World, cell: float) -> None:
         populations, threads = world.populations, world.options.threads
@@ -120,13 +121,13 @@ class _CrowdGrid(CellGrid):
 
 
 def _find_first_rows(populations: Mapping[str, Population], names: Sequence[str]) -> dict[str, int]:
-    """Return the first row of each species if all species are joined in the order of `names`."""
+    """Return the first row of each species if all species are concatenated in the order of `names`."""
     ends = accumulate(len(populations[name]) for name in names)
     return {name: end - len(populations[name]) for name, end in zip(names, ends, strict=True)}
 
 
 def find_species_grid(world: World, other: Population, max_radius: float) -> CellGrid:
-    """Return the agents of a population in cells that suit the radius `max_radius` (mm)."""
+    """Return the agents of a species, sorted into cells that suit searches up to `max_radius` (mm)."""
 
     def sort_agents(cell: float) -> CellGrid:
         if world.periodic is not None:
@@ -139,9 +140,9 @@ def find_species_grid(world: World, other: Population, max_radius: float) -> Cel
 
 
 def _find_grid(world: World, name: str, max_radius: float, sort: Callable[[float], CellGrid]) -> CellGrid:
-    """Return a grid of this step that suits the radius `max_radius` (mm). Make one if there is none.
+    """Return a grid of this step that suits searches up to `max_radius` (mm). Sort the agents only if there is no such grid.
 
-    Searching wider existing cells costs less than sorting again."""
+    A search in a grid with larger cells costs less than sorting again."""
     size = float(np.ceil(4 * np.log2(max_radius)))
     known = [(k, grid) for (of, k), grid in list(world.grids.items()) if of == name and size <= k <= size + _MAX_COARSER_QUARTERS]
     if known:

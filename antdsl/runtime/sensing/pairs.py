@@ -1,6 +1,6 @@
-"""Sets as lists of pairs (requesting row, other agent or item), and reductions over these pairs.
+"""Sets as lists of pairs, and reductions over these pairs. A pair consists of a requesting row and another agent or an item.
 
-Pairs are sorted by the requesting row. Every reduction gives the same bits for any order within a row."""
+Pairs are sorted by the requesting row. Every reduction gives the same bits for any order of the pairs of a row."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ MAX_PAIRS_PER_CHUNK = 1 << 22  # limit for a chunk that compares all agents with
 class PairRows:
     """The pairs of a set.
 
-    `others`: the other agents or items. `count`: the number of requesting rows. `i`: index of the requesting row, from 0. `j`:
-    row in `others`. `dx`, `dy`, `dz`: position of the other minus own position, float32 mm. `distance`: the length of that
-    vector."""
+    `others`: the other agents or the items. `count`: the number of requesting rows. `i`: for each pair, the index of the
+    requesting row, from 0. `j`: the row in `others`. `dx`, `dy`, `dz`: the position of the other minus that of the requester,
+    float32 mm. `distance`: the length of this vector."""
 
     others: Population | Items
     count: int  # requesting rows
@@ -51,7 +51,7 @@ class PairRows:
     distance: Floats
 
     def select_rows(self, rows: NDArray[np.intp]) -> PairRows:
-        """Return only the pairs of the given requesting rows, numbered from 0."""
+        """Return only the pairs of the given requesting rows, which are numbered from 0 again."""
         number = np.full(self.count, -1)
         number[rows] = np.arange(len(rows))
         i = number.take(self.i)
@@ -100,8 +100,8 @@ def find_pairs(
 
 
 def _advise_on_radius(other: Population, radius: Any) -> str:
-    """Return advice for a radius with too many agents. If more agents are in it than fit without overlap, the advice is to
-    separate them."""
+    """Return advice for messages about a radius that contains too many agents. If they cannot all fit without overlap, the advice
+    is to separate them."""
     widest, body = float(np.max(radius)), float(np.median(other.start["radius"]))
     if 0 < widest < body * np.sqrt(limits.MAX_CANDIDATES_IN_RADIUS):
         return "they overlap, so give them more space, or write a smaller radius"
@@ -109,14 +109,14 @@ def _advise_on_radius(other: Population, radius: Any) -> str:
 
 
 def is_nearest_only(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
-    """Return whether a set is a complete species, but only its nearest agent is used. Then the set has only that agent."""
+    """Return whether a set is a complete species of which only the nearest agent is used. If so, the set contains only this
+    agent."""
     return node.op == "set.every" and count_nearest(species, node) == 1
 
 
 @lru_cache(256)
 def count_nearest(species: ir.SpeciesPlan, node: ir.PlanNode) -> int | None:
-    """Return the number of nearest agents that determine all results of a set; None if results need more than the nearest
-    agents."""
+    """Return how many of the nearest agents suffice for all results that use a set. None if results need other agents too."""
     every = collect_required_nodes(
         n for _, block in list_blocks(species) for _, statement in iterate_statements(block) for n in list_operands(statement)
     )
@@ -131,7 +131,7 @@ def count_nearest(species: ir.SpeciesPlan, node: ir.PlanNode) -> int | None:
 def _shorten_radii(
     other: Population, own_positions: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any, count: int
 ) -> Floats:
-    """Return the radii (mm), reduced so that they still reach the nearest `count` others."""
+    """Return the radii (mm), shortened so that they still contain the nearest `count` others."""
     from scipy.spatial import cKDTree
 
     theirs = np.stack([other.start[f"position.{axis}"] for axis in AXES], axis=1).astype(np.float64)
@@ -144,7 +144,7 @@ def _shorten_radii(
 
 
 def _find_set_use(species: ir.SpeciesPlan, node: ir.PlanNode) -> Span | None:
-    """Return the shortest text in the species' own source that uses a set. The set itself may be defined in a library."""
+    """Return the shortest text in the species' source file that uses a set. The set itself may be defined in a library."""
     if _is_own_text(node.span):
         return node.span
     for _, block in list_blocks(species):
@@ -164,7 +164,7 @@ def _is_own_text(span: Span | None) -> bool:
 
 
 def _read_view_cones(population: Population, rows: Any, cosine: Any, count: int) -> ViewConeColumns:
-    """Return the heading of each requesting row, and the cosine of half its field of view."""
+    """Return the heading of each requesting row, and `cosine`, the cosine of half its field of view, as columns."""
     hx, hy, hz = (population.start[f"heading.{axis}"][rows] for axis in AXES)
     return hx, hy, hz, np.full(count, cosine) if np.ndim(cosine) == 0 else cosine
 
@@ -201,7 +201,7 @@ def _find_pairs_within(
 def _make_all_pairs(
     world: World, other: Population, own_positions: tuple[Floats, ...], ids: NDArray[np.int64] | None
 ) -> PairRows:
-    """Return the pairs of each requesting row with all agents of a species except itself."""
+    """Return the pairs of each requesting row with all agents of a species, except with itself."""
     n, m = len(own_positions[0]), len(other)
     i, j = np.repeat(np.arange(n), m), np.tile(np.arange(m), n)
     if ids is not None:
@@ -216,7 +216,7 @@ def _make_all_pairs(
 
 
 def _select_rows(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.intp] | None]:
-    """Return the requesting rows of the pairs that satisfy a condition, and the indices of these pairs (None for all)."""
+    """Return the requesting rows of those pairs that satisfy a condition, and the indices of these pairs (None: all pairs)."""
     if np.ndim(condition) == 0:
         return (pairs.i, None) if condition else (pairs.i[:0], np.empty(0, np.intp))
     keep = np.flatnonzero(condition)
@@ -224,7 +224,8 @@ def _select_rows(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.int
 
 
 def _select_body_values(pairs: PairRows, body: Any, selected_rows: NDArray[np.intp] | None) -> Floats:
-    """Return the values of a reduction's body for the selected pairs."""
+    """Return the values of a reduction's body for the selected pairs. `selected_rows`: the indices of these pairs; None for
+    all."""
     values: Floats = np.full(len(pairs.i), body) if np.ndim(body) == 0 else body
     return values if selected_rows is None else values.take(selected_rows)
 
@@ -249,7 +250,7 @@ def _find_row_starts(i: Index) -> NDArray[np.intp]:
 
 
 def _find_row_minima(i: Index, body: Floats, count: int) -> Floats:
-    """Return the least `body` of each row, ignoring NaN; inf for rows without pairs."""
+    """Return the least `body` of each requesting row, ignoring NaN. It is inf for rows without pairs."""
     result = np.full(count, np.inf, np.float32)
     if len(i):
         starts = _find_row_starts(i)
@@ -268,7 +269,8 @@ def _reduce_max(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -
 
 
 def _find_best_label(pairs: PairRows, condition: Any, body: Any, label: NDArray[Any], none: Any) -> Any:
-    """Return the label (id or number) of the pair with the least `body` for each row. Among equals, it is the least label.
+    """Return, for each requesting row, the label (id or number) of the pair with the least `body`; if several are equal, the
+    least label.
 
     `none`: the result for rows without pairs."""
     result = np.full(pairs.count, none)
@@ -295,9 +297,10 @@ def _find_best_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: An
 
 
 def _find_nth_label(pairs: PairRows, condition: Any, body: Any, number: Any, label: NDArray[Any], none: Any) -> Any:
-    """Return the label (id or number) of the pair with the n-th least `body` for each row. Equals are sorted by label.
+    """Return, for each requesting row, the label (id or number) of the pair with the n-th least `body`. Equal pairs are sorted by
+    label.
 
-    `number`: n for each row. `none`: the result for rows with fewer pairs."""
+    `number`: n for each row. `none`: the result for rows with fewer than n pairs."""
     result = np.full(pairs.count, none)
     i, keep = _select_rows(pairs, condition)
     body, number = _select_body_values(pairs, body, keep), np.floor(_select_body_values(pairs, number, keep))
@@ -336,7 +339,7 @@ REDUCTION_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
 
 
 def read_pair_value(pairs: PairRows, node: ir.PlanNode) -> NDArray[Any]:
-    """Return a value of the other agent or item, or of the pair."""
+    """Return, for each pair, a value of the other agent, of the item, or of the pair itself."""
     match node.op:
         case "pair.x":
             return pairs.dx

@@ -1,4 +1,4 @@
-"""The arrays of a running world that selectors read."""
+"""The arrays of a running world from which selectors choose agents."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from antdsl.scene.notes.selection import SelectableAgents, SelectableFrame, Stat
 
 
 def collect_selectable_frame(world: World) -> SelectableFrame:
-    """Return the living agents, crowd lines and items of a world between two steps."""
+    """Return the living agents, the crowd lines and the items of a world between two steps, for selectors."""
     points = {name: items.position + world.origin for name, items in world.items.items() if len(items)}
     single = {item: points[name][k : k + 1] for name, items in world.items.items() for k, item in enumerate(items.names)}
     return SelectableFrame(

@@ -1,4 +1,4 @@
-"""Cameras as agents sense them: a position and a field of view at each frame. Both depend only on the scene and the frame."""
+"""Cameras as agents sense them: a position and a field of view in each frame. They depend only on the scene and the frame."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ Floats = NDArray[np.float64]
 class ViewPyramid(NamedTuple):
     """The space that a camera sees: everything between four planes through the `eye` (3,).
 
-    `ahead` (3,): the unit axis of the view. `sides`: the unit axes (3,) to the right and the top of the picture, each with the
-    tangent of half the angle of view along it."""
+    `ahead` (3,): the unit vector of the viewing direction. `sides`: for the right and for the top of the picture, a unit vector
+    (3,) and the tangent of half the angle of view along it."""
 
     eye: Floats
     ahead: Floats
@@ -32,18 +32,18 @@ class ViewPyramid(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensedCamera:
-    """A camera of a world. `origin` (3,): the point in mm that the world's positions are relative to."""
+    """A camera of a world. `origin` (3,) mm: the point to which the world's positions are relative."""
 
     data: CameraData
     origin: Floats
 
     def find_position(self, frame: int) -> Floats:
-        """Return the position (3,) in mm at a frame."""
+        """Return the camera's position (3,) in mm at a frame."""
         place: Floats = self.data.at[self.data.find_row(frame)] - self.origin
         return place
 
     def find_pyramid(self, frame: int) -> ViewPyramid:
-        """Return what the camera sees at a frame."""
+        """Return the space that the camera sees at a frame."""
         row = self.data.find_row(frame)
         eye, aim = self.data.at[row] - self.origin, self.data.look_at[row] - self.origin
         right, up, ahead = compute_view_axes(eye, aim, self.data.up[row])
@@ -51,8 +51,9 @@ class SensedCamera:
         return ViewPyramid(eye, ahead, ((right, across), (up, across / VIEW_ASPECT)))
 
     def find_in_view(self, frame: int, place: Floats, margin: Floats | float = 0.0) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) the picture at a frame shows, or would show with a margin of `margin` (mm) on each
-        side. A negative margin excludes positions near the edge."""
+        """Return a mask of the positions (n, 3) that are in the picture at a frame, enlarged by `margin` (mm) on each side.
+
+        A negative margin excludes positions near the edge."""
         eye, ahead, sides = self.find_pyramid(frame)
         offset = vec.subtract(place.T, eye)
         depth = vec.dot(offset, ahead)
@@ -64,7 +65,7 @@ class SensedCamera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraInFrame:
-    """A camera in one frame, for selectors: positions are in mm, relative to the scene's origin."""
+    """A camera in one frame, for selectors. Positions are in mm, relative to the scene's origin."""
 
     data: CameraData
     frame: int
@@ -73,7 +74,7 @@ class CameraInFrame:
         return SensedCamera(self.data, np.zeros(3)).find_position(self.frame)
 
     def find_visible(self, position: Floats, view: View) -> NDArray[np.bool_]:
-        """Return which positions (n, 3) are in a part of the picture."""
+        """Return a mask of the positions (n, 3) that are in the given part of the picture."""
         camera = SensedCamera(self.data, np.zeros(3))
         is_visible = camera.find_in_view(self.frame, position)
         eye, ahead, sides = camera.find_pyramid(self.frame)

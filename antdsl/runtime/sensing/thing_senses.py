@@ -1,4 +1,4 @@
-"""The senses of curves, flows, maps and cameras at the agents' own positions, and helpers of all senses for rows."""
+"""The senses for curves, flows, maps and cameras, at the positions of the agents. Also functions that all senses use for rows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def count_rows(rows: Rows) -> int:
 
 
 def expand_to_rows(value: SenseValue, rows: Rows) -> NDArray[Any]:
-    """Return `value` as an array with one value for each row."""
+    """Return `value` as an array with one entry per row."""
     return np.full(count_rows(rows), value) if np.ndim(value) == 0 else value
 
 
@@ -30,7 +30,7 @@ def read_positions(world: World, population: Population, rows: Rows) -> tuple[ND
 
 
 def read_exact_positions(world: World, population: Population, rows: Rows) -> NDArray[np.float64]:
-    """Return the positions (n, 3; mm, float64) of rows at the start of the step."""
+    """Return the float64 positions (n, 3; mm) of the agents `rows` at the start of the step."""
     return np.stack(read_positions(world, population, rows), axis=1).astype(np.float64)
 
 

@@ -1,7 +1,8 @@
 """The senses of agents: one function per operation of the plan, for any number of rows at once.
 
-Backends use these functions for draws, rays, fields, curves, items and other agents. For sets and reductions, each backend has
-its own method. Arguments are arrays with one entry per row, or single values. Results are arrays with one entry per row."""
+All backends use these functions for draws, rays, fields, curves, items and other agents. Each backend computes sets and
+reductions with its own method. Arguments are arrays with one entry per row, or single values. Results are arrays with one entry
+per row."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ _BORDER_PULL_SHARE = 1e-6  # share of the path from a border point to the middle
 
 
 def make_constant_scalar(node: ir.PlanNode) -> SenseValue:
-    """Return a constant as a NumPy scalar."""
+    """Return the value of a constant node as a NumPy scalar."""
     match node.op:
         case "const":
             return np.float32(node.attrs[0])
@@ -48,7 +49,7 @@ def make_constant_scalar(node: ir.PlanNode) -> SenseValue:
 
 
 def compute_uniform_leaf(world: World, node: ir.PlanNode) -> SenseValue:
-    """Return the value of a leaf node that is equal for all agents, such as a constant, a param or the time, as a scalar."""
+    """Return the value of a leaf node that is equal for all agents, as a scalar: a constant, a param, the time, or similar."""
     if node.rate is ir.UpdateRate.CONST:
         return make_constant_scalar(node)
     match node.op:
@@ -75,7 +76,7 @@ def _sense_age(world: World, population: Population, node: ir.PlanNode, rows: Ro
 
 
 def _compute_age(world: World, birth_frames: NDArray[np.int64]) -> SenseValue:
-    """Return the age (s) of agents from their frame of birth."""
+    """Return the age (s) of agents, given the frames in which they were born."""
     steps = np.maximum(world.frame - birth_frames, 0)  # at birth, `born` is the next frame
     return (steps * world.dt).astype(np.float32)
 
@@ -101,7 +102,8 @@ def _sense_touched_surface(world: World, population: Population, node: ir.PlanNo
 
 
 def _sense_agent_register(world: World, population: Population, node: ir.PlanNode, rows: Rows, ids: SenseValue) -> SenseValue:
-    """Return a register of other agents, given by id, at the start of the step. It is 0 for dead agents and for no agent."""
+    """Return a register of other agents at the start of the step. `ids`: the agents. It is 0 for dead agents and for the id
+    -1."""
     species, register = node.attrs
     other = world.populations[species]
     at = other.find_rows(expand_to_rows(ids, rows))
@@ -151,7 +153,7 @@ def _sense_ray(
     dz: SenseValue,
     reach: SenseValue,
 ) -> SenseValue:
-    """Return the result of one feeler of each row, as `_sense_rays` does."""
+    """Return the result of one feeler for each row, in the same form as `_sense_rays`."""
     n = count_rows(rows)
     rays = tuple(np.ascontiguousarray(expand_to_rows(v, rows), np.float32) for v in (dx, dy, dz, reach))
     hits = tuple(np.full(n, value) for value in NO_HIT)
@@ -160,10 +162,10 @@ def _sense_ray(
 
 
 def _sense_rays(world: World, population: Population, node: ir.PlanNode, rows: Rows, queries: Sequence[FeelerQuery]) -> None:
-    """Compute the hits of the feelers of n `rows`.
+    """Compute what the feelers of n agents hit, and write it to the results of `queries`.
 
-    Operands: directions (x y z) of any length and the reach (mm), float32[n] each. Results, initially `NO_HIT`: whether the
-    feeler hits, the distance (mm) and the normal (x y z)."""
+    Operands: directions of any length (x y z) and the reach (mm), float32[n]. Results, initially `NO_HIT`: whether the feeler
+    hits, the distance (mm) and the normal (x y z)."""
     name, start = node.attrs[0], population.start
     place = start["position.x"][rows], start["position.y"][rows], start["position.z"][rows]
     clear = get_obstacle_clearance(world, population, name)
@@ -189,9 +191,9 @@ def _cast_remaining_feelers(
     queries: Sequence[FeelerQuery],
     threads: int,
 ) -> None:
-    """Compute the hits of the remaining feelers in one scene, with all rays at once.
+    """Compute what the remaining feelers hit in one scene, with all rays together.
 
-    `remaining_feelers`, `columns`: the remaining feelers, in the form that `Obstacle.cast_feeler_batch` takes and returns."""
+    `remaining_feelers`, `columns`: the feelers, in the form that `Obstacle.cast_feeler_batch` takes and returns."""
     *place, clear = columns
     row = np.concatenate([rows for _, rows in remaining_feelers])
     ask_numbers = np.repeat([each for each, _ in remaining_feelers], [len(rows) for _, rows in remaining_feelers])
@@ -225,9 +227,10 @@ def _sense_field_value(world: World, population: Population, node: ir.PlanNode, 
 def _sense_field_ahead(
     world: World, population: Population, node: ir.PlanNode, rows: Rows, ahead: SenseValue, turn: SenseValue
 ) -> SenseValue:
-    """Return the value of a field ahead of agents. `turn` is to the left of the heading (radians).
+    """Return the value of a field at the distance `ahead` from agents, in the direction `turn` (radians, to the left of the
+    heading).
 
-    Headings are along the ground below the feet; `up` is the normal of this ground."""
+    The heading is projected onto the ground below the feet; `up` is the normal of this ground."""
     up = vec.split_columns(population.normal[rows], np.float32)
     heading = vec.take_rows(vec.get_vector_registers(population.start, "heading"), rows)
     ahead, turn = (expand_to_rows(each, rows) for each in (ahead, turn))
@@ -254,9 +257,9 @@ def _sense_field_ahead(
 
 
 def _pull_inside_border(world: World, move: GroundMove) -> tuple[Footing, NDArray[np.float64]]:
-    """Return the footings and positions at the ends of paths. An end at an open border is moved slightly into the face.
+    """Return the footings and the positions at the ends of walks. An end at an open border is moved slightly into the face.
 
-    The reason is that a border may lie between two cells: a position exactly on it could read a cell outside the surface."""
+    A border may be on the boundary of two cells. A position exactly on it could read a cell outside the surface."""
     meshes = world.ground.meshes
     if meshes is None or not move.is_blocked.any():
         return move.footing, move.position
@@ -284,7 +287,8 @@ def _sense_field_gradient(world: World, population: Population, node: ir.PlanNod
 
 
 def _sense_noise(world: World, population: Population, node: ir.PlanNode, rows: Rows, *arguments: SenseValue) -> SenseValue:
-    """Return noise at the agents' positions in the scene's axes, at the time of the step. `arguments`: scale, seed and period."""
+    """Return the noise at the agents' positions in the axes of the scene, at the time of the step. `arguments`: scale, seed,
+    period."""
     scale, seed, period = (np.float64(1) * expand_to_rows(each, rows) for each in arguments)
     place = np.stack(read_positions(world, population, rows)).astype(np.float64) + world.origin[:, None]
     step_time = np.full((1, count_rows(rows)), world.display_frame * world.dt)
@@ -301,8 +305,8 @@ def _list_row_numbers(rows: Rows) -> NDArray[np.intp]:
 def _sense_clear_velocity(
     world: World, population: Population, node: ir.PlanNode, rows: Rows, *arguments: SenseValue
 ) -> SenseValue:
-    """Return a collision-free velocity. `arguments`: the wish x y z (mm/s), `within` (mm), `horizon` (s) and the largest number
-    of others."""
+    """Return a velocity that avoids collisions. `arguments`: the wish x, y, z (mm/s), `within` (mm), `horizon` (s), and the
+    largest number of neighbours."""
     which = _list_row_numbers(rows)
     wx, wy, wz = (expand_to_rows(each, rows) for each in arguments[:3])
     within, horizon, most = (expand_to_rows(np.float64(1) * each, rows) for each in arguments[3:])
@@ -321,7 +325,7 @@ def _sense_clip_value(world: World, population: Population, node: ir.PlanNode, r
 
 
 def _sense_contact(world: World, population: Population, node: ir.PlanNode, rows: Rows, *touched: SenseValue) -> SenseValue:
-    """Return the new contact and all touched ids. `touched`: the ids of agents touched so far."""
+    """Return the contact that begins, and the ids of all agents now touched. `touched`: the ids of the agents touched before."""
     known = np.stack([np.asarray(expand_to_rows(each, rows), np.int64) for each in touched], axis=1)
     contact_ids, known = find_new_contacts(world, population, node.attrs[0], _list_row_numbers(rows), known)
     return contact_ids, *(np.ascontiguousarray(ids) for ids in known.T)

@@ -1,4 +1,4 @@
-"""The native backend: compiles a block's vectorised instructions to machine code that processes eight agents at a time."""
+"""The native backend. It compiles a block's vectorised instructions to machine code that processes eight agents at a time."""
 
 from antdsl.runtime.backends.native.native_backend import NativeBackend
 

@@ -1,6 +1,6 @@
-"""Machine code for the accumulators of reductions over pairs. The eight lanes are eight requesting agents, or one agent's
-pairs in eight parts. Terms of sums are multiples of one quantum and add without rounding, so their order does not matter
-(`numerics.exact_sums`)."""
+"""Machine code that accumulates the results of reductions over pairs. The eight SIMD lanes are either eight requesting agents, or
+eight parts of one agent's pairs. The terms of a sum are multiples of one quantum, so their additions need no rounding, and their
+order does not matter (`numerics.exact_sums`)."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ NO_LABEL = (1 << 63) - 1
 
 @dataclass(slots=True, eq=False)
 class RunningReduction:
-    """The running values of one reduction over pairs, in stack slots.
+    """The intermediate values of one reduction over pairs, stored on the stack.
 
-    The eight lanes are eight requesting agents, or eight parts of one agent's pairs. A label is the id or the number that a
+    The eight lanes are either eight requesting agents, or eight parts of one agent's pairs. A label is the id or number that a
     reduction such as `nearest` returns."""
 
     builder: LaneBuilder
@@ -31,15 +31,15 @@ class RunningReduction:
     _stack_slots: list[tuple[Number, str]] = field(default_factory=list)  # stack slots with their kinds
 
     def allocate_values(self) -> None:
-        """Allocate the running values, and set them to their initial values."""
+        """Allocate the intermediate values on the stack, and initialise them."""
         for k, row in enumerate(INITIAL_VALUES[self.node.op]):
             if k == 0 or self.needs_two_words or self.node.op != "reduce.sum":
                 self._stack_slots.append((self.builder.allocate_slot(row[0], LANE_COUNT), row[0]))
                 self._write_part(k, self.builder.make_constant(row[1], row[0]))
 
     def add_term(self, mask: Lanes, body: Lanes | None, label: Lanes | None) -> None:
-        """Emit code that adds a term to each lane in the mask. The term is `body`, or `label` if the reduction selects a label
-        by `body`."""
+        """Emit code that adds a term to the lanes in `mask`. The term is `body`. If the reduction selects a label, such as
+        `nearest`, it stores the `label` of the least `body`."""
         e = self.builder
         match self.node.op:
             case "reduce.sum":
@@ -80,7 +80,7 @@ class RunningReduction:
         self.builder.store_number(self._stack_slots[part][0], value)
 
     def _round_term(self, body: Lanes) -> Lanes:
-        """Round a term to a multiple of the reduction's quantum. Same as `exact_sums.quantise`."""
+        """Emit code that rounds a term to a multiple of the reduction's quantum. Same as `exact_sums.quantise`."""
         quantum = int(self.node.attrs[0])
         bound, magic = float(np.ldexp(1.0, quantum + exact_sums.MAX_TERM_EXPONENT)), float(np.ldexp(1.5, quantum + 52))
         if float(np.float32(bound)) == bound:  # then clamping before the conversion gives the same result
@@ -92,7 +92,7 @@ class RunningReduction:
         return rounded
 
     def emit_result(self) -> Lanes:
-        """Emit code that computes the result from the running values. Return the result of each lane."""
+        """Emit code that computes the result of each lane from its intermediate values. Return the results."""
         e = self.builder
         match self.node.op:
             case "reduce.sum":
@@ -111,12 +111,12 @@ class RunningReduction:
         return label if self.node.op == "reduce.agent" else e.convert(label, I32)
 
     def combine_lanes(self) -> None:
-        """Emit code that combines the running values of all eight lanes, and stores the result in each lane."""
+        """Emit code that combines the intermediate values of all eight lanes, and stores the combination in each lane."""
         for half in (4, 2, 1):
             self._combine_with([self.builder.rotate_lanes(self._read_part(k), half) for k in range(len(self._stack_slots))])
 
     def _combine_with(self, other: list[Lanes]) -> None:
-        """Emit code that combines the running values with those of `other`, lane by lane."""
+        """Emit code that combines the intermediate values with `other`, lane by lane."""
         e, a = self.builder, other[0]
         match self.node.op:
             case "reduce.sum" | "reduce.count":

@@ -1,9 +1,8 @@
-"""Fills a block's tables of addresses and numbers: the memory address of each array of the world that its machine code uses.
+"""Fills a block's tables of addresses and numbers. They contain the memory address of each array that its machine code uses.
 
 Machine code reads eight rows at once, so every array is padded by eight rows (`padded_arrays`). Tables are reused from step to
-step, and only entries that may have changed are written again. These are addresses of named arrays that were replaced, copies
-made in each step, and changed numbers. Births, reordered rows and reloads also create new arrays, so they need no separate
-check."""
+step. Only entries that may have changed are written again: addresses of arrays that were replaced or copied, and changed numbers.
+Births, reordered rows and reloads always create new arrays, so they need no separate check."""
 
 from __future__ import annotations
 
@@ -36,11 +35,11 @@ TableWords = NDArray[np.int64]
 
 
 class WatchedArrays:
-    """Arrays of one object of the world, for which machine code needs the current addresses.
+    """Arrays of one object of the world. When one of them changes its address, the table is updated.
 
     `find_holder`: returns the object. `get_arrays`: returns its arrays, or an object that changes when they change.
-    `write_addresses`: writes the addresses, and may replace arrays by padded ones. It is called if the result of `get_arrays`
-    differs from `previous_arrays`."""
+    `write_addresses`: writes the addresses to the table, and may replace arrays by padded ones. It is called if the result of
+    `get_arrays` differs from `previous_arrays`."""
 
     __slots__ = ("find_holder", "get_arrays", "previous_arrays", "write_addresses")
 
@@ -55,8 +54,9 @@ class WatchedArrays:
 
 
 class AddressTables:
-    """The inputs of one block's machine code: the tables of addresses and numbers, which all threads read, and `lanes`, the
-    memory of each part of the block."""
+    """The inputs of one block's machine code: a table of addresses and a table of numbers, which all threads read.
+
+    `lanes`: the memory of each part of the block."""
 
     def __init__(self, code: BlockCode, padded_arrays: PaddedArrays) -> None:
         self.code, self._padded_arrays = code, padded_arrays
@@ -108,9 +108,9 @@ class AddressTables:
         stored_senses: Any,
         grids: Any,
     ) -> None:
-        """Write all entries of both tables, except those that differ between the lanes. `values`: by node, the values that are
-        equal for all agents. Values that are constant in a run stay valid while `run_values` is the same object.
-        `stored_senses`: the arrays of senses that are stored for the step. `grids`: a cell grid for each search."""
+        """Write all entries of both tables, except those that differ between the parts of the block. `values`: by node, the
+        values that are equal for all agents. Values that are constant in a run are not written again while `run_values` is the
+        same object. `stored_senses`: the arrays of senses that are stored for the step. `grids`: a cell grid for each search."""
         self._update_numbers(world, values, run_values)
         words, changed = self.pointers, False
         for held in self._watched_arrays:
@@ -137,17 +137,17 @@ class AddressTables:
         self.version += changed
 
     def count_largest_species(self, world: World) -> int:
-        """Return the number of agents of the largest species that the block searches, or 0 if it searches none."""
+        """Return the number of agents in the largest species that the block searches. 0 if it searches none."""
         return max([len(other) for other in world.populations.values()]) if self.code.searches else 0
 
     def prepare_lanes(self, parts: int, rows: int, others: int) -> list[LaneMemory]:
-        """Return the memories of `parts` parts of a block with `rows` rows each, with the addresses of the tables.
+        """Return the memories of `parts` parts of a block, for `rows` rows each, with the addresses of these tables.
 
-        `others`: the number of agents of the largest searched species."""
+        `others`: the number of agents in the largest species that is searched."""
         return self.lanes.prepare_lanes(parts, rows, others, self.pointers)
 
     def _update_numbers(self, world: World, values: Mapping[ir.PlanNode, Any], constant_values: Any) -> None:
-        """Write the numbers that have changed since the last step."""
+        """Write the numbers that have changed since the last step to the table."""
         if constant_values is not self._written_values:
             self._written_values = constant_values
             for node, place in self._run_entries:
@@ -178,7 +178,7 @@ class AddressTables:
     # --- arrays with names in the world: keys grouped by the object that contains them -----------------------------------------
 
     def _find_holder_key(self, key: AddressKey) -> AddressKey | None:
-        """Return the key of the object of the world that contains the array with key `key`, or None if no object does."""
+        """Return the key of the object of the world that contains the array `key`. None if no object contains it."""
         match key[0]:
             case "start" | "now" | "cell":
                 return (key[0],)
@@ -191,7 +191,7 @@ class AddressTables:
         return None
 
     def _watch_arrays(self, holder: AddressKey, keys: list[tuple[AddressKey, int]]) -> WatchedArrays:
-        """Return the watched arrays of the object with key `holder`. `keys`: the keys of the arrays, and their indices."""
+        """Return watched arrays of the object with key `holder`. `keys`: the key and the table index of each array."""
         of, names = str(holder[-1]), [(str(key[-1]), place) for key, place in keys]
         match holder[0]:
             case "start" | "now" as when:
@@ -210,7 +210,8 @@ class AddressTables:
         return self._watch_mapping(lambda world, population: population.cells, names)
 
     def _watch_registers(self, names: NamedIndices, *, start: bool) -> WatchedArrays:
-        """Return the watched registers `names`: with `start`, the values at the start of the step, else the current values."""
+        """Return watched registers with these `names`. `start`: whether to watch their values at the start of the step, or the
+        current ones."""
 
         def write_addresses(world: World, population: Population, holder: Any, words: TableWords) -> None:
             for name, place in names:
@@ -220,7 +221,7 @@ class AddressTables:
         return WatchedArrays(find, _make_array_getter(names), write_addresses)
 
     def _watch_mapping(self, find_holder: HolderFinder, names: NamedIndices) -> WatchedArrays:
-        """Return the watched arrays `names` of the mapping that `find_holder` returns."""
+        """Return watched arrays with these `names`, in the mapping that `find_holder` returns."""
 
         def write_addresses(world: World, population: Population, holder: Any, words: TableWords) -> None:
             for name, place in names:
@@ -236,9 +237,9 @@ class AddressTables:
         return lambda world, population: copy.update(population.footing.mesh, np.int64)
 
     def _make_event_finder(self, key: AddressKey) -> AddressFinder:
-        """Return a function that finds the address of the flags of agents that an event has reached.
+        """Return a function that returns the address of the event's flags, one per agent.
 
-        For a species that does not handle the event, no flag is set."""
+        For a species that does not handle the event, all flags are False."""
         name = str(key[1])
         if name not in self.code.species.event_names:
             copy = self._get_copy(key)
@@ -251,7 +252,7 @@ class AddressTables:
         return find_event_address
 
     def _make_sorted_ids_finder(self, key: AddressKey) -> AddressFinder:
-        """Return a function that finds the address of another species' sorted ids, or of their rows."""
+        """Return a function that returns the address of another species' sorted ids, or of the rows of these ids."""
         copy, species, which = self._padded_arrays.copy(*key), str(key[1]), key[2] != "sorted ids"
 
         def find_sorted_ids(world: World, population: Population) -> int:
@@ -269,7 +270,7 @@ class AddressTables:
         return lambda world, population: copy.update_derived_copy(world.setting, lambda: make_clip_table(world, population, what))
 
     def _find_clip_body(self, key: AddressKey) -> AddressFinder:
-        """Return a function that finds the address of `clip_values.find_table_starts`: where each agent's clip values begin."""
+        """Return a function that returns the address of the result of `clip_values.find_table_starts`."""
         copy = self._get_copy(key)
 
         def find_clip_table(world: World, population: Population) -> int:
@@ -278,7 +279,7 @@ class AddressTables:
         return find_clip_table
 
     def _make_threshold_finder(self, key: AddressKey) -> AddressFinder:
-        """Return a function that finds the address of a table of counts. The counts show near which cells a field reaches a
+        """Return a function that returns the address of a table of counts. It shows near which cells a field reaches a
         threshold."""
         _, name, count, bound = key
         numbers, place = self._views[np.dtype(np.float32)], 2 * self.code.layout.find_number_index("node", bound)
@@ -294,19 +295,19 @@ class AddressTables:
         return find_threshold_cells
 
     def _get_copy(self, key: AddressKey) -> PaddedCopy:
-        """Return the padded copy for a key of this species."""
+        """Return the padded copy that belongs to this species and a key."""
         return self._padded_arrays.copy(self.code.species.name, *key)
 
 
 def _make_array_getter(names: NamedIndices) -> Callable[[Any], Iterable[NDArray[Any]]]:
-    """Return a function that returns the arrays with these names of a mapping."""
+    """Return a function that takes a mapping, and returns its arrays with these names."""
     get_arrays = itemgetter(*(name for name, _ in names))
     return get_arrays if len(names) > 1 else lambda holder: (get_arrays(holder),)
 
 
 def _watch_field(field_name: str, names: list[tuple[AddressKey, int]]) -> WatchedArrays:
-    """Return the watched arrays `names` of a field. They change with the field's version. They have one entry per cell, so
-    they need no padding."""
+    """Return watched arrays `names` of a field. They are watched by the field's version. They have one entry per cell, so they
+    need no padding."""
 
     def get_version(field: PheromoneField) -> tuple[Any, ...]:
         return field, field.version

@@ -1,7 +1,7 @@
 """Runs one block as machine code.
 
-Rows are divided into parts. Each part runs through all stages, possibly in several threads. Operations without machine code
-are called between stages. At the end, requests to the world are collected."""
+Rows are divided into parts, which pass through all stages, possibly in several threads. Operations without machine code are
+called between stages. At the end, requests to the world are collected."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ StageCalls = list[tuple[bool, list[tuple[BlockInstruction, int]]]]
 
 
 class BlockRunner:
-    """The machine code of one block of a species, which can be run in each step."""
+    """The runner of one block's machine code, used again in each step."""
 
     def __init__(self, ready_code: ReadyCode, species: str, name: str, padded_arrays: PaddedArrays) -> None:
         self.code, self.compiler = ready_code.block_codes[species, name], ready_code.blocks[species, name]
@@ -65,11 +65,11 @@ class BlockRunner:
     def run(
         self, world: World, population: Population, values: dict[ir.PlanNode, Any], metered_block: MeteredBlock | None
     ) -> list[tuple[int, int]]:
-        """Run the block for all agents, and add their requests to the population's effects in the order of rows.
+        """Run the block for all agents, and add their requests to the population's effects in row order.
 
-        Returns the ranges of rows (first row, end row) that NumPy must run, because an agent in them has too many neighbours.
-        `values`: by node, the values that are equal for all agents. `metered_block`: receives the time of each source line; None
-        without profiling."""
+        Return the ranges of rows (first row, end row) in which an agent has too many neighbours for machine code. NumPy must run
+        these. `values`: by node, the values that are equal for all agents. `metered_block`: receives the time of each source
+        line, or None."""
         count, others = len(population), self.tables.count_largest_species(world)
         of = (count, others, world.options.chunk, world.options.threads, self.tables.version)
         if of != self._prepared_for:
@@ -80,7 +80,7 @@ class BlockRunner:
         return self._run_parts(world, population, values)
 
     def _prepare_lanes(self, count: int, others: int, chunk: int, threads: int, version: int) -> None:
-        """Divide the rows into parts, and prepare the memories of these parts."""
+        """Divide `count` rows into parts, and prepare the memory of each part."""
         threads = max(1, min(threads, count_available_cores()))
         size = _choose_part_size(count, chunk, threads)
         bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
@@ -92,7 +92,7 @@ class BlockRunner:
     def _run_with_line_times(
         self, world: World, population: Population, values: dict[ir.PlanNode, Any], metered_block: MeteredBlock
     ) -> list[tuple[int, int]]:
-        """Run all rows, and add the time of each source line to `metered_block`. Return the ranges of rows that `run` returns."""
+        """Run all rows, and add the time of each source line to `metered_block`. Same result as `run`."""
         lines, chunks, began = self.code.line_counters, self._part_groups[0].chunks, perf_counter()
         for each in chunks:
             each.line_times = None if lines is None else LineTimes(lines, each.lane.ticks, metered_block.make_counters())
@@ -114,7 +114,7 @@ class BlockRunner:
 
 
 def _is_batched_sense(instruction: BlockInstruction) -> bool:
-    """Return whether an instruction is a sense that one call computes for all parts, directly in their arrays."""
+    """Return whether an instruction is a sense that a single call computes for all parts, directly in the arrays of the parts."""
     return (
         instruction.kind is InstructionKind.VALUE
         and isinstance(instruction.subject, ir.PlanNode)
@@ -123,10 +123,10 @@ def _is_batched_sense(instruction: BlockInstruction) -> bool:
 
 
 def _choose_part_size(count: int, chunk: int, threads: int) -> int:
-    """Return the number of rows of a part, for `count` rows in total.
+    """Return the number of rows of a part, given `count` rows in total.
 
-    It is at most `chunk`, and smaller if several parts per thread balance the threads better. The parts that a thread runs
-    together have at most `chunk` rows, so that their data stays in the processor's cache from stage to stage."""
+    At most `chunk`; less if more parts balance the work of the threads better. All parts that one thread runs together have at
+    most `chunk` rows, so that their data stays in the processor's cache from stage to stage."""
     most = chunk if threads < 2 else chunk // PARTS_PER_THREAD
     parts = max(
         -(-count // max(LANE_COUNT, most)),
@@ -137,9 +137,10 @@ def _choose_part_size(count: int, chunk: int, threads: int) -> int:
 
 
 class PartGroup:
-    """Consecutive parts of a block's rows that run through its stages together.
+    """Consecutive parts of a block's rows, which pass through its stages together.
 
-    All parts run a stage without the interpreter, then the calls at its end, and then the next stage."""
+    Each stage runs for all parts without the interpreter. Then the calls at the end of the stage are made, and the next stage
+    begins."""
 
     def __init__(self, block: BlockRunner, chunks: list[RowChunk], bounds: list[tuple[int, int]], threads: int) -> None:
         self._block, self._threads, self._bounds = block, threads, bounds
@@ -150,7 +151,7 @@ class PartGroup:
     def run(self, world: World, population: Population, values: dict[ir.PlanNode, Any]) -> list[tuple[int, int]]:
         """Run the parts through all stages, and add their requests to the population's effects.
 
-        Returns the ranges of rows (first row, end row) of parts in which an agent has too many others within a radius."""
+        Return the parts (first row, end row) in which an agent has too many neighbours for machine code."""
         chunks, timed = self.chunks, self.chunks[0].line_times is not None
         for each, part in zip(chunks, self._bounds, strict=True):
             each.begin(world, population, values, *part)
@@ -164,7 +165,7 @@ class PartGroup:
         return [part for each, part in zip(chunks, self._bounds, strict=True) if not each.end()]
 
     def _run_in_threads(self, work: Callable[[RowChunk], object]) -> None:
-        """Run `work` for each part, in threads."""
+        """Run `work` for each part, in several threads."""
         coming = iter(self.chunks)
 
         def run_parts(_: int) -> None:
@@ -179,7 +180,7 @@ class PartGroup:
     def _run_needed_calls(
         self, world: World, population: Population, values: dict[ir.PlanNode, Any], stage_calls: StageCalls
     ) -> None:
-        """Run the calls at the end of a stage that at least one agent needs."""
+        """Run those calls at the end of a stage that at least one agent needs."""
         needs = [max(each) for each in zip(*[chunk.lane.needed_calls.tolist() for chunk in self.chunks], strict=True)]
         others = []
         for in_place, group in stage_calls:
@@ -194,9 +195,9 @@ class PartGroup:
     def _run_calls_of_all_parts(
         self, world: World, population: Population, values: dict[ir.PlanNode, Any], instructions: list[BlockInstruction]
     ) -> None:
-        """Run one call, or several calls of one sense with one name, for all parts at once.
+        """Run one call, or several calls of the same sense with the same name, for all parts at once.
 
-        Inputs are read from the arrays of the previous stage. Results are written to the arrays that the next stage reads."""
+        Inputs are read from arrays that the previous stage wrote. Results are written to arrays that the next stage reads."""
         began, block, node = perf_counter(), self._block, instructions[0].subject
         assert isinstance(node, ir.PlanNode)
         answer, nothing = BATCHED_SENSES[node.op]
@@ -213,7 +214,8 @@ class PartGroup:
 
 
 class RowChunk:
-    """Rows of a block that one thread runs through all stages. If `line_times` is set, times are recorded there."""
+    """A range of a block's rows that one thread runs through a stage. `line_times`: receives the times of source lines, or
+    None."""
 
     world: World
     population: Population
@@ -228,7 +230,7 @@ class RowChunk:
         self._slots: list[Any] | None = None
 
     def begin(self, world: World, population: Population, values: dict[ir.PlanNode, Any], first: int, last: int) -> None:
-        """Set the world, the values and the rows (from `first` to before `last`) of the next run."""
+        """Set the world, the values and the rows of the next run: from `first` to `last` - 1."""
         self.world, self.population, self.values = world, population, values
         self.first_row, self.end_row = first, last
         self._slots = None
@@ -236,16 +238,16 @@ class RowChunk:
         self.lane.reset_counts()
 
     def run_stage(self, function: Callable[[int, int, int], None]) -> None:
-        """Run the rows through a stage, and record its time."""
+        """Run a stage for the rows, and record its time."""
         began = perf_counter()
         function(self.lane.address, self.first_row, self.end_row)
         if self.line_times is not None:
             self.line_times.seconds += perf_counter() - began
 
     def end(self) -> bool:
-        """Add the rows' requests to the population's effects, after all stages.
+        """After all stages, add the requests of the rows to the population's effects.
 
-        Returns False if an agent has too many others within a radius."""
+        Return False, and add nothing, if an agent has too many neighbours."""
         lane, effects = self.lane, self.population.effects
         crowded, *counts = lane.counts.tolist()
         if not crowded:
@@ -263,14 +265,14 @@ class RowChunk:
         return not crowded
 
     def add_call_time(self, start_time: float, instructions: list[BlockInstruction], rows: list[int]) -> None:
-        """Divide the time since `start_time` among completed calls, in proportion to the rows of each."""
+        """Divide the time since `start_time` among the calls that ran, in proportion to the `rows` of each."""
         if self.line_times is not None:
             each_row = (perf_counter() - start_time) / max(sum(rows), 1)
             for each, count in zip(instructions, rows, strict=True):
                 self.line_times.add_call(each, count * each_row)
 
     def _record_faults(self) -> None:
-        """Record the values that machine code rejected as faults."""
+        """Record a fault for each value that machine code rejected."""
         notes = self.lane.fault_notes
         for k in range(int(notes[0])):
             row, fault_word = int(notes[1 + 2 * k]), int(notes[2 + 2 * k])
@@ -281,7 +283,7 @@ class RowChunk:
     # --- calls ---------------------------------------------------------------------------------------------------------
 
     def _make_numpy_slots(self) -> list[Any]:
-        """Return the list of slots that NumPy calls expect."""
+        """Return a list of slots as NumPy calls expect it."""
         if self._slots is None:
             compiler = self.runner.compiler
             v = self._slots = [None] * compiler.slot_count
@@ -293,7 +295,7 @@ class RowChunk:
         return self._slots
 
     def _find_masked_rows(self, slot: int) -> NDArray[np.intp]:
-        """Return the rows for which the mask in a slot holds, counted from the first row of the chunk."""
+        """Return the rows for which the mask in a slot is true, counted from the first row of the chunk."""
         if slot not in self._rows_by_mask:
             (self._rows_by_mask[slot],) = self.lane.arrays[slot, 0][: self.end_row - self.first_row].nonzero()
         return self._rows_by_mask[slot]
@@ -308,7 +310,7 @@ class RowChunk:
         return rows
 
     def _read_operand_values(self, slot: int, rows: NDArray[np.intp]) -> Any:
-        """Return the stored value of a slot for the given rows, or a single number if it is equal for all agents."""
+        """Return the stored value of a slot for the given rows; a single number if it is equal for all agents."""
         source = self.runner.code.schedule.resolve_slot(slot)
         array = self.lane.arrays.get((source, 0))
         if array is not None:
@@ -333,7 +335,8 @@ class RowChunk:
                     self._run_call_group(needed)
 
     def _run_call_group(self, instructions: list[BlockInstruction]) -> None:
-        """Run one call, or several calls of one sense with one name. A row occurs once for each of its requests."""
+        """Run one call, or several calls of the same sense with the same name. A row is computed once for each of its
+        requests."""
         code, began = self.runner.code, perf_counter()
         if len(instructions) == 1 and instructions[0] not in code.mask_slot_by_call:
             rows = self._find_scope_rows(instructions[0].scope)
@@ -362,7 +365,7 @@ class RowChunk:
         self.add_call_time(began, instructions, [len(rows) for rows in chosen])
 
     def _store_results(self, instruction: BlockInstruction, rows: NDArray[np.intp], results: Any) -> None:
-        """Write the results of a call to the arrays that the next stage reads."""
+        """Write the results of a call for `rows` to the arrays that the next stage reads."""
         for part, value in enumerate(results if isinstance(results, tuple) else (results,)):
             array = self.lane.arrays.get((instruction.slot, part))
             if array is not None:

@@ -1,4 +1,4 @@
-"""Writes the machine code of a block: one function per stage, which runs all its instructions for eight rows at a time."""
+"""Writes the machine code of a block: one function per stage, which runs the stage's instructions for eight rows at a time."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _FIRST_CALL_MASK_SLOT = -1_000_000  # slots from here downward are masks of agen
 
 
 class FunctionWriter:
-    """The writer of one function: a builder of instructions, and the layout of the tables of addresses and numbers."""
+    """The writer of one function. It has a builder of instructions, and the layout of the tables of addresses and numbers."""
 
     def __init__(self, module: LlvmModule, layout: AddressLayout) -> None:
         self.module, self.layout = module, layout
@@ -36,7 +36,7 @@ class FunctionWriter:
         self._loaded_addresses: dict[AddressKey, Lanes] = {}
 
     def array_address(self, *key: Any) -> Lanes:
-        """Return the address of the array with this key. Code at the start of the function loads it from the table."""
+        """Return the address of the array with this key, which code at the start of the function loads from the table."""
         if key not in self._loaded_addresses:
             at = self.builder.make_constant(self.layout.find_pointer_index(*key), I64, 1)
             place = self.builder.add_at_entry("element", PTR, self.table, at, x=PTR)
@@ -49,7 +49,7 @@ class FunctionWriter:
         return self.array_address("array", slot, part)
 
     def read_uniform(self, kind: str, *key: Any, is_scalar: bool = False) -> Lanes:
-        """Return a value that is equal for all agents: in every lane, or (`is_scalar`) as a single number."""
+        """Return a value that is equal for all agents, in every lane, or as a single number if `is_scalar`."""
 
         def load_uniform() -> Lanes:
             place = self.builder.address(self.array_address("numbers"), self.layout.find_number_index(*key), I64)
@@ -62,7 +62,7 @@ class FunctionWriter:
         return lanes
 
     def apply_operation(self, op: str, *args: Lanes) -> Any:
-        """Apply an elementwise operation to lanes. The operation is the same function as in the NumPy backend."""
+        """Emit code that applies an elementwise operation to lanes. The NumPy backend uses the same formula."""
         formula = FUNCTION_BY_NAME[op]
         if op not in _OUT_OF_LINE_FUNCTIONS:
             return formula(*args)
@@ -70,15 +70,15 @@ class FunctionWriter:
         return self.builder.call_function(name, F32, *args)
 
     def add_to_module(self, name: str) -> None:
-        """Add the function to the module under a name that can be called from outside."""
+        """Add the function to the module under a name that callers outside the module use."""
         outer = write_outer_function(self.module, name)
         self.builder.end(name, (self.table, self.begin, self.end), attribute="noinline", caller_text=outer)
 
 
 @dataclass(slots=True, eq=False)
 class NeighbourSearch:
-    """One search for neighbours of a species, which several reductions share. `sets`: the sets that they reduce.
-    `extra_registers`: registers of the others, needed in the order of the cell grid. Each text contains up to four names."""
+    """A search for neighbours of a species, shared by several reductions. `sets`: the sets that these reduce. `extra_registers`:
+    registers of the others that it needs in the order of its cell grid, up to four names per text."""
 
     species: str
     sets: list[ir.PlanNode]
@@ -103,7 +103,7 @@ class BlockCode:
     mask_slot_by_call: dict[BlockInstruction, int] = field(default_factory=dict)  # calls that only some agents need
 
     def find_call_mask_slot(self, instruction: BlockInstruction) -> int:
-        """Return the slot of the mask of rows for which a call is made."""
+        """Return the slot of a mask: the rows for which a call is made."""
         guarded = self.mask_slot_by_call.get(instruction)
         return self.schedule.resolve_slot(instruction.scope.rows) if guarded is None else guarded
 
@@ -112,7 +112,7 @@ NodeLowerer = Callable[["BlockWriter", ir.PlanNode, tuple[Any, ...]], Any]
 
 
 class BlockWriter(FunctionWriter):
-    """Writes the function of one stage."""
+    """The writer of the function of one stage."""
 
     def __init__(
         self, module: LlvmModule, code: BlockCode, compiler: BlockCompiler, stage: int, senses: dict[str, NodeLowerer],
@@ -149,7 +149,7 @@ class BlockWriter(FunctionWriter):
                 self._index_slots_of_scope(each.inner)
 
     def write_function(self, name: str) -> None:
-        """Add the function to the module."""
+        """Write the function, and add it to the module."""
         e = self.builder
         rows = self.end - self.begin
         with e.write_loop(rows, LANE_COUNT) as offset:
@@ -177,7 +177,7 @@ class BlockWriter(FunctionWriter):
     # --- instructions --------------------------------------------------------------------------------------------------
 
     def _timed_instruction(self, instruction: BlockInstruction) -> AbstractContextManager[None]:
-        """Return a context that assigns the time of the code written in it to the instruction, if lines are timed."""
+        """Return a context that assigns the time of all code written in it to the instruction, if lines are timed."""
         return nullcontext() if (c := self.code.line_counters) is None else self._time_with_counter(c.find_counter(instruction))
 
     @contextmanager
@@ -204,14 +204,14 @@ class BlockWriter(FunctionWriter):
                             self.find_slot_value(each.slot)
 
     def _write_call_request(self, instruction: BlockInstruction, mask: Lanes) -> None:
-        """Emit code that records whether any agent needs a call."""
+        """Emit code that records whether any agent needs a call. `mask`: the agents that need it."""
         e = self.builder
         place = e.address(self.array_address("needs"), len(self.code.optional_calls), I8)
         self.code.optional_calls.append(instruction)
         e.store_number(place, e.load(place, I8) | e.mask_to_i8(mask))
 
     def _write_guard(self, instruction: BlockInstruction) -> None:
-        """Emit code that records which agents need a call, if this can be decided, and stores the result of all other agents."""
+        """Emit code that determines which agents need a call, if possible, and stores the call's result for all other agents."""
         assert isinstance(instruction.subject, ir.PlanNode)
         guard = self.guards.get(instruction.subject.op)
         if guard is None:
@@ -239,7 +239,7 @@ class BlockWriter(FunctionWriter):
             self.mask.pop()
 
     def _find_scope_mask(self, inner: RowScope, make: Callable[[], Lanes]) -> Lanes:
-        """Return the mask of an inner scope, computed by `make` in this stage or stored by an earlier stage."""
+        """Return the mask of an inner scope: computed by `make` if this stage is the first to need it, else loaded."""
         mask: Lanes
         if self.schedule.stage_by_slot[inner.rows] != self.stage:
             mask = self.find_slot_value(inner.rows)
@@ -284,7 +284,7 @@ class BlockWriter(FunctionWriter):
     # --- values --------------------------------------------------------------------------------------------------------
 
     def find_slot_value(self, slot: int) -> Any:
-        """Return the value of a slot. Emit code that computes it, or loads it from an earlier stage, if this is needed."""
+        """Return the value of a slot. If necessary, emit code that computes it, or loads what an earlier stage stored."""
         slot = self.schedule.resolve_slot(slot)
         if slot in self._uniform_nodes:
             node = self._uniform_nodes[slot]
@@ -326,7 +326,7 @@ class BlockWriter(FunctionWriter):
         return value
 
     def record_slot_value(self, slot: int, value: Any) -> None:
-        """Record that `value` is the value of a slot, and emit code that stores it if a later stage needs it."""
+        """Record `value` as the value of a slot. Emit code that stores it if a later stage needs it."""
         self.builder.known[-1][slot] = value
         self._store_slot(slot, value)
 
@@ -336,8 +336,8 @@ class BlockWriter(FunctionWriter):
                 self.builder.store_lanes(self.stage_array_address(slot, part, each.kind), self.offset, each)
 
     def find_joint_reductions(self, first: BlockInstruction) -> list[BlockInstruction]:
-        """Return other reductions over the same species or items that the search for `first` can also compute. They must not
-        depend on the result of `first`. Reductions over agents may be in other scopes."""
+        """Return the other reductions over the same species or items that the search for `first` can compute as well. They must
+        not depend on the result of `first`. Reductions over agents may be in other scopes."""
         assert isinstance(first.subject, ir.PlanNode)
         reductions, of = [], first.subject.args[0]
         for each in self._reductions:
@@ -355,7 +355,7 @@ class BlockWriter(FunctionWriter):
         return reductions
 
     def _is_ready(self, slot: int) -> bool:
-        """Return whether a slot's value is recorded, or can be computed without a reduction or a register that changes."""
+        """Return whether a slot's value is known, or can be computed now without a reduction or a register that changes."""
         slot = self.schedule.resolve_slot(slot)
         if slot in self._uniform_nodes or any(slot in names for names in self.builder.known):
             return True
@@ -386,8 +386,8 @@ class BlockWriter(FunctionWriter):
         self.builder.store_masked(mask, self.array_address("now", store.register), self.row, value)
 
     def write_fault_record(self, is_bad: Lanes, value_name: str, instruction: BlockInstruction) -> None:
-        """Emit code that records non-finite values among eight rows: the number of the first row, and a mask of the faulty
-        rows. The bits above the mask contain the number of the rejected value."""
+        """Emit code that records non-finite values among eight rows as two words: the number of the first row, and a mask of the
+        faulty rows. The bits above the mask contain the number of the rejected value."""
         e, faults = self.builder, self.code.fault_sources
         with e.write_if(e.any_lane(is_bad)):
             faults.append((value_name, instruction))  # one entry per place; its notes have space for one of each eight rows

@@ -1,7 +1,8 @@
-"""The queue that compiles the blocks of plans to machine code. It writes their text, loads their code, and prepares the calls
-between stages. Each function with external callers is compiled separately, in a background thread. Code is cached by its text:
-in memory, and in a folder for later runs (`object_cache`). The numbers of a program are not part of the text, so changing a
-number compiles nothing. An edit compiles only the stages that it changes."""
+"""Compiles the blocks of plans to machine code in a background thread, and prepares the calls between stages.
+
+Each function with external callers is compiled separately. Code is cached by its text, in memory and in a folder for later runs
+(`object_cache`). The numbers of a program are not part of the text, so changing a number compiles nothing. An edit compiles only
+the stages that it changes."""
 
 from __future__ import annotations
 
@@ -29,18 +30,17 @@ _requests_lock = Lock()
 
 
 class CodeUnavailable(Exception):
-    """Error: machine code cannot be compiled on this machine. The message gives the reason and a remedy."""
+    """Error: machine code cannot be compiled on this machine. The message contains the reason and a remedy."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadyCode:
-    """The loaded code of a plan.
+    """The loaded machine code of a plan.
 
-    `blocks`: the compiled blocks, to which the other fields refer.
-    `block_codes`: the block codes, by species and block.
-    `loaded_code`: the loaded code of each function, by name.
-    `calls`: the function call for each instruction without machine code.
-    `call_groups`: the calls after each stage, by species, block and stage; calls of one sense with one name are grouped."""
+    `blocks`: the compiled blocks to which the other fields refer. `block_codes`: the block codes, by species and block.
+    `loaded_code`: the loaded code, by function name. `calls`: the function call for each instruction without machine code.
+    `call_groups`: the calls after each stage, by (species, block, stage). Calls of the same sense with the same name form a
+    group."""
 
     blocks: CompiledBlocks
     facts: WorldFacts
@@ -50,12 +50,12 @@ class ReadyCode:
     call_groups: Mapping[tuple[str, str, int], list[list[BlockInstruction]]]
 
     def function(self, name: str) -> Any:
-        """Return a function of the program by name. Same as `llvm_compiler.LoadedCode.function`."""
+        """Return the function called `name`. Same as `llvm_compiler.LoadedCode.function`."""
         return self.loaded_code[name].function(name)
 
 
 def find_ready_code(plan: ir.Plan, facts: WorldFacts) -> ReadyCode | None:
-    """Return the loaded code of a plan if it is still in memory, else None."""
+    """Return the loaded code of a plan if it is in memory, else None."""
     with _requests_lock:
         return _code_by_plan.get(plan, {}).get(facts)
 
@@ -63,8 +63,9 @@ def find_ready_code(plan: ir.Plan, facts: WorldFacts) -> ReadyCode | None:
 def _build_ready(
     plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, stored: stored_blocks.StoredBlocks | None
 ) -> Generator[None, None, ReadyCode]:
-    """Compile a plan's blocks for this processor, and return the code. This is a generator: each `next` does a part of the
-    work. Raises CodeUnavailable."""
+    """Compile a plan's blocks for this processor, and return their code. Raises CodeUnavailable.
+
+    This is a generator: each `next` does a part of the work."""
     if why := llvm_compiler.find_unavailability_reason():
         raise CodeUnavailable(why)
     host = llvm_compiler.find_host_target()
@@ -98,8 +99,8 @@ def _get_unit_text(text: Callable[[], NativeProgram], name: str) -> str:
 
 
 def find_stored_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> stored_blocks.StoredBlocks | None:
-    """Return the compiled blocks of a plan that an earlier run stored, or None. With them, the text does not have to be
-    written."""
+    """Return the compiled blocks of a plan that an earlier run stored, or None. They make it unnecessary to write the plan's
+    text."""
     subject = (
         stored_blocks.number_plan(plan, blocks, facts, llvm_compiler.find_host_target()) if llvm_compiler.is_available() else None
     )
@@ -109,11 +110,10 @@ def find_stored_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts)
 def start_building(
     plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, stored: stored_blocks.StoredBlocks | None = None
 ) -> Future[ReadyCode]:
-    """Build machine code for a plan's blocks in a thread. Return the future of the code; its exception may be CodeUnavailable.
+    """Build the machine code of a plan's blocks in a thread. Return a future of the code; its exception may be CodeUnavailable.
 
-    The latest request is built first, because a user waits for it. Building stops once the caller drops the future, for
-    example because the program was saved again.
-    `stored`: the result of `find_stored_blocks`."""
+    The latest request is built first, because a user waits for it. Building stops when the caller drops the future, for example
+    because the program was saved again. `stored`: the result of `find_stored_blocks`."""
     coming: Future[ReadyCode] = Future()
     with _requests_lock:
         _pending_requests.append((ref(coming), _build_ready(plan, blocks, facts, stored)))
@@ -122,7 +122,7 @@ def start_building(
 
 
 def _run_next_piece() -> None:
-    """Do one piece of work for the latest request that is still needed."""
+    """Do the next part of the work for the latest request that is still needed."""
     with _requests_lock:
         _pending_requests[:] = [each for each in _pending_requests if each[0]() is not None]
         if not _pending_requests:
@@ -141,7 +141,7 @@ def _run_next_piece() -> None:
 
 
 def _finish_request(future_reference: ReferenceType[Future[ReadyCode]], set_outcome: Callable[[Future[ReadyCode]], None]) -> None:
-    """Complete a request: call `set_outcome`, which sets its result or its error, if the future still exists."""
+    """Complete a request if its future still exists. `set_outcome`: sets the result or the error of the future."""
     with _requests_lock:
         _pending_requests[:] = [each for each in _pending_requests if each[0] is not future_reference]
     coming = future_reference()
@@ -150,7 +150,7 @@ def _finish_request(future_reference: ReferenceType[Future[ReadyCode]], set_outc
 
 
 def release_code() -> None:
-    """Discard all code in memory that no backend uses, so that memory is as in a new process. Stored code is unchanged."""
+    """Discard all code in memory that no backend uses, as if the process had just started. Code on disk is not changed."""
     with _requests_lock:
         _code_by_plan.clear()
     code_cache.release_unused_code()
@@ -162,7 +162,7 @@ def _get_compile_thread() -> ThreadPoolExecutor:
 
 
 def _group_calls(calls: list[BlockInstruction]) -> list[list[BlockInstruction]]:
-    """Return the calls in groups, in their order. Calls of one sense with one name are one group."""
+    """Return the calls in groups, in order. Calls of the same sense with the same name form a group."""
     groups: list[list[BlockInstruction]] = []
     known: dict[Any, list[BlockInstruction]] = {}
     for each in calls:

@@ -1,4 +1,4 @@
-"""Faster reads of field values that are only compared with a threshold. If no nearby cell reaches the threshold, no cell is
+"""Faster reads of field values that a program only compares with a threshold. If no nearby cell reaches the threshold, no cell is
 read."""
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ _COMPARISON_OPERATIONS = frozenset(("lt", "le", "gt", "ge"))
 
 
 def read_own_cell(w: Any, field: str) -> Lanes:
-    """Return the field cell of each of the eight agents. Agents without a cell get the number of cells."""
+    """Return the field cell in which each of the eight agents is. An agent without a cell gets the number of cells."""
     cell = w.builder.load_lanes(w.array_address("cell", field), w.row, I32)
     cell_number: Lanes = w.builder.select_lanes(cell < 0, w.read_uniform(I32, "cells", field), cell)
     return cell_number
 
 
 def may_reach_threshold(w: Any, node: ir.PlanNode, bound: ir.PlanNode) -> Lanes:
-    """Return the mask of agents for which a nearby cell may reach the threshold."""
+    """Return a mask of the agents that have a cell nearby in which the field may reach the threshold. `bound`: the node of the
+    threshold."""
 
     def load_reached() -> Lanes:
         is_reached: Lanes = w.builder.gather(
@@ -37,9 +38,9 @@ def may_reach_threshold(w: Any, node: ir.PlanNode, bound: ir.PlanNode) -> Lanes:
 
 
 def limit_strength(w: Any, node: ir.PlanNode, bound: ir.PlanNode, stored_strength: Lanes) -> Lanes:
-    """Return `stored_strength` for agents near a cell that may reach the threshold, and 0 for other agents.
+    """Return `stored_strength` for agents near a cell that may reach the threshold, and 0 for all others.
 
-    This is correct because their true strength is also below the threshold."""
+    For the others, the strength is below the threshold in any case, so the comparison gives the same result."""
     bounded_strength: Lanes = w.builder.select_lanes(
         may_reach_threshold(w, node, bound), stored_strength, w.builder.make_constant(0.0, stored_strength.kind)
     )
@@ -47,9 +48,9 @@ def limit_strength(w: Any, node: ir.PlanNode, bound: ir.PlanNode, stored_strengt
 
 
 def find_scent_thresholds(compiler: BlockCompiler, schedule: StageSchedule) -> dict[int, ir.PlanNode]:
-    """Return, by the slot of each scent, the node of the threshold that it is compared with.
+    """Return the node of the threshold with which each scent is compared, by the scent's slot.
 
-    Only scents that are stored for the step are included, and only if the threshold is one number, equal for all agents."""
+    Included are only scents that are stored for the step, and thresholds that are one number, equal for all agents."""
     uniform = {slot: node for node, slot in compiler.uniform_slots.items()}
     readers: dict[int, list[BlockInstruction]] = {}
     scents: list[int] = []
@@ -85,7 +86,7 @@ def _get_operation_name(instruction: BlockInstruction) -> str:
 
 
 def _is_strength_part(instruction: BlockInstruction) -> bool:
-    """Return whether an instruction selects the strength from the result of `field.strongest`."""
+    """Return whether an instruction extracts the strength from the result of `field.strongest`."""
     return (
         instruction.kind is InstructionKind.VALUE
         and isinstance(instruction.subject, ir.PlanNode)

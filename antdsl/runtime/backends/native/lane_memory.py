@@ -1,4 +1,4 @@
-"""The memory of each part of a block while machine code runs: values passed between stages, lists, recorded faults and
+"""The memory that machine code uses for each part of a block: values passed between stages, lists, recorded faults and
 counters."""
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ _LANE_KEY_KINDS = ("array", "laid", "notes", "counts", "needs", "ticks", "candid
 class LaneMemory:
     """The memory that machine code uses for one part of a block's rows.
 
-    `counts`: entry 0 is above 0 if an agent has too many neighbours; the other entries are the lengths of the lists of
-    requests. `needed_calls`: for each optional call, above 0 if an agent needs it. `list_columns`: for each list of requests,
-    the rows, and the values stored for them. `ticks`: the time counters by source line, for timed code. `deposit_flags`: by
-    field, whether anything was deposited. `max_radii`: the greatest radius (mm) of each search, for eight agents at a time."""
+    `counts`: entry 0 is positive if an agent has too many neighbours; the other entries are the lengths of the lists of requests.
+    `needed_calls`: for each optional call, positive if an agent needs it. `list_columns`: for each list of requests, the rows and
+    their values. `ticks`: the time counters by source line, if lines are timed. `deposit_flags`: by field, whether anything was
+    deposited. `max_radii`: the greatest radius (mm) of each search, for eight agents at a time."""
 
     def __init__(self, code: BlockCode, pointers: NDArray[np.int64]) -> None:
         self.code, self.pointers = code, np.zeros_like(pointers)
@@ -54,7 +54,7 @@ class LaneMemory:
         self._lane_addresses = np.zeros(len(self._keys), np.int64)
 
     def copy_pointers(self, pointers: NDArray[np.int64]) -> None:
-        """Copy the addresses that all parts share from the table `pointers`."""
+        """Copy the addresses that are equal for all parts from the table `pointers`."""
         self.pointers[:] = pointers
         self.pointers[self._lane_entries] = self._lane_addresses
 
@@ -66,9 +66,9 @@ class LaneMemory:
             self.needed_calls.fill(0)
 
     def allocate(self, arrays: Arrays, rows: int, others: int) -> None:
-        """Use the given arrays for `rows` rows, with eight spare rows at the end.
+        """Use `arrays` as the memory for `rows` rows and eight spare rows at the end.
 
-        `others`: the number of agents of the largest searched species, for which buffers are allocated."""
+        `others`: the number of agents in the largest species that is searched; buffers have this size."""
         self.arrays = arrays
         self.list_columns.clear()
         for number in range(len(self.code.list_instructions)):
@@ -86,7 +86,7 @@ class LaneMemory:
             self._lane_addresses[number] = get_array_address(self._find_array(key))
 
     def _find_array(self, key: AddressKey) -> NDArray[Any]:
-        """Return the array of this part for a key of the layout."""
+        """Return the array of this part that a key of the layout refers to."""
         match key[0]:
             case "array":
                 return self.arrays[int(str(key[1])), int(str(key[2]))]
@@ -108,7 +108,7 @@ class LaneMemory:
 class LaneMemories:
     """The memories of all parts of a block that run at the same time.
 
-    The results of a stage are contiguous for all parts: the arrays of a part are slices of `arrays`."""
+    Results of a stage are contiguous over all parts: the arrays of a part are slices of `arrays`."""
 
     def __init__(self, code: BlockCode) -> None:
         self.code = code
@@ -120,10 +120,10 @@ class LaneMemories:
         ] = {}  # the query of each call, with its uniform operands and their values
 
     def prepare_lanes(self, parts: int, rows: int, others: int, pointers: NDArray[np.int64]) -> list[LaneMemory]:
-        """Return the memories of `parts` parts with `rows` rows each, with the common addresses `pointers`.
+        """Return the memories of `parts` parts, for `rows` rows each. `pointers`: the addresses that are equal for all parts.
 
-        `rows` is a multiple of eight if there are several parts.
-        `others`: the number of agents of the largest searched species, for which buffers are allocated."""
+        If there are several parts, `rows` must be a multiple of eight. `others`: the number of agents in the largest species that
+        is searched."""
         while len(self.every) < parts:
             self.every.append(LaneMemory(self.code, pointers))
         if rows != self._part_rows or parts > self._part_count or others > self._largest_species:
@@ -139,7 +139,7 @@ class LaneMemories:
         return lanes
 
     def _allocate_arrays(self) -> None:
-        """Allocate the arrays for all parts, and give each part its slices."""
+        """Allocate the arrays of all parts, and give each part its slices."""
         rows, length = self._part_rows, self._part_count * self._part_rows + LANE_COUNT
         self._queries.clear()
         for key, kind in self.code.layout.array_kinds.items():
@@ -152,10 +152,10 @@ class LaneMemories:
     def build_query(
         self, instruction: BlockInstruction, rows: int, uniform: Mapping[int, ir.PlanNode], values: Mapping[ir.PlanNode, Any]
     ) -> FeelerQuery:
-        """Return the query for a call: which of `rows` rows of all parts need it, its arguments, and the arrays for its
-        results.
+        """Return the query of a call for all parts: the rows that need it, its arguments, and the arrays for its results.
 
-        `uniform`: by slot, the node of each argument that is equal for all agents. `values`: the values of these nodes."""
+        `rows`: the total number of rows. `uniform`: by slot, the node of each argument that is equal for all agents. `values`:
+        the values of these nodes."""
         known = self._queries.get(instruction)
         if known is not None:
             request, same = known

@@ -1,7 +1,7 @@
-"""Measures the time of machine code by source line. Wherever the source line changes, a mark in the code reads the processor's
-time counter. Only code compiled for timing has marks (`programs.WorldFacts.timed`). The time between two marks is added to the
-counter of the line before the second mark. The total duration of the functions converts counters to seconds. The time of a
-call is assigned to the line at which it occurs in the code, even if several lines share the call."""
+"""Measures the time of machine code by source line. Where code of another source line begins, a mark reads the processor's time
+counter. Only code that is compiled for timing has marks (`programs.WorldFacts`). The time between two marks is added to the
+counter of the line between them. The total duration of the functions is used to convert counters to seconds. If several lines
+share a call, its time counts for the line at which it is in the code."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 
 class LineCounters:
-    """The time counters of a block: one for each source line within each layer. Counter 0 is for instructions without a line.
+    """The time counters of a block. Each layer has one counter per source line. Counter 0 is for instructions without a line.
 
-    `number_by_instruction`: the index of each instruction among the instructions of `MeteredBlock`.
-    `instruction_numbers`: for each counter, the index of an instruction on its line, -1 for none."""
+    `number_by_instruction`: the index of each instruction in `MeteredBlock.instructions`. `instruction_numbers`: for each
+    counter, the index of an instruction on its line, -1 for none."""
 
     def __init__(self, compiler: BlockCompiler) -> None:
         self.number_by_instruction = {each: k for k, each in enumerate(list_instructions(compiler.root_scope))}
@@ -34,7 +34,7 @@ class LineCounters:
         self._counters: dict[tuple[str, int, int], int] = {}
 
     def find_counter(self, instruction: BlockInstruction) -> int:
-        """Return the number of the counter for an instruction's line; a new number if the line has no counter yet."""
+        """Return the number of the counter for the line of an instruction. Create the counter if the line has none."""
         span = instruction.span
         place = ("", 0) if span is None else (span.source.path, span.source.find_line_column(span.start)[0])
         key = (*place, instruction.layer)
@@ -45,7 +45,7 @@ class LineCounters:
 
 
 class _MarkWriter:
-    """The writer of marks into a function, between instructions that have different time counters."""
+    """A writer that inserts marks into a function, between instructions with different time counters."""
 
     def __init__(self, w: FunctionWriter) -> None:
         self.builder, self._ticks, self._last_time_slot = w.builder, w.array_address("ticks"), w.builder.allocate_slot(I64)
@@ -54,7 +54,7 @@ class _MarkWriter:
         self._mark_end = 0  # index in the block after the last mark
 
     def write_marks(self) -> None:
-        """Add marks to all blocks of the function."""
+        """Insert the marks into all basic blocks of the function."""
         e, blocks = self.builder, self.builder.blocks
         e.blocks, e.current_block = blocks[:1], BasicBlock(blocks[0].label, [])
         e.blocks[0] = e.current_block
@@ -72,7 +72,7 @@ class _MarkWriter:
         self._add_ticks(current)
 
     def _add_ticks(self, number: int) -> None:
-        """Emit code that adds the time since the last mark to counter `number`."""
+        """Emit code that adds the time since the previous mark to counter `number`."""
         e = self.builder
         self._store_pending()
         last, now = e.load(self._last_time_slot, I64), self._read_counter()
@@ -82,8 +82,8 @@ class _MarkWriter:
         self._add_barrier(now)
 
     def _read_counter(self) -> Lanes:
-        """Emit code that reads the processor's time counter. Return its value. The code first waits for earlier instructions.
-        Otherwise slow operations of one line (divisions, roots) would be timed as part of a later line."""
+        """Emit code that reads the processor's time counter. Return the value. The code waits for earlier instructions first.
+        Otherwise slow operations (divisions, roots) would count for a later line."""
         if self._needs_fence:
             self.builder.emit_void("wait")
         return self.builder.op("ticks", I64, lanes=1)
@@ -91,8 +91,8 @@ class _MarkWriter:
     def _store_pending(self) -> None:
         """Store all values that are not used yet, so that they are computed before the mark.
 
-        LLVM does not move these stores past the counter. Without them, it would compute the values where they are used, in
-        another line."""
+        LLVM does not move these stores past the mark. Without them, it would move the computations to where the values are used,
+        in another line."""
         written = self.builder.current_block.body[self._mark_end :]
         read = {operand.name for each in written for operand in each.operands}
         for value in [each.result for each in written if each.result is not None and each.result.name not in read]:
@@ -103,8 +103,8 @@ class _MarkWriter:
     def _add_barrier(self, count: Lanes) -> None:
         """Prevent LLVM from moving later operations before this point.
 
-        LLVM reorders instructions within a basic block. A branch that it cannot prove to be always taken starts a new block.
-        `count` is never 0, but LLVM cannot know this."""
+        LLVM reorders instructions only within a basic block, and a branch that it cannot predict starts a new block. `count` is
+        never 0, but LLVM cannot know this."""
         e, never, following = self.builder, self.builder.make_label("never"), self.builder.make_label("marked")
         e.branch(count != 0, following, never)
         e.begin_block(never)
@@ -121,10 +121,10 @@ def add_marks(w: FunctionWriter) -> None:
 
 @dataclass(slots=True, eq=False)
 class LineTimes:
-    """The times of one part of a block in one run.
+    """The times of one part of a block in one run of the block.
 
-    `ticks`: the time counters by source line, in ticks of the processor, to which machine code adds.
-    `counters`: the times by instruction, from `MeteredBlock.make_counters`. `seconds`: the time of the functions."""
+    `ticks`: the time counters by source line, in ticks of the processor, written by machine code. `counters`: the times by
+    instruction, from `MeteredBlock.make_counters`. `seconds`: the total time of the functions."""
 
     lines: LineCounters
     ticks: NDArray[np.int64]
@@ -135,7 +135,7 @@ class LineTimes:
         self.ticks[:] = 0
 
     def add_call(self, instruction: BlockInstruction, seconds: float) -> None:
-        """Add `seconds` to the time of an instruction without machine code."""
+        """Add `seconds` to the time of an instruction that runs without machine code."""
         self._add_seconds(self.lines.number_by_instruction[instruction], seconds)
 
     def distribute_to_lines(self) -> None:

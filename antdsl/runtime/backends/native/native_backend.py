@@ -1,5 +1,5 @@
-"""The backend that runs a plan's blocks as machine code. NumPy runs blocks until their code is ready, or always if no code can
-be compiled. Results are bit-identical."""
+"""The backend that runs a plan's blocks as machine code. NumPy runs them until the code is ready, or always if no code can be
+compiled. The results are bit-identical."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _DEFAULT_AGENTS_PER_CELL = 8  # agents per cell if no radius is known
 
 
 class NativeBackend(NumpyBackend):
-    """The native backend of one world. From the first step on, a thread compiles the code of the plan."""
+    """The native backend of one world. A thread compiles the code of the plan from the first step on."""
 
     spare_rows = LANE_COUNT
 
@@ -68,9 +68,9 @@ class NativeBackend(NumpyBackend):
         return super().backend_name if self.ready_code is None else "machine code"
 
     def set_timing(self, enabled: bool) -> None:
-        """Measure the time of program lines from the next step on, or stop this.
+        """Start or stop to measure the time of program lines, from the next step on.
 
-        This needs separate machine code. NumPy runs blocks until that code is ready."""
+        Timing requires other machine code. NumPy runs the blocks until this code is ready."""
         if enabled != self._is_timed:
             self._is_timed = enabled
             current = (self.ready_code, self._pending_code, self._runners)
@@ -78,7 +78,7 @@ class NativeBackend(NumpyBackend):
         super().set_timing(enabled)
 
     def begin(self, world: World) -> None:
-        """Begin a step: compute values that are equal for all agents, clear cached senses, and switch to code that has become
+        """Begin a step: compute the values that are equal for all agents, clear cached senses, and use code that has become
         ready."""
         self._request_code(world, world.options.wait_for_code)
         self._has_begun = True
@@ -91,16 +91,16 @@ class NativeBackend(NumpyBackend):
         super().begin(world)
 
     def messages(self) -> list[str]:
-        """Return messages for the user about differences from the requested execution. None of them changes a result."""
+        """Return messages for the user, for example that NumPy runs instead of machine code. Results are the same."""
         sentences = [] if self._unavailable_reason is None else [self._unavailable_reason]
         return sentences + code_cache.take_messages()
 
     def wait_for_code(self, world: World) -> None:
-        """Wait until all blocks are ready to run as machine code in the next step, or until compilation has failed."""
+        """Wait until machine code for all blocks is ready for the next step, or until compilation has failed."""
         self._request_code(world, True)
 
     def count_instructions_by_function(self) -> dict[str, int]:
-        """Return the number of LLVM instructions of each function, compiled for a generic processor."""
+        """Return the number of LLVM instructions of each function, by name, if compiled for a generic processor."""
         if self.ready_code is None:
             return {}
         native_program = write_program(self._plan, self.blocks, self.ready_code.facts, llvm_compiler.PORTABLE_TARGET)
@@ -110,10 +110,10 @@ class NativeBackend(NumpyBackend):
         }
 
     def _request_code(self, world: World, must_wait: bool) -> None:
-        """Request missing machine code, if enough steps remain to make this worthwhile.
+        """Request missing machine code, if enough steps remain for it to pay off.
 
-        Code that an earlier run has stored is loaded before the first step. Other code is requested after the first step, so
-        that the user sees its result soon. With `must_wait`, return when the code is ready."""
+        Code that an earlier run has stored is loaded before the first step. Other code is requested after the first step, so that
+        the user soon sees the result of that step. With `must_wait`, return only when the code is ready."""
         if self.ready_code is not None or self._unavailable_reason is not None:
             return
         if self._is_timed and llvm_compiler.is_available() and not llvm_compiler.find_host_target().is_x86:
@@ -145,8 +145,8 @@ class NativeBackend(NumpyBackend):
             self.ready_code = ready
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
-        """Run a block for some rows (None: all), and add their requests to the population's effects. Blocks of births run in
-        NumPy."""
+        """Run a block for some rows (None: all), and add their requests to the population's effects. NumPy runs blocks of
+        births."""
         name = population.name
         code = None if rows is not None else self._runners.get((name, block)) or self._find_runner(name, block)
         metered = self.metered_blocks.get((name, block)) if self.metered_blocks else None
@@ -171,15 +171,17 @@ class NativeBackend(NumpyBackend):
                 each.fill(0)
 
     def _find_runner(self, species: str, block: str) -> BlockRunner | None:
-        """Return the runner of a block's machine code; None if the block has no machine code."""
+        """Return the runner of a block's machine code. None if the block has no machine code."""
         if self.ready_code is None or (species, block) not in self.ready_code.block_codes:
             return None
         native_block = self._runners[species, block] = BlockRunner(self.ready_code, species, block, self._padded_arrays)
         return native_block
 
     def _find_search_grid(self, world: World, population: Population, block: str, search: NeighbourSearch, number: int) -> Arrays:
-        """Return the arrays of the cell grid for a search. The cell size is chosen by the greatest radius of the previous
-        step. In the first step, it is chosen by `_estimate_radius`."""
+        """Return the arrays of the cell grid for a search.
+
+        The cell size depends on the greatest radius of the previous step. In the first step, `_estimate_radius` estimates this
+        radius."""
         key = (population.name, block, number)
         other = world.populations[search.species]
         if key not in self._search_radii:
@@ -190,10 +192,10 @@ class NativeBackend(NumpyBackend):
 
 
 def _estimate_radius(world: World, population: Population, other: Population, radii: list[ir.PlanNode]) -> float:
-    """Return the greatest radius (mm) of a search, computed by the reference backend for a sample of agents.
+    """Return the greatest radius (mm) of a search, for a sample of agents, computed by the reference backend.
 
-    If the radius itself depends on a search, computing it would take too long. Then the result is a radius that contains about
-    `_DEFAULT_AGENTS_PER_CELL` other agents."""
+    If the radius itself depends on a search, this would take too long. Then return a radius within which about
+    `_DEFAULT_AGENTS_PER_CELL` other agents are."""
     cheap = [
         radius for radius in radii if not any(each.op in ("set.agents", "set.every") for each in collect_required_nodes([radius]))
     ]
@@ -205,7 +207,7 @@ def _estimate_radius(world: World, population: Population, other: Population, ra
 
 
 def _choose_cell_size(population: Population) -> float:
-    """Return the edge length (mm) of a cell that contains about `_DEFAULT_AGENTS_PER_CELL` agents.
+    """Return the edge length (mm) of cells that contain about `_DEFAULT_AGENTS_PER_CELL` agents each.
 
     The crowd may extend along a line, over an area or through a volume."""
     columns = (population.start[f"position.{axis}"] for axis in AXES)

@@ -1,5 +1,5 @@
-"""Machine code for senses: those operations of `runtime.sensing` that only read arrays. All other senses are called between
-two stages."""
+"""Machine code for senses: the operations of `runtime.sensing` that only read arrays. All other senses are called between
+stages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _CELL_STRIDE = 4  # neighbour cells are sorted: about this many share a cache li
 
 
 def _emit_register(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    """Return a register of the agent itself, either at the start of the step or at present."""
+    """Return a register of the agent itself: its current value, or its value at the start of the step."""
     value: Lanes = w.builder.load_lanes(
         w.array_address("start" if node.op == "snap" else "now", node.attrs[0]), w.row, LANE_TYPE_BY_KIND[node.kind]
     )
@@ -43,7 +43,7 @@ def _emit_age(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
 
 
 def _emit_age_from_birth(w: Any, birth_frames: Lanes) -> Lanes:
-    """Return the age (s) of agents from their frame of birth."""
+    """Return the age (s) of agents, given the frames in which they were born."""
     frames = w.read_uniform(I64, "frame") - birth_frames
     frame_count = w.builder.convert(
         w.builder.select_lanes(frames > 0, frames, w.builder.make_constant(0, I64)), I32
@@ -53,7 +53,8 @@ def _emit_age_from_birth(w: Any, birth_frames: Lanes) -> Lanes:
 
 
 def _emit_random_words(w: Any, site: str, block: int) -> list[Lanes]:
-    """Return four random words for each agent, from its id and a site of the program. `block`: the number of the words."""
+    """Return four random words for each agent, which depend on its id and the `site` in the program. `block`: the index of the
+    four."""
 
     def emit_words() -> list[Lanes]:
         e, wide = w.builder, format_llvm_type(I64, LANE_COUNT)
@@ -117,7 +118,7 @@ def _emit_touched_surface(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> L
 
 
 def _emit_rows_of_ids(w: Any, species: str, ids: Lanes) -> Lanes:
-    """Return the row of each id, -1 for no agent and for dead agents. The sorted ids are bisected in all lanes at once."""
+    """Return the row of each id; -1 for dead agents and for no agent. All lanes bisect the sorted ids at once."""
     e: LaneBuilder = w.builder
 
     def emit_rows() -> Lanes:
@@ -169,7 +170,7 @@ def _emit_agent_alive(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes
 
 
 def _emit_item_presence(w: Any, items: str, item: Lanes) -> Lanes:
-    """Return the mask of numbers that belong to existing items."""
+    """Return a mask of the lanes in which `item` is the number of an existing item."""
     has_item: Lanes = (item >= 0) & (item < w.read_uniform(I32, "items", items))
     return has_item
 
@@ -195,7 +196,7 @@ def _emit_field_value(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes
 
 
 def _load_later_cells(w: Any, field: str, eights: int) -> Lanes:
-    """Return the cells of the agents processed `eights` iterations later, or the current cells near the end of the loop."""
+    """Return the cells of the agents processed `eights` iterations later; near the end of the loop, the current cells."""
     e: LaneBuilder = w.builder
     later = w.row + LANE_COUNT * eights
     return e.load_lanes(w.array_address("cell", field), e.select_lanes(later < w.end, later, w.row), I32)
@@ -207,7 +208,7 @@ def _prefetch_elements(e: LaneBuilder, array: Lanes, at: Lanes, size: int) -> No
 
 
 def prefetch_cells(w: Any, field: str, array: Lanes, size: int, eights: int = 1) -> None:
-    """Emit code that prefetches the elements (`size` bytes each) of the cells of agents processed `eights` iterations later."""
+    """Emit code that prefetches what `array` has for the cells of agents `eights` iterations later. `size`: bytes per cell."""
     e: LaneBuilder = w.builder
     cells = _load_later_cells(w, field, eights)
     for lane in range(LANE_COUNT):
@@ -229,9 +230,9 @@ def _prefetch_neighbour_cells(w: Any, field: str, amounts: Lanes, positions: Lan
 
 
 def _emit_first_strongest(e: LaneBuilder, cell_amounts: Lanes, cells: Lanes, count: int, own_cells: Lanes) -> tuple[Lanes, Lanes]:
-    """Return the greatest amount in the first `count` cells of a list, and the first cell that has it. NaN counts as 0.
+    """Return the greatest amount in the first `count` cells of a list, and the first cell with this amount. NaN counts as 0.
 
-    If no amount is above 0, return 0 and the agent's own cell."""
+    If no amount is positive, return 0 and the agent's own cell."""
     none = e.make_constant(0.0, F64)
     eights = []
     for first in range(0, count, LANE_COUNT):
@@ -255,7 +256,7 @@ def _emit_first_strongest(e: LaneBuilder, cell_amounts: Lanes, cells: Lanes, cou
 
 
 def _emit_field_strongest(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Any:
-    """Return the greatest amount in the cells around each agent, and the position (mm) of its cell."""
+    """Return the greatest amount of a field in the cells around each agent, and the position (mm) of its cell."""
     e: LaneBuilder = w.builder
     field, count = node.attrs
     held, block, own = (
@@ -288,7 +289,7 @@ def _emit_field_strongest(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> A
 
 
 def _emit_clip_value(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    """Return a value from the table of the clips of each agent's body. The last entry of each body is for unknown clips."""
+    """Return a value from the clip table of each agent's body. The last entry for each body is for unknown clips."""
     e: LaneBuilder = w.builder
     last = e.make_constant(len(w.code.species.clips), I32)
     number = e.select_lanes((args[0] >= 0) & (args[0] < last), args[0], last)
@@ -318,7 +319,7 @@ NATIVE_LOWERERS: Mapping[str, NodeLowerer] = {
 
 
 def _emit_may_hit(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    """Return the mask of agents that may hit the obstacle with a ray."""
+    """Return a mask of the agents with a feeler that may hit the obstacle."""
     reach = args[3]
     clear = w.builder.load_lanes(w.array_address("clear", node.attrs[0]), w.row, F32)
     is_near: Lanes = (reach > 0) & (reach < np.inf) & is_contact_possible(clear, reach)

@@ -1,5 +1,5 @@
-"""Arrays with eight spare rows at the end, because machine code reads eight rows at once. Registers and other named arrays of
-the world are moved into padded arrays. Arrays that other parts of the program own are copied."""
+"""Arrays with eight spare rows at the end. Machine code needs these, because it reads eight rows at once. Registers and other
+named arrays of the world are moved into padded arrays. Arrays that other parts of the program own are copied."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MIN_ARRAYS_TO_DROP = 64  # number of arrays below which unused ones are not sea
 
 
 class PaddedArrays:
-    """The padded arrays of a world. All blocks that use the same data share one padded array."""
+    """The padded arrays of a world. Blocks that use the same data share one padded array."""
 
     def __init__(self) -> None:
         self._padded_by_id: dict[
@@ -29,9 +29,9 @@ class PaddedArrays:
         self.step = 0  # number of the step; a copy without stamp is valid for one step
 
     def pad_array(self, array: NDArray[Any]) -> tuple[NDArray[Any], int]:
-        """Return a padded array with the content of `array`, and its address. If `array` is padded, it is returned itself.
+        """Return a padded array with the content of `array`, and its address. An array that is already padded is returned itself.
 
-        The caller must use the returned array from then on."""
+        From then on, the caller must use the returned array instead of `array`."""
         known = self._padded_by_id.get(id(array))
         if known is None:
             new = array if has_padding(array) else copy_padded(array)
@@ -43,10 +43,10 @@ class PaddedArrays:
         return known[1:]
 
     def move_register(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
-        """Move a register into a padded array if it is not in one. Return the array and its address.
+        """Move a register into a padded array, unless it is already in one. Return the array and its address.
 
-        `start`: whether to move the values at the start of the step, instead of the current ones. If both used the same array,
-        both use the new one. Otherwise the array would be copied at the end of each step."""
+        `start`: whether to move the values at the start of the step instead of the current ones. If both are in the same array,
+        both are moved together. Otherwise one would be copied at the end of each step."""
         holders = population.start, population.now
         array = holders[not start][name]
         located_array = self.pad_array(array)
@@ -56,7 +56,7 @@ class PaddedArrays:
         return located_array
 
     def begin_step(self, populations: Iterable[Population]) -> None:
-        """Release unused arrays at the start of a step, if they may outnumber those in use."""
+        """Release unused arrays at the start of a step if there may be more of them than arrays in use."""
         self.step += 1
         if len(self._padded_by_id) > self._max_arrays:
             held = {id(array) for each in populations for holder in (each.start, each.now) for array in holder.values()}
@@ -64,16 +64,16 @@ class PaddedArrays:
             self._max_arrays = max(_MIN_ARRAYS_TO_DROP, 2 * len(self._padded_by_id))
 
     def drop_unused(self) -> None:
-        """Release arrays that are no longer in use, after the rows have changed."""
+        """Release the arrays that are no longer in use after the rows have changed."""
         self._padded_by_id.clear()
 
     def copy(self, *key: Hashable) -> PaddedCopy:
-        """Return the padded copy for a key. It is shared by all blocks that use the key."""
+        """Return the padded copy that belongs to a key. All blocks that use the key share it."""
         return self._copies.setdefault(key, PaddedCopy(self))
 
 
 class PaddedCopy:
-    """A padded copy of an array that another part of the program owns, or of an array derived from the world."""
+    """A padded copy of an array that another part of the program owns, or of an array computed from the world."""
 
     __slots__ = ("_address", "_owner", "_padded", "_source_stamp")
 
@@ -83,9 +83,9 @@ class PaddedCopy:
         self._padded: NDArray[Any] = np.zeros(0)
 
     def update(self, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
-        """Copy an array if needed, and return the address of the padded copy.
+        """Copy an array into the padded copy if necessary. Return the address of the copy.
 
-        The copy stays valid while `stamp` is equal; without a stamp, for one step."""
+        The copy is valid as long as `stamp` is equal to that of the last call. Without a stamp, it is valid for one step."""
         stamp = self._owner.step if stamp is None else stamp
         if stamp != self._source_stamp or len(self._padded) != len(array) + LANE_COUNT:
             self._resize_copy(len(array), dtype)
@@ -94,7 +94,7 @@ class PaddedCopy:
         return self._address
 
     def update_derived_copy(self, source: Any, make: Callable[[], NDArray[Any]]) -> int:
-        """Return the address of the padded result of `make`. `make` is called again when `source` is another object."""
+        """Return the address of a padded copy of the result of `make`. If `source` is a new object, call `make` again."""
         if source is not self._source_stamp:
             self._source_stamp, self._padded = source, make()
             self._address = get_array_address(self._padded)

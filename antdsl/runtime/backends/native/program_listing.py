@@ -1,4 +1,4 @@
-"""A listing of a plan's machine code as readable text: stages, their LLVM instructions, and the calls between stages."""
+"""A readable listing of a plan's machine code: the stages, their LLVM instructions, and the calls between them."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ STATIC_WORLD = WorldFacts(has_moving_ground=False, has_detail_levels=False)
 
 
 def build_program(plan: ir.Plan, target: Target, facts: WorldFacts = STATIC_WORLD) -> NativeProgram:
-    """Return the compiled program of a plan, for a world with these `facts`."""
+    """Return the program that a plan compiles to, for a world with these `facts`."""
     return write_program(plan, NumpyBackend(plan).blocks, facts, target)
 
 
 def count_instructions_by_function(native_program: NativeProgram) -> dict[str, int]:
-    """Return the number of instructions of each function in the emitted text."""
+    """Return the number of LLVM instructions in the text of each function, by name."""
     return {name: count_instructions(text) for name, text in native_program.functions.items() if text.startswith("define")}
 
 
 def count_instructions(text: str) -> int:
-    """Return the number of instructions in a function's text: its lines except labels, the first and the last line."""
+    """Return the number of instructions in a function's text: the number of lines without labels, first line and last line."""
     lines = (line.strip() for line in text.splitlines())
     return sum(1 for line in lines if line and not line.startswith(_HEADER_PREFIXES) and not line.endswith(":"))
 
 
 def format_listing(native_program: NativeProgram) -> str:
-    """Return the listing as text; it is always the same for the same plan."""
+    """Return the listing as text. The same plan always gives the same text."""
     size, lines, named = count_instructions_by_function(native_program), [], set()
     species = ""
     for (name, block), code in native_program.blocks.items():

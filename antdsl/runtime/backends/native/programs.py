@@ -1,4 +1,4 @@
-"""Converts a plan's blocks to LLVM text: the separately compiled functions, and the data needed to run them."""
+"""Converts a plan's blocks to LLVM text: functions that are compiled separately, and the data needed to run them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _STEP_BLOCKS = ("decide", "act", "blend")
 
 
 def _emit_reduction(b: BlockWriter, instruction: BlockInstruction) -> None:
-    """Emit a reduction, together with all other reductions that the same search can compute."""
+    """Emit a reduction together with all others that the same search can compute."""
     assert isinstance(instruction.subject, ir.PlanNode)
     (search.emit_neighbour_reduction if instruction.subject.args[0].op == "set.agents" else reduction_loops.emit_member_loop)(
         b, instruction
@@ -43,9 +43,9 @@ def _emit_reduction(b: BlockWriter, instruction: BlockInstruction) -> None:
 class NativeProgram:
     """The LLVM text of a plan.
 
-    `text`: all functions. `functions`: the text of each function, by name.
-    `units`: the texts that are compiled separately, by name. A unit is a function called from outside, with everything that it
-    calls. `blocks`: the block codes, by species and block."""
+    `text`: all functions. `functions`: the text of each function, by name. `units`: the texts that are compiled separately, by
+    name. A unit is a function with external callers, together with all functions that it calls. `blocks`: the block codes, by
+    species and block."""
 
     text: str
     functions: Mapping[str, str]
@@ -55,9 +55,9 @@ class NativeProgram:
 
 @dataclass(frozen=True, slots=True)
 class WorldFacts:
-    """Properties of a world that the code depends on.
+    """Properties of a world on which the machine code depends.
 
-    `has_moving_ground`: whether some ground moves. `has_detail_levels`: whether agents may sense obstacles as boxes.
+    `has_moving_ground`: whether any part of the ground moves. `has_detail_levels`: whether agents may sense obstacles as boxes.
     `is_timed`: whether the time of source lines is measured (`line_profiling`)."""
 
     has_moving_ground: bool
@@ -66,14 +66,15 @@ class WorldFacts:
 
     @classmethod
     def from_setting(cls, setting: WorldSetting, *, is_timed: bool = False) -> WorldFacts:
-        """Return the properties of a world that is bound to a setting."""
+        """Return the properties of a world that will be bound to a setting."""
         return cls(any(name in setting.surfaces for name in setting.motion.meshes), setting.level_of_detail is not None, is_timed)
 
 
 def schedule_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> dict[tuple[str, str], BlockCode]:
     """Assign the instructions of each block to stages.
 
-    Return block codes without functions yet, by species and block. Blocks of births are omitted, because births are few."""
+    Return block codes, by species and block, that have no functions yet. Blocks of births are omitted, because births are
+    rare."""
     senses = _find_native_senses(facts)
 
     def has_machine_code(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
@@ -124,7 +125,7 @@ def write_program(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, targ
 
 
 def _find_native_senses(facts: WorldFacts) -> dict[str, NodeLowerer]:
-    """Return the senses that have machine code in a world with these `facts`."""
+    """Return the senses that have machine code in a world with these `facts`, by operation."""
     return {
         op: lower
         for op, lower in NATIVE_LOWERERS.items()

@@ -1,5 +1,6 @@
-"""Machine code for reductions. Reductions over items and over `every` visit all members one by one, for eight requesting
-agents at a time. `search` finds neighbours; `accumulators` has the accumulators."""
+"""Machine code for reductions over items and over `every`: loops over all members, for eight requesting agents at a time.
+
+`search` contains reductions over neighbours, and `accumulators` the accumulation of results."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ from antdsl.runtime.world import AXES
 def has_machine_code(node: ir.PlanNode, leaves: frozenset[str]) -> bool:
     """Return whether a reduction can be compiled to machine code.
 
-    This requires that every node that depends on the other agent or item is an operation, or one of the `leaves`."""
+    This is the case if each node that depends on the other agent or item is an elementwise operation or one of `leaves`."""
     known = {"pair.x", "pair.y", "pair.z", "pair.distance", "other", "other.id", "other.row"} | leaves
     pairs = [each for each in collect_required_nodes(node.args[1:]) if each.rate is ir.UpdateRate.PAIR]
     return node.op in INITIAL_VALUES and all(each.op in FUNCTION_BY_NAME or each.op in known for each in pairs)
@@ -34,8 +35,8 @@ def has_machine_code(node: ir.PlanNode, leaves: frozenset[str]) -> bool:
 
 
 class PairValues:
-    """The values of nodes for eight pairs. `own_value`: returns a value of the requesting agents. `leaf_value`: returns a
-    value of the pairs."""
+    """The values of nodes for eight pairs. `own_value`: returns the value of a node for the requesting agents. `leaf_value`:
+    returns the value of a leaf node for the pairs."""
 
     def __init__(
         self,
@@ -47,7 +48,7 @@ class PairValues:
         self.w, self.own_value, self.leaf_value, self.senses = w, own_value, leaf_value, senses
 
     def value(self, node: ir.PlanNode) -> Lanes:
-        """Return the value of a node for eight pairs. Code for each node is emitted once."""
+        """Return the value of a node for eight pairs. The code for a node is emitted only once."""
 
         def emit_node() -> Lanes:
             if node.rate <= ir.UpdateRate.STEP:
@@ -70,7 +71,7 @@ class PairValues:
 
 
 def emit_member_loop(b: BlockWriter, first: BlockInstruction) -> None:
-    """Emit a loop over all members of the set, for eight requesting agents."""
+    """Emit a loop over all members of a set, for eight requesting agents."""
     e, instructions = b.builder, [first, *b.find_joint_reductions(first)]
     nodes = [each.subject for each in instructions if isinstance(each.subject, ir.PlanNode)]
     sets = find_reduction_sets(instructions)
@@ -127,7 +128,7 @@ def emit_member_loop(b: BlockWriter, first: BlockInstruction) -> None:
 
 
 def evaluate_pairs(node: ir.PlanNode, pairs: PairValues, near_mask: Lanes) -> tuple[Lanes, Lanes | None]:
-    """Return the mask of the pairs that a reduction includes, and the value of its body for these pairs (None without a body).
+    """Return a mask of the pairs that a reduction includes, and the value of its body for these pairs (None if it has no body).
 
     `near_mask`: the pairs that are in the set."""
     condition = node.args[1]
@@ -139,12 +140,13 @@ def evaluate_pairs(node: ir.PlanNode, pairs: PairValues, near_mask: Lanes) -> tu
 def accumulate_pairs(
     reduction: RunningReduction, node: ir.PlanNode, pairs: PairValues, near_mask: Lanes, label: Callable[[], Lanes]
 ) -> None:
-    """Emit code that adds the included pairs to the running values of a reduction. `near_mask`: the pairs in the set."""
+    """Emit code that adds the pairs that a reduction includes to its intermediate values. `near_mask`: the pairs that are in the
+    set."""
     reduction.add_term(*evaluate_pairs(node, pairs, near_mask), label() if node.op in ("reduce.agent", "reduce.item") else None)
 
 
 def find_reduction_sets(instructions: list[BlockInstruction]) -> dict[ir.PlanNode, tuple[int, ...]]:
-    """Map each set that the given reductions run over to the slots of the operands of these reductions."""
+    """Return, for each set that the given reductions use, the slots of the operands that these reductions need."""
     known = {each.subject: each.inputs for each in instructions[0].scope.code if each.kind is InstructionKind.PAIRS}
     slots_by_set: dict[ir.PlanNode, tuple[int, ...]] = {}
     for each in instructions:
@@ -155,7 +157,7 @@ def find_reduction_sets(instructions: list[BlockInstruction]) -> dict[ir.PlanNod
 
 
 def find_own_values(b: BlockWriter, instructions: list[BlockInstruction]) -> dict[ir.PlanNode, Callable[[], Any]]:
-    """Return functions for the values of the requesting agents that the reductions need: each function returns one value."""
+    """Return, for each node of the requesting agents that the reductions need, a function that returns its value."""
     makers = {each.slot: each for each in instructions[0].scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
     value_makers: dict[ir.PlanNode, Callable[[], Any]] = {}
     for instruction in instructions:

@@ -1,6 +1,6 @@
 """Machine code for agents' requests to the world. Deposits are added directly to cells.
 
-All other requests are written to lists, one per statement, in the order of the agents' rows."""
+All other requests are written to lists, one per statement, in row order."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def _emit_deposit(b: BlockWriter, instruction: BlockInstruction, statement: ir.R
 
 
 def _emit_list_append(b: BlockWriter, instruction: BlockInstruction, mask: Lanes, values: list[Lanes]) -> None:
-    """Emit code that appends to a statement's list: the rows of eight agents for which a condition holds, and their `values`."""
+    """Emit code that appends to a statement's list: the rows of those of eight agents that are in `mask`, and their `values`."""
     e, number = b.builder, len(b.code.list_instructions)
     b.code.list_instructions.append(instruction)
     with e.write_if(e.any_lane(mask)):
@@ -82,14 +82,14 @@ def _emit_list_append(b: BlockWriter, instruction: BlockInstruction, mask: Lanes
 
 
 def _emit_finite_check(b: BlockWriter, mask: Lanes, amount: Lanes, value_name: str, instruction: BlockInstruction) -> Lanes:
-    """Return the mask of agents with a finite amount. Record a fault for all other agents."""
+    """Return a mask of the agents in `mask` with a finite `amount`. Emit code that records a fault for the others."""
     good: Lanes = np.isfinite(amount)
     b.write_fault_record(mask & ~good, value_name, instruction)
     return mask & good
 
 
 def _emit_world_request(b: BlockWriter, instruction: BlockInstruction, statement: ir.Request) -> None:
-    """Emit code that lists a request. The result is the same as in `numpy_statements`."""
+    """Emit code that appends a request to the statement's list, with the same result as in `numpy_statements`."""
     row, slots = EFFECT_BY_OPERATION[statement.op], iter(instruction.inputs)
     args: list[Lanes] = [b.find_slot_value(next(slots)) for node in statement.args if node is not None]
     mask = b.mask[-1]
@@ -106,7 +106,7 @@ def _emit_world_request(b: BlockWriter, instruction: BlockInstruction, statement
 
 
 def _emit_claim(b: BlockWriter, instruction: BlockInstruction, statement: ir.Claim) -> None:
-    """Emit code that lists a claim. The result is the same as in `numpy_statements`."""
+    """Emit code that appends a claim to the statement's list, with the same result as in `numpy_statements`."""
     e, mask, slots = b.builder, b.mask[-1], iter(instruction.inputs)
     item: Lanes = (
         e.load_lanes(b.array_address("cell", statement.target), b.row, I32)
@@ -121,7 +121,7 @@ def _emit_claim(b: BlockWriter, instruction: BlockInstruction, statement: ir.Cla
 
 
 def _emit_gift(b: BlockWriter, instruction: BlockInstruction, statement: ir.Give) -> None:
-    """Emit code that lists a gift. The result is the same as in `numpy_statements`."""
+    """Emit code that appends a gift to the statement's list, with the same result as in `numpy_statements`."""
     e, mask, own = b.builder, b.mask[-1], b.array_address("now", statement.register)
     item: Lanes = b.find_slot_value(instruction.inputs[0])
     had = e.load_lanes(own, b.row, F32)
@@ -139,7 +139,7 @@ def _emit_gift(b: BlockWriter, instruction: BlockInstruction, statement: ir.Give
 
 
 def emit_request(b: BlockWriter, instruction: BlockInstruction) -> None:
-    """Emit a statement that requests something from the world."""
+    """Emit the code of a statement that requests something from the world."""
     match instruction.subject:
         case ir.Request(op="deposit") as what:
             _emit_deposit(b, instruction, what)
@@ -152,8 +152,7 @@ def emit_request(b: BlockWriter, instruction: BlockInstruction) -> None:
 
 
 def record_request(instruction: BlockInstruction, columns: Sequence[NDArray[Any]], effects: EffectRequests) -> None:
-    """Add the contents of a statement's list to the effects of a step. `columns`: the rows, then the values stored for these
-    rows."""
+    """Add the content of a statement's list to the effects of a step. `columns`: the rows, followed by their stored values."""
     what = instruction.subject
     match what:
         case ir.Claim():

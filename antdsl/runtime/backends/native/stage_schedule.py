@@ -1,9 +1,8 @@
-"""Assigns each instruction of a block to a stage, and determines the values that one stage stores for later ones.
+"""Assigns each instruction of a block to a stage, and determines the values that a stage must store for later stages.
 
-Operations without machine code (rays, curves, flows) are called between two stages. All rows run through stage 0, then the
-calls at its end run, then all rows run through stage 1. A statement runs in the first stage in which its operands are known,
-in source order. A value is computed where it is first needed. It is stored in an array if a later stage or a call also needs
-it."""
+Operations without machine code (rays, curves, flows) are called between two stages. All rows run through stage 0, then the calls
+at its end run, then all rows run through stage 1. A statement runs in the first stage in which its operands are known, in source
+order. A value is computed in the stage that first needs it. It is stored in an array if a later stage or a call also needs it."""
 
 from __future__ import annotations
 
@@ -26,10 +25,10 @@ PAIR_INSTRUCTION_KINDS = (
 class StageSchedule:
     """The stages of a block. `stage_count`: the number of stages.
 
-    `stage_by_slot`: the stage in which each slot's value is computed. `use_stages`: the stages that use it.
+    `stage_by_slot`: the stage in which each slot's value is computed. `use_stages`: for each slot, the stages that use its value.
     `stored_slots`: the slots with values that are stored in arrays. `calls_after_stage[k]`: the calls after stage k.
-    `slot_aliases`: for a slot that only gathers a value, the slot of that value.
-    The mask of a scope has the slot of the scope's rows. The mask of the root is known in every stage."""
+    `slot_aliases`: for each slot that only gathers a value, the slot of that value. The mask of a scope has the slot of the
+    scope's rows. The mask of the root is known in every stage."""
 
     stage_count: int
     stage_by_slot: dict[int, int]
@@ -42,19 +41,20 @@ class StageSchedule:
     inlined_senses: frozenset[BlockInstruction]  # cached senses that are cheap enough to compute again
 
     def resolve_slot(self, slot: int) -> int:
-        """Return the slot that stores the value of `slot`. For a value gathered from outer scopes, it is the outermost slot."""
+        """Return the slot that stores the value of `slot`. For a value that is gathered from an enclosing scope, it is the slot
+        of the outermost scope."""
         while slot in self.slot_aliases:
             slot = self.slot_aliases[slot]
         return slot
 
     def is_run_in_stage(self, scope: RowScope, stage: int) -> bool:
-        """Return whether a stage runs any instruction of a scope."""
+        """Return whether any instruction of a scope runs in a stage."""
         return stage in self.use_stages.get(self.resolve_slot(scope.rows), ())
 
 
 @dataclass(slots=True)
 class _ScheduleBuilder:
-    """The stages of a block while they are assigned. Fields are as in `StageSchedule`."""
+    """The stages of a block while they are being assigned. The fields are those of `StageSchedule`."""
 
     compiler: BlockCompiler
     has_machine_code: Callable[[ir.PlanNode], bool]
@@ -76,8 +76,8 @@ def make_schedule(
 ) -> StageSchedule:
     """Return the stages of a block.
 
-    `has_machine_code`: whether a node has machine code. `is_costly`: whether computing a cached node again takes so long that
-    machine code must store it."""
+    `has_machine_code`: returns whether a node has machine code. `is_costly`: returns whether a cached node takes so long to
+    compute again that machine code must store it."""
     maker = _ScheduleBuilder(compiler, has_machine_code, is_costly, frozenset(compiler.uniform_slots.values()))
     for instruction in _iterate_instructions(compiler.root_scope):
         what = instruction.subject
@@ -95,7 +95,7 @@ def _iterate_instructions(scope: RowScope) -> Iterator[BlockInstruction]:
 
 
 def _find_pair_slots(builder: _ScheduleBuilder, reduce: BlockInstruction) -> None:
-    """Record the slots of values over pairs that a reduction without machine code needs."""
+    """Record the slots of the pair values that a reduction without machine code needs."""
     makers = {each.slot: each for each in reduce.scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
     pending = [slot for slot in reduce.inputs if slot in makers]
     while pending:
@@ -112,12 +112,12 @@ def _resolve_alias(builder: _ScheduleBuilder, slot: int) -> int:
 
 
 def _find_earliest_stage(builder: _ScheduleBuilder, slots: tuple[int, ...]) -> int:
-    """Return the first stage in which all slots are known."""
+    """Return the first stage in which the values of all slots are known."""
     return max((builder.first_stage_by_slot.get(_resolve_alias(builder, slot), 0) for slot in slots), default=0)
 
 
 def _assign_stages(builder: _ScheduleBuilder, scope: RowScope, mask_stage: int) -> None:
-    """Compute the first stage in which each value can be known, and the stage of each statement.
+    """Determine the first stage in which each value can be known, and the stage of each statement.
 
     `mask_stage`: the first stage in which the scope's mask is known."""
     builder.first_stage_by_slot[scope.rows] = mask_stage
@@ -172,7 +172,7 @@ def _assign_stages(builder: _ScheduleBuilder, scope: RowScope, mask_stage: int) 
 
 
 def list_reduction_operands(reduce: BlockInstruction) -> tuple[int, ...]:
-    """Return the slots of the requesting agents' values that a reduction with machine code needs."""
+    """Return the slots of the requesting agents' values on which a reduction with machine code depends."""
     makers = {each.slot: each for each in reduce.scope.code if each.kind in PAIR_INSTRUCTION_KINDS}
     operands: dict[int, None] = {}
     pending = list(reduce.inputs)
@@ -193,7 +193,7 @@ def list_reduction_operands(reduce: BlockInstruction) -> tuple[int, ...]:
 
 
 def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
-    """Find the stages that use each value, from the last instruction to the first, and return the schedule."""
+    """Find the stages that use each value, going backwards from the last instruction. Return the schedule."""
     stages = 1 + max(
         [*builder.first_stage_by_slot.values(), *builder.stage_by_instruction.values(), *(k + 1 for k in builder.calls_by_stage)],
         default=0,
@@ -280,14 +280,14 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
 
 
 def _propagate_outwards(builder: _ScheduleBuilder, scope: RowScope, use_stages: dict[int, set[int]], stages: set[int]) -> None:
-    """Add `stages` to the stages that need the scopes around an inner scope."""
+    """Add `stages` to the stages in which the scopes that enclose an inner scope are used."""
     use_stages.setdefault(_resolve_alias(builder, scope.rows), set()).update(stages)
 
 
 def _iterate_run_order(scope: RowScope) -> Iterator[tuple[BlockInstruction, bool]]:
-    """Yield the instructions of a scope in execution order, each with whether its inner scope has run.
+    """Yield the instructions of a scope in execution order, as pairs (instruction, whether its inner scope has run).
 
-    An instruction with an inner scope occurs twice: before that scope with False, and after it with True."""
+    An instruction with an inner scope occurs twice: with False before that scope, and with True after it."""
     for instruction in scope.code:
         yield instruction, False
         if instruction.inner is not None:

@@ -1,8 +1,8 @@
 """Stores the results of compiling a plan for later runs: the inputs of its functions, and the keys of their texts.
 
-With these, a run loads the code of a plan without writing its text, which takes longer than all other parts. The key is a hash
-of the plan, of all modules of antdsl, and of everything else that the text depends on. Files belong to `object_cache` and are
-signed, because they determine which addresses the code reads."""
+With these, a later run can load the code of a plan without writing its text, which is the slowest part. The key is a hash of the
+plan, of all modules of antdsl, and of everything else that affects the text. Files belong to `object_cache`, and are signed
+because they determine which addresses the code reads."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class _UnsupportedValue(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NumberedPlan:
-    """A plan and its blocks, with numbers for nodes and instructions. `key`: the key of the file in which they are stored.
+    """A plan and its blocks, with numbers for their nodes and instructions. `key`: the key of the file that stores them.
 
-    `nodes`: the number of each node. `instructions`: the instructions of each block; the file uses their indices."""
+    `nodes`: the number of each node. `instructions`: the instructions of each block; the file refers to them by index."""
 
     plan: ir.Plan
     blocks: CompiledBlocks
@@ -47,7 +47,7 @@ class NumberedPlan:
 
 
 def number_plan(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target: Target) -> NumberedPlan | None:
-    """Return a plan with its numbers, and with the key of its file. None if the plan cannot be stored."""
+    """Return a plan with numbered nodes and instructions, and the key of its file. None if the plan cannot be stored."""
     written = _PlanWriter()
     instructions = {place: list_instructions(compiler.root_scope) for place, compiler in blocks.items()}
     if not has_module_sources():
@@ -64,12 +64,12 @@ def number_plan(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target
 
 
 def text_key(text: str) -> str:
-    """Return the key under which the code of a function with this text is stored."""
+    """Return the key under which the code for the text of a function is stored."""
     return "program text " + blake2b(text.encode(), digest_size=32).hexdigest()
 
 
 def read_blocks(stored_subject: NumberedPlan) -> StoredBlocks | None:
-    """Return the stored blocks of a plan; None if there are none."""
+    """Return the stored blocks of a plan. None if nothing is stored for it."""
     data = code_cache.load_stored_data(stored_subject.key)
     if data is None:
         return None
@@ -84,7 +84,7 @@ def read_blocks(stored_subject: NumberedPlan) -> StoredBlocks | None:
 
 
 def write_blocks(stored_subject: NumberedPlan, program: NativeProgram) -> None:
-    """Store the results of compiling a plan, unless one of them cannot be stored."""
+    """Store the results of compiling a plan, if all of them can be stored."""
     with suppress(_UnsupportedValue, KeyError):
         blocks = {
             " ".join(place): _block_to_json(code, stored_subject.nodes, stored_subject.instructions[place])
@@ -95,7 +95,7 @@ def write_blocks(stored_subject: NumberedPlan, program: NativeProgram) -> None:
 
 
 def _block_to_json(code: BlockCode, nodes: Mapping[ir.PlanNode, int], instructions: list[BlockInstruction]) -> dict[str, Any]:
-    """Return a compiled block as JSON values. Nodes and instructions become their numbers."""
+    """Return a compiled block as JSON values, with numbers in place of nodes and instructions."""
     numbers = {each: number for number, each in enumerate(instructions)}
     layout = code.layout
     return {
@@ -116,7 +116,7 @@ def _block_to_json(code: BlockCode, nodes: Mapping[ir.PlanNode, int], instructio
 def _fill_block_from_json(
     code: BlockCode, form: Mapping[str, Any], nodes: list[ir.PlanNode], instructions: list[BlockInstruction]
 ) -> None:
-    """Fill a block from the JSON values that `_block_to_json` returned."""
+    """Fill a block from JSON values in the form that `_block_to_json` returns."""
     code.function_names[:] = form["names"]
     code.layout.pointer_indices = {_key_from_json(key, nodes): place for place, key in enumerate(form["pointers"])}
     code.layout.number_indices = {_key_from_json(key, nodes): place for place, key in enumerate(form["numbers"])}
@@ -134,7 +134,7 @@ def _fill_block_from_json(
 
 
 def _key_to_json(key: Iterable[Any], nodes: Mapping[ir.PlanNode, int]) -> list[Any]:
-    """Return a layout key as a list. A node becomes a list with its number."""
+    """Return a key of the layout as a list, in which a list with a number stands for each node."""
     form: list[Any] = []
     for each in key:
         if isinstance(each, ir.PlanNode):
@@ -151,16 +151,16 @@ def _key_from_json(form: list[Any], nodes: list[ir.PlanNode]) -> tuple[Any, ...]
 
 
 class _PlanWriter:
-    """A writer that converts values to text, so that equal values give equal text. Positions in the source are omitted.
+    """A writer that converts values to text, such that equal values give equal text. Positions in the source are omitted.
 
-    `numbers`: the number of each node, in the order of first use."""
+    `numbers`: the number of each node, in order of first use."""
 
     def __init__(self) -> None:
         self.parts: list[str] = []
         self.numbers: dict[ir.PlanNode, int] = {}
 
     def add_value(self, value: Any) -> None:
-        """Write a value. Raises _UnsupportedValue if it may differ in another run."""
+        """Append the text of a value. Raises _UnsupportedValue if the value may differ in another run."""
         kind = type(value)
         if kind is ir.PlanNode:
             self._add_node(value)
@@ -186,7 +186,7 @@ class _PlanWriter:
             raise _UnsupportedValue
 
     def _add_node(self, node: ir.PlanNode) -> None:
-        """Write a node after its operands. A node that was written before is written as its number."""
+        """Append the text of a node, after its operands. A node that was written earlier is written as its number."""
         pending = [node]
         while pending:
             last = pending[-1]
@@ -203,7 +203,7 @@ class _PlanWriter:
 
 
 def _get_timed_line(instruction: BlockInstruction) -> tuple[str, int, int]:
-    """Return the line and the layer for which an instruction is timed."""
+    """Return the file, line and layer for which the time of an instruction counts."""
     span = instruction.span
     return (
         ("", 0, instruction.layer)

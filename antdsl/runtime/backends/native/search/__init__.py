@@ -1,12 +1,12 @@
 """Machine code for reductions over neighbours. One search of the cell grid serves all reductions over a species.
 
-Eight agents are processed at a time. The cells within their radii are computed in SIMD lanes. The distances of agents in these
-cells (candidates) are measured, eight at a time. Candidates that are near enough and in view are listed, one list per agent.
-Then all lists are traversed in SIMD lanes. At a time, one pair of each of the eight agents is tested, weighted and added to
-the agent's sums. `dense_neighbours` handles agents with very many candidates.
+Eight agents are processed at a time. The cells within their radii are computed in SIMD lanes. Agents in these cells are
+candidates, and their distances are measured eight at a time. Candidates that are near enough and in view are listed, one list per
+agent. Then the eight lists are traversed in SIMD lanes: in each iteration, one pair per agent is tested and added to the agent's
+results. `dense_neighbours` handles agents with very many candidates.
 
-Reductions of several regions share one search if its inputs are known. The first region runs the search for its agents, later
-regions only for agents without results yet. Results that no region reads are computed but have no effect."""
+Reductions in several regions share one search if its inputs are known. The first region runs the search for its agents. Later
+regions run it only for agents that have no results yet."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ _MIN_SQUARED_DISTANCE, _COSINE_SLACK = np.float32(1e-30), np.float32(1e-5)
 
 @dataclass(slots=True, eq=False)
 class ReductionGroup:
-    """Reductions that one search computes.
+    """Reductions that a single search computes.
 
-    `operand_area`, `result_area`: the addresses of the memory that passes operands to the search and results back.
+    `operand_area`, `result_area`: addresses of memory through which the search receives operands and returns results.
     `answered_mask`: the address of the mask of agents that already have results."""
 
     number: int
@@ -58,7 +58,7 @@ class ReductionGroup:
 
 
 def emit_neighbour_reduction(b: BlockWriter, instruction: BlockInstruction) -> None:
-    """Emit a reduction over neighbours, and all others that the same search can compute."""
+    """Emit a reduction over neighbours, together with all others that the same search can compute."""
     e, group = b.builder, _make_group(b, instruction)
     shared = any(each.scope is not instruction.scope for each in group.instructions)
     mask = b.mask[-1]
@@ -81,14 +81,14 @@ def emit_neighbour_reduction(b: BlockWriter, instruction: BlockInstruction) -> N
 
 
 def _load_from_area(e: LaneBuilder, area: Number, k: int, kind: str) -> Lanes:
-    """Return the `k`-th operand or result of a search, loaded from the memory `area`."""
+    """Return operand or result `k` of a search, loaded from the memory at `area`."""
     return e.convert(
         e.load(e.emit_offset_address(area, OPERAND_STRIDE_BYTES * k), I8 if kind == BOOL else kind, LANE_COUNT), kind
     )
 
 
 def _make_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
-    """Return a group of the reduction `first` and all other reductions that the same search can compute."""
+    """Return a group that consists of the reduction `first` and all others that the same search can compute."""
     if first in b.groups:
         known_group: ReductionGroup = b.groups[first]
         return known_group
@@ -111,9 +111,9 @@ def _make_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
 
 
 def _call_search(b: BlockWriter, group: ReductionGroup, requesting: Lanes) -> None:
-    """Emit code that stores the operands, and calls the search for those of the eight agents that are `requesting`.
+    """Emit code that stores the operands and calls the search for the `requesting` agents among the eight.
 
-    The first call also writes the functions of the search."""
+    The first call of this function also writes the functions of the search."""
     e, near = b.builder, group.search
     fresh = not near.operand_kinds
     by_scope: dict[int, list[BlockInstruction]] = {}
@@ -164,7 +164,7 @@ def _call_search(b: BlockWriter, group: ReductionGroup, requesting: Lanes) -> No
 
 
 def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
-    """Write two functions of a search: for eight agents, and for one agent with very many neighbours."""
+    """Write both functions of a search: one for eight agents, and one for a single agent with very many neighbours."""
     w = FunctionWriter(b.module, b.layout)
     e = w.builder
     row, bits, own, out = (
@@ -228,16 +228,16 @@ def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
 
 
 def _read_lists(e: LaneBuilder, buffer: Lanes, k: Lanes) -> Lanes:
-    """Return the element at index `k` of each of the eight agents' lists."""
+    """Return element `k` of each of the eight agents' lists, i32."""
     first = e.address(buffer, k, I32)
     return e.combine_lanes(e.load(e.emit_offset_address(first, 4 * _LIST_STRIDE * lane), I32) for lane in range(LANE_COUNT))
 
 
 class _CandidateTest:
-    """A test whether a candidate may be in any set of a search.
+    """A fast test of whether a candidate may be in any set of a search.
 
-    It compares squared distances, with some tolerance. So candidates that are too far away or out of view need no square root.
-    The limits of eight requesting agents are stored in memory, and loaded for one agent at a time."""
+    It compares squared distances with a tolerance, so candidates that are too far away or out of view need no square root. The
+    limits of the eight requesting agents are stored in memory, and loaded for one agent at a time."""
 
     def __init__(
         self,
@@ -269,7 +269,7 @@ class _CandidateTest:
         return place
 
     def build_test(self, lane: Lanes) -> Callable[[list[Lanes]], Lanes]:
-        """Return the test for the agent in one lane: a function that takes offsets of eight candidates, and returns a mask."""
+        """Return the test for the agent in one lane: a function that takes the offsets of eight candidates and returns a mask."""
         e = self.builder
 
         def load_broadcast(place: Number) -> Lanes:
@@ -304,9 +304,9 @@ def _list_candidates(
     set_test: _CandidateTest,
     own_row: Lanes | None,
 ) -> tuple[Lanes, Lanes, Lanes]:
-    """List the candidates that may belong to any set, for each of eight agents.
+    """List, for each of eight agents, the candidates that may belong to any set.
 
-    Returns the address of the lists, their lengths, and the mask of agents with too many candidates for a list."""
+    Return the address of the lists, their lengths, and a mask of the agents with more candidates than a list can hold."""
     e = w.builder
     buffer = w.array_address("candidates")
     candidate_count, match_count, number, own_place = (e.allocate_slot(I32, LANE_COUNT) for _ in range(4))
@@ -320,7 +320,7 @@ def _list_candidates(
     fours = [w.array_address("grid", search_code.number, each) for each in ("places", *search_code.extra_registers)]
 
     def write_lane(lane: Lanes, rows: Lanes) -> None:
-        """Write the candidates of one agent in the given rows of cells."""
+        """List the candidates of the agent in one lane. `rows`: the rows of cells to search."""
         test = set_test.build_test(lane)
         mine = None if own_row is None else e.broadcast(e.load_scalar(own_place, lane, I32))
         own = e.address(buffer, lane * _LIST_STRIDE, I32)

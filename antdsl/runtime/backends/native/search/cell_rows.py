@@ -1,4 +1,4 @@
-"""Machine code that finds the rows of cells within the radii of eight positions, and lists the agents in them."""
+"""Machine code that finds the rows of cells within the radii of eight positions, and the agents in these rows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ RADIUS_SLACK_FACTOR, SEARCH_SLACK_FACTOR = 1.0 + 1e-6, 1.0 + 1e-5  # as in `sens
 
 
 class SearchCells:
-    """The cell grid of a search, as values in lanes that are loaded once per function."""
+    """The cell grid of a search, as lane values that each function loads once."""
 
     def __init__(self, w: FunctionWriter, number: int) -> None:
         e = w.builder
@@ -34,9 +34,9 @@ class SearchCells:
         self.count = load_grid_value(integers, 6, I64)
 
     def find_cell_range(self, axis: int, q: Lanes, half: Lanes) -> tuple[Lanes, Lanes]:
-        """Return the first and the last cell along an axis that intersect [`q` - `half`, `q` + `half`], i32.
+        """Return the first and the last cell (i32) along an axis that the interval [`q` - `half`, `q` + `half`] intersects.
 
-        If no cell intersects, the last cell number is below the first."""
+        If it intersects none, the last cell number is less than the first."""
         e = self.writer.builder
         most = self.max_index[axis]
         first = e.emit_clamp((q - half - self.low[axis]) * self.inverse_width[axis], e.make_constant(0.0, F64), most)
@@ -46,8 +46,7 @@ class SearchCells:
     def find_row_range(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, is_within: Lanes) -> tuple[Lanes, Lanes]:
         """Return the index of the first agent in a row of cells, and the number of agents in the row (i32).
 
-        The row is at cells `z` and `y`, and extends from cell `first` to cell `last`.
-        Both are 0 if `is_within` is false."""
+        The row is at cells `z` and `y`, from cell `first` to cell `last`. Both results are 0 where `is_within` is false."""
         w, e = self.writer, self.writer.builder
         starts, keys = w.array_address("grid", self.number, "starts"), w.array_address("grid", self.number, "keys")
         begin, end = e.allocate_slot(I32, LANE_COUNT), e.allocate_slot(I32, LANE_COUNT)
@@ -68,7 +67,7 @@ class SearchCells:
         return start, e.select_lanes(is_within, e.load(end, I32, LANE_COUNT) - start, none)
 
     def _bisection_function(self) -> str:
-        """Return the name of a function that counts, by bisection, how many sorted keys are below each of eight keys, i64."""
+        """Return the name of a function that finds by bisection, for each of eight keys, how many sorted keys are less (i64)."""
         name = "grid.before"
         if name in self.writer.module.functions:
             return name
@@ -93,7 +92,7 @@ class SearchCells:
 
 
 class CellRows:
-    """The rows of cells around eight agents, within the greatest radius of each agent."""
+    """The rows of cells around each of eight agents, within the agent's greatest radius."""
 
     def __init__(self, w: FunctionWriter, number: int, place: list[Lanes], radii: list[Lanes], requesting: Lanes) -> None:
         e = self.builder = w.builder
@@ -123,15 +122,14 @@ class CellRows:
         self.slow_first, self.slow_last = (e.select_lanes(sheet, e.make_constant(0, I32), c) for c in (c0, c1))
 
     def store_max_radius(self) -> None:
-        """Emit code that stores the greatest requested radius, by which the cell size of the next step is chosen."""
+        """Emit code that stores the greatest requested radius. The cell size of the next step depends on it."""
         w = self.cells.writer
         e, place = self.builder, w.array_address("grid", self.cells.number, "widest")
         widest = e.select_lanes(self.is_usable & np.isfinite(self.max_radius), self.max_radius, e.make_constant(0.0, F32))
         e.store_lanes(place, 0, e.apply_function(np.fmax, e.load_lanes(place, 0, F32), widest))
 
     def count_rows(self) -> Lanes:
-        """Return the number of rows that `read_next_row` returns in total, i64. Emit code that restarts `read_next_row` at the
-        first row."""
+        """Return how many rows `read_next_row` returns in total (i64), and restart it at the first row."""
         e, nothing = self.builder, self.builder.make_constant(0, I32)
         self._slow_offset, self._middle_offset = e.allocate_slot(I32), e.allocate_slot(I32)
         for slot in (self._slow_offset, self._middle_offset):
@@ -156,9 +154,9 @@ class CellRows:
 
 
 def append_numbers(e: LaneBuilder, buffer: Lanes, total: Number, numbers: Lanes, is_inside: Lanes) -> None:
-    """Emit code that appends those of eight `numbers` (i32) to `buffer` for which `is_inside` holds. `total`: its length.
-
-    All eight numbers are written, and unneeded ones are overwritten later. This avoids a branch that is hard to predict."""
+    """Emit code that appends to `buffer` those of eight `numbers` (i32) for which `is_inside` holds. `total`: the length of the
+    buffer. All eight numbers are written, but the length grows only by the selected ones, so later calls overwrite the others.
+    This avoids a branch that is hard to predict."""
     bits = e.mask_to_i64(is_inside)
     count = e.load(total, I64)
     if e.module.target.has_avx2:

@@ -1,10 +1,10 @@
 """The search for agents with very many neighbours: one agent at a time, with any number of candidates. Only the nearest
-neighbours by distance and id are used, up to a fixed number called the cap.
+neighbours by distance and id count, up to a fixed number, the cap.
 
-Candidates are listed, then their distances as integers in the same order. If the widest radius contains more candidates than
-the cap, bisection finds the distance of the last counted neighbour. The cap applies to every radius, because the nearest in a
-wide radius are also the nearest in a narrow one. Then the list is reduced to the counted neighbours and traversed for all
-requested reductions."""
+Candidates are listed, and their distances as integers that sort like the distances. If more candidates than the cap are within
+the widest radius, bisection finds the distance of the last neighbour that counts. This cap is valid for every radius, because the
+nearest in a wide radius are also the nearest in a narrow one. Then the list is reduced to the neighbours that count, and
+traversed for all requested reductions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _REJECTED_DISTANCE_NUMBER = (1 << 31) - 1  # key of a rejected candidate, above 
 
 
 def write_dense_search(b: BlockWriter, search_code: SearchCode) -> None:
-    """Write the function that processes the agents in a mask of eight, one by one."""
+    """Write the function that searches for each agent in a mask of eight, one by one."""
     w = FunctionWriter(b.module, b.layout)
     e = w.builder
     rows, mask, own_area, out = (
@@ -89,11 +89,11 @@ def write_dense_search(b: BlockWriter, search_code: SearchCode) -> None:
 
 @dataclass(slots=True, eq=False)
 class _DenseNeighbours:
-    """The others around one requesting agent.
+    """The agents around one requesting agent.
 
-    `buffer`: the others as positions in the grid's order. `keys`: their distances as integers that sort like the distances, or
-    `_REJECTED_DISTANCE_NUMBER` outside the widest radius. Both are padded to a multiple of eight.
-    `count_address`: the address of the number of others."""
+    `buffer`: their positions in the order of the grid. `keys`: their distances as integers that sort like the distances, or
+    `_REJECTED_DISTANCE_NUMBER` outside the widest radius. Both are padded to a multiple of eight. `count_address`: the address of
+    their number."""
 
     writer: FunctionWriter
     search: SearchCode
@@ -104,7 +104,7 @@ class _DenseNeighbours:
     count_address: Number = field(init=False)
 
     def list_candidates(self, radii: list[Lanes]) -> None:
-        """Emit code that lists the others that may be within the widest radius, with their distances."""
+        """Emit code that lists the agents that may be within the widest radius, with their distances."""
         w, e = self.writer, self.writer.builder
         self.buffer, self.count_address = w.array_address("candidates"), e.allocate_slot(I64)
         e.store_number(self.count_address, e.make_constant(0, I64, 1))
@@ -137,18 +137,18 @@ class _DenseNeighbours:
             )
 
     def _pad_list(self, count: Lanes) -> None:
-        """Emit code that appends eight zeros to the list, because it is read eight entries at a time."""
+        """Emit code that appends eight zeros to the list, because code reads the list eight entries at a time."""
         self.writer.builder.store_lanes(self.buffer, count, self.writer.builder.make_constant(0, I32))
 
     def load_others(self, index: Lanes) -> NeighbourLanes:
-        """Return eight of the listed others, from `index` on."""
+        """Return eight of the listed agents, from `index` on."""
         e = self.writer.builder
         is_present = index + e.make_lane_numbers() < e.load(self.count_address, I64)
         at = e.select_lanes(is_present, e.load_lanes(self.buffer, index, I32), e.make_constant(0, I32))
         return measure_pairs(self.writer, self.search, at, self.own_position, is_present)
 
     def _count_passing(self, test: Callable[[Lanes, Lanes], Lanes]) -> Lanes:
-        """Return how many of the others pass a test. Its arguments are an index, and the eight keys from that index on."""
+        """Return how many of the listed agents pass a test. The test gets an index, and the eight keys from that index on."""
         e = self.writer.builder
         counted = e.allocate_slot(I32, LANE_COUNT)
         e.store_number(counted, e.make_constant(0, I32))
@@ -158,8 +158,9 @@ class _DenseNeighbours:
         return e.op("reduce.add", I32, e.load(counted, I32, LANE_COUNT), lanes=1)
 
     def _bisect_least(self, place: Number, kind: str, max_value: int, is_enough: Callable[[Lanes], Lanes]) -> None:
-        """Emit code that finds, by bisection, the least integer from 0 to `max_value` for which `is_enough` holds, and writes
-        it to `place`. All bits of `max_value` are 1."""
+        """Emit code that finds by bisection the least integer for which `is_enough` holds, and writes it to `place`.
+
+        The integer is from 0 to `max_value`, which must be a power of 2 minus 1."""
         e = self.writer.builder
         low, high = e.allocate_slot(kind), e.allocate_slot(kind)
         e.store_number(low, e.make_constant(0, kind, 1))
@@ -173,7 +174,7 @@ class _DenseNeighbours:
         e.store_number(place, e.load(high, kind))
 
     def is_over_limit(self, radius: Lanes) -> Lanes:
-        """Return whether more than `limits.MAX_CANDIDATES_IN_RADIUS` others are within a radius."""
+        """Return whether more than `limits.MAX_CANDIDATES_IN_RADIUS` other agents are within a radius."""
         e = self.writer.builder
         many = e.allocate_slot(I8)
         e.store_number(many, e.make_constant(0, I8, 1))
@@ -185,7 +186,7 @@ class _DenseNeighbours:
         return e.load(many, I8)
 
     def reduce_to_nearest(self) -> None:
-        """Emit code that reduces the list to the nearest agents by distance and id, if there are more of them than the cap."""
+        """Emit code that reduces the list to the nearest agents by distance and id, if there are more than the cap."""
         e, cap = self.writer.builder, limits.MAX_QUERY_NEIGHBOURS
         far, last = e.allocate_slot(I32), e.allocate_slot(I64)
         e.store_number(far, e.make_constant(_REJECTED_DISTANCE_NUMBER - 1, I32, 1))

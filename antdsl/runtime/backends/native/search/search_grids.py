@@ -1,4 +1,4 @@
-"""Cell grids for searches: crowds in cell order (`senses.cell_order`). Arrays and cells are reused in later steps."""
+"""Cell grids for searches: crowds sorted by cell (`senses.cell_order`). Arrays and cells are used again in later steps."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ BoxCorners = tuple[list[float], list[float]]
 
 
 class _CrowdBox:
-    """A box slightly larger than a crowd, which determines the cells of several steps.
+    """A box slightly larger than a crowd. The cells of several steps fill this box.
 
-    The cells are used while the crowd stays inside the box and fills most of it. They are replaced after some steps, because
-    the crowd may spread in height."""
+    The cells are used while the crowd stays inside the box and fills most of it. They are replaced after some steps in any case,
+    because the crowd may have spread in height."""
 
     def __init__(self, corners: BoxCorners, expiry_step: int) -> None:
         extent = [high - low for low, high in zip(*corners, strict=True)]
@@ -42,7 +42,7 @@ class _CrowdBox:
         self._min_extent, self._expiry_step = [_MIN_FILLED_SHARE * each for each in extent], expiry_step
 
     def is_suitable(self, corners: BoxCorners, step: int) -> bool:
-        """Return whether the cells of this box suit a step in which `corners` is the bounding box of the crowd."""
+        """Return whether the cells of this box are suitable in a step. `corners`: the corners of the crowd's bounding box."""
         (ax, ay, az), (bx, by, bz) = corners
         (lx, ly, lz), (hx, hy, hz), (x, y, z) = self.low, self.high, self._min_extent
         inside = lx <= ax and ly <= ay and lz <= az and bx <= hx and by <= hy and bz <= hz
@@ -50,7 +50,7 @@ class _CrowdBox:
 
 
 class _CrowdGrid(CellOrder):
-    """A crowd sorted into cells of one size, with registers in the order of the cells."""
+    """A crowd sorted into cells of one size, together with registers in the order of the cells."""
 
     def __init__(self, count: int, threads: int) -> None:
         super().__init__(count, threads)
@@ -59,7 +59,7 @@ class _CrowdGrid(CellOrder):
         self._sorted_in_step: dict[str, int] = {}  # by register names: the step in which they were sorted
 
     def sort_registers(self, registers: RegisterGroups, step: int) -> None:
-        """Write registers in the order of the cells, unless this was already done in this step."""
+        """Write registers in the order of the cells, unless this was already done in the current `step`."""
         for names, columns in registers:
             if self._sorted_in_step.get(names) == step:
                 continue
@@ -73,7 +73,7 @@ class _CrowdGrid(CellOrder):
 
 
 class SearchGrids:
-    """The cell grids of all crowds. A crowd is sorted once per step for each cell size."""
+    """The cell grids of all crowds. In each step, a crowd is sorted at most once for each cell size."""
 
     def __init__(self) -> None:
         self._grids_of_step: dict[tuple[str, float], _CrowdGrid] = {}  # of this step
@@ -83,7 +83,7 @@ class SearchGrids:
         self._layer_tests: dict[str, tuple[int, int, bool]] = {}  # by species: number of agents, last step of validity, result
 
     def begin_step(self) -> None:
-        """Invalidate the sorted crowds, because agents have moved."""
+        """Invalidate the sorted crowds, because the agents have moved."""
         self._grids_of_step.clear()
         self._corners.clear()
         self._step += 1
@@ -93,7 +93,7 @@ class SearchGrids:
             del self._stored_grids[key]
 
     def build_tables(self, world: World, other: Population, radius: float, extra_registers: RegisterGroups = ()) -> Arrays:
-        """Return the arrays for a search, by name, with a cell size that suits `radius` (mm).
+        """Return the arrays of a cell grid, by name. The size of its cells suits searches with `radius` (mm).
 
         `extra_registers`: registers that the search needs in the order of the cells."""
         size = float(ceil(4 * log2(radius))) if len(other) > _MAX_AGENTS_IN_ONE_CELL and radius < inf else inf
@@ -107,7 +107,7 @@ class SearchGrids:
         return grid.tables
 
     def _sort_crowd(self, world: World, other: Population, size: float) -> _CrowdGrid:
-        """Return a crowd, sorted into cells for radii of 2**(size / 4) mm."""
+        """Return a crowd sorted into cells that suit radii of 2**(size / 4) mm."""
         count, threads = len(other), world.options.threads
         crowd = self._stored_grids.get((other.name, size))
         if crowd is None or crowd.count != count or crowd.threads != threads:
@@ -125,7 +125,7 @@ class SearchGrids:
         return crowd
 
     def _choose_shape(self, other: Population, positions: Positions, box: _CrowdBox, size: float) -> GridShape:
-        """Return the cells for a crowd in a box; a single cell if there are very few agents."""
+        """Return the shape of the cells for a crowd in a box. A crowd of very few agents gets a single cell."""
         if size == inf:
             return GridShape((0, 1, 2), box.low, [0.0] * 3, [_UNBOUNDED_WIDTH] * 3, [1] * 3)
         shape = GridShape.from_bounds(box.low, box.high, 2.0 ** (size / 4))
@@ -134,8 +134,8 @@ class SearchGrids:
         return _coarsen_shape(shape, _MAX_CELLS_PER_AGENT * len(other))
 
     def _needs_one_layer(self, other: Population, positions: Positions, shape: GridShape) -> bool:
-        """Return whether one layer of cells is enough for a crowd. The answer only affects speed, so it is not computed in
-        every step."""
+        """Return whether a single layer of cells suffices for a crowd. This affects only speed, so it is not computed in each
+        step."""
         count, until, known = self._layer_tests.get(other.name, (-1, 0, False))
         if count != len(other) or self._step >= until:
             known, until = shape.is_one_layer_enough(positions), self._step + _BOX_LIFETIME_STEPS
@@ -144,9 +144,10 @@ class SearchGrids:
 
 
 def _coarsen_shape(shape: GridShape, max_cells: int) -> GridShape:
-    """Return a shape with wider cells if a sparse crowd needs more than `max_cells` cells, most of them empty.
+    """Return a shape with larger cells, if a sparse crowd would need more than `max_cells` cells, most of them empty.
 
-    Cells become up to four times longer along the fast axis, then up to twice as long along each axis."""
+    Cells become up to four times longer along the fast axis. If this is not enough, they become up to twice as long along each
+    axis."""
     if shape.cell_count <= max_cells:
         return shape
     width, size = list(shape.cell_widths), list(shape.cells_per_axis)

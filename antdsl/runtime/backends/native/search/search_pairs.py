@@ -1,4 +1,4 @@
-"""The inputs of a search's functions, and the pairs of agents that the search finds."""
+"""The inputs of the functions of a search, and the pairs of agents that a search finds."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ OPERAND_STRIDE_BYTES = 64  # bytes from one operand or result of a search to the
 
 @dataclass(slots=True, eq=False)
 class SearchCode:
-    """A search over the neighbours of one species: the reductions `nodes`, and where its functions find operands and results.
+    """A search over the neighbours of one species: its reductions `nodes`, and the indices of operands and results.
 
-    `radius_slots`, `view_slots`, `operand_slots`: the indices of operands: radii and fields of view by set, and other values.
-    `overflow_slots`: for each set that reports too many neighbours, the index among the results. `extra_registers`: registers
-    of the others in the grid's order; each text names up to four."""
+    `radius_slots`, `view_slots`: by set, the index of the operand with the radius, or the field of view. `operand_slots`: the
+    indices of other operands. `overflow_slots`: for each set that reports too many neighbours, the index among the results.
+    `extra_registers`: registers of the others in the order of the grid, up to four names per text."""
 
     name: str
     number: int
@@ -45,9 +45,9 @@ class SearchCode:
 class NeighbourLanes:
     """Eight pairs of a requesting agent and another agent, in lanes.
 
-    `is_present`: the mask of pairs that exist. `rows`: the rows of the others.
-    `dx`, `dy`, `dz`, `distance`: from the requesting agent to the other, and the length of this vector (mm).
-    `grid_indices`: the positions of the others in the grid's order. `positions`: x, y, z of the others (mm)."""
+    `is_present`: the mask of pairs that exist. `rows`: the rows of the others. `dx`, `dy`, `dz`, `distance`: the vector (mm) from
+    the requesting agent to the other, and its length. `grid_indices`: the indices of the others in the order of the grid.
+    `positions`: x, y, z of the others (mm)."""
 
     writer: FunctionWriter
     search: SearchCode
@@ -72,7 +72,7 @@ class NeighbourLanes:
         return found
 
     def load_value_of_other(self, node: ir.PlanNode) -> Lanes:
-        """Return the value of a leaf node that depends on the other agent, for eight pairs."""
+        """Return the value of a leaf node that depends on the other agent, for the eight pairs."""
         named = {"pair.x": self.dx, "pair.y": self.dy, "pair.z": self.dz, "pair.distance": self.distance}
         if node.op in named:
             return named[node.op]
@@ -95,9 +95,9 @@ class NeighbourLanes:
         return registers
 
     def _extract_rows(self) -> Lanes:
-        """Return the rows of the other agents, loaded one by one.
+        """Return the rows of the others, loaded one by one.
 
-        They are used as separate addresses, and extracting these from a SIMD register is slow."""
+        Each row is used as a separate address. Extracting these from a SIMD register would be slower."""
         e, positions = self.writer.builder, self.writer.array_address("grid", self.search.number, "places")
 
         def extract_lanes() -> Lanes:
@@ -111,7 +111,7 @@ class NeighbourLanes:
 def measure_pairs(
     w: FunctionWriter, search_code: SearchCode, grid_indices: Lanes, place: list[Lanes], is_present: Lanes
 ) -> NeighbourLanes:
-    """Return the pairs of requesting agents at positions `place` and others at grid indices `grid_indices`."""
+    """Return the pairs of requesting agents at positions `place` and others with indices `grid_indices`."""
     e = w.builder
     *others, rows = load_quadruples(e, w.array_address("grid", search_code.number, "places"), grid_indices)
     dx, dy, dz = (other - own for other, own in zip(others, place, strict=True))
