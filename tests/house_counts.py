@@ -10,6 +10,7 @@ import argparse
 import ast
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 LONG, MANY = 60, 8
@@ -26,7 +27,7 @@ def imported(tree: ast.Module, modules: frozenset[str]) -> Iterator[tuple[str, i
     stack: list[tuple[ast.AST, bool]] = [(tree, False)]
     while stack:
         node, inside = stack.pop()
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
             continue
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno, inside) for alias in node.names)
@@ -34,7 +35,10 @@ def imported(tree: ast.Module, modules: frozenset[str]) -> Iterator[tuple[str, i
             for name in sorted({f"{node.module}.{alias.name}" for alias in node.names}):
                 yield (name if name in modules else node.module), node.lineno, inside
         within = inside or isinstance(node, Function)
-        stack += [(child, within) for child in ast.iter_child_nodes(node)]
+        statements = (
+            each for each in ast.iter_child_nodes(node) if isinstance(each, ast.stmt | ast.excepthandler | ast.match_case)
+        )
+        stack += [(child, within) for child in statements]
 
 
 def circles(graph: dict[str, set[str]]) -> list[list[str]]:
@@ -73,10 +77,16 @@ def parameters(node: Function) -> int:
     return len([name for name in names if name not in ("self", "cls")])
 
 
+@cache
+def parsed(path: Path) -> ast.Module:
+    """The tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def find_places(root: Path) -> dict[str, list[str]]:
     """By what is counted, every place of it."""
     package = root / "antdsl"
-    files = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(package.rglob("*.py"))}
+    files = {path: parsed(path) for path in sorted(package.rglob("*.py"))}
     modules = frozenset(module(path, root) for path in files)
     locations: dict[str, list[str]] = defaultdict(list)
     graph: dict[str, set[str]] = {name: set() for name in modules}

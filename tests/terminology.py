@@ -69,15 +69,18 @@ def uses_in_text(path: str, line: int, text: str) -> Iterator[Use]:
                 yield Use(path, line + lower.count("\n", 0, match.start()), word)
 
 
-def uses_in_name(path: str, line: int, name: str) -> Iterator[Use]:
+@cache
+def _words_in_name(name: str) -> list[str]:
     """The words of a name that are to be avoided."""
     everywhere, complete = words()
     plain = name.strip("_").lower()
-    if plain in complete:
-        yield Use(path, line, plain)
-    for part in re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()):
-        if part in everywhere:
-            yield Use(path, line, part)
+    parts = re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower())
+    return [plain] * (plain in complete) + [part for part in parts if part in everywhere]
+
+
+def uses_in_name(path: str, line: int, name: str) -> Iterator[Use]:
+    """The words of a name that are to be avoided."""
+    return (Use(path, line, word) for word in _words_in_name(name))
 
 
 def uses_in_names(path: str, tree: ast.Module) -> Iterator[Use]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from conftest import LONGEST
-from house_counts import find_places
+from house_counts import find_places, parsed
 from page_groups import LANGUAGE_PAGES, SCENE_PAGES
 
 from antdsl.bootstrap import QUICK_TEST_PATTERNS
@@ -54,11 +54,6 @@ def subpackage_of(path: Path) -> str:
 
 
 @cache
-def parsed(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-@cache
 def nodes(path: Path) -> list[ast.AST]:
     """All nodes of a file's tree."""
     return list(ast.walk(parsed(path)))
@@ -70,7 +65,7 @@ def imports(path: Path) -> list[tuple[str, int]]:
     hidden = {
         id(inner)
         for node in nodes(path)
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
         for inner in ast.walk(node)
     }
     modules: list[tuple[str, int]] = []

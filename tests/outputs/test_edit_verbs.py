@@ -364,9 +364,10 @@ LINES = [
 ]
 
 
-def test_random_subsets_of_edits_equal_those_where_the_others_were_never_written(cache: Cache) -> None:
+@pytest.mark.parametrize("draws", [7, pytest.param(40, marks=pytest.mark.slow)])
+def test_random_subsets_of_edits_equal_those_where_the_others_were_never_written(cache: Cache, draws: int) -> None:
     random = np.random.default_rng(3)
-    for _ in range(20):
+    for _ in range(draws):
         chosen = random.random(len(LINES)) < 0.5
         view = edited(cache, *(line if is_on else f"{line}, off: yes" for line, is_on in zip(LINES, chosen, strict=True)))
         plain = edited(cache, *(line for line, is_on in zip(LINES, chosen, strict=True) if is_on)) if chosen.any() else cache

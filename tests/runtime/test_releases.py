@@ -92,8 +92,8 @@ def test_every_number_is_created_once_in_order() -> None:
         crowd = CrowdData("ant", count, release=ReleaseData(Fraction(int(rng.integers(-9, 9)), 7), interval))
         created = [crowd.count_created(frame) for frame in range(-20, 200)]
         assert created == sorted(created) and created[0] == 0
-        due = [sum(begin <= frame for begin in _frames_of(crowd)) for frame in range(-20, 200)]
-        assert created == due
+        begins = _frames_of(crowd)
+        assert created == [sum(begin <= frame for begin in begins) for frame in range(-20, 200)]
 
 
 def _frames_of(crowd: CrowdData) -> list[int]:
