@@ -70,8 +70,7 @@ class Options:
 
 @dataclass(slots=True, eq=False)
 class Items:
-    """All items that share a name in the scene. `names`: the name of each item. `amounts` float64: current amounts.
-
+    """All items that share a name in the scene. `names`: the name of each item. `amounts` float64: the current amounts.
     `visible_values` float32: the amounts at the start of the step, which agents sense."""
 
     name: str
@@ -104,9 +103,8 @@ class FixedColumn(Generic[Scalar]):
 
 @dataclass(slots=True, eq=False)
 class Population:
-    """All living agents of one species, as arrays with one row per agent. `columns`: the arrays that `FIXED_COLUMN_BY_NAME`
-    lists. `start`, `now`: the registers at the start of the step, and their current values. `cells`: each agent's cell, by
-    field."""
+    """All living agents of one species, as arrays with one row per agent. `columns`: the arrays in `FIXED_COLUMN_BY_NAME`.
+    `start`, `now`: registers at the start of the step, and their current values. `cells`: each agent's cell, by field."""
 
     ids = FixedColumn[np.int64]()
     born = FixedColumn[np.int64]()
@@ -225,10 +223,10 @@ class StepBackend(Protocol):
 
 @dataclass(slots=True, eq=False)
 class World:
-    """The state of a running simulation, made from a plan and a setting.
+    """The state of a running simulation.
 
-    `frame`: the number of the current frame. During a step, it is the frame before the step. `origin` (mm): subtracted from
-    all positions at binding, so that float32 stays precise far from the scene's zero."""
+    `frame`: the number of the current frame; during a step, the frame before the step. `origin` (mm): subtracted from all
+    positions at binding, so that float32 stays precise far from the scene's zero."""
 
     plan: ir.Plan
     setting: WorldSetting

@@ -80,7 +80,7 @@ class RunningReduction:
         self.builder.store_number(self._stack_slots[part][0], value)
 
     def _round_term(self, body: Lanes) -> Lanes:
-        """Emit code that rounds a term to a multiple of the reduction's quantum. Same as `exact_sums.quantise`."""
+        """Emit code that rounds a term to a multiple of the reduction's quantum. Same as `exact_sums.quantise_terms`."""
         quantum = int(self.node.attrs[0])
         bound, magic = float(np.ldexp(1.0, quantum + exact_sums.MAX_TERM_EXPONENT)), float(np.ldexp(1.5, quantum + 52))
         if float(np.float32(bound)) == bound:  # then clamping before the conversion gives the same result
