@@ -91,8 +91,8 @@ def install_browser() -> None:
 
 
 def install_test_programs() -> None:
-    """Install the programs that tests start, if this user is allowed to. Without these programs, the tests fail instead of being
-    skipped, because users rely on what they check."""
+    """Install the programs that tests start, if this user is allowed to. Without these programs, tests fail; they are not
+    skipped, because users rely on the features that they check."""
     packages = [package for name, package in TEST_PROGRAMS.items() if not shutil.which(name)]
     if not packages or not sys.platform.startswith("linux"):
         return
@@ -162,7 +162,7 @@ def compile_kernels(python: Path) -> None:
 
 
 def run_example(python: Path, folder: Path) -> int:
-    """Run the main task on an example: simulate foraging, then draw a still and a contact sheet. Return the exit code."""
+    """Run an example: simulate foraging, then draw a still and a contact sheet. Return the exit code."""
     scene = ROOT / "examples" / "foraging" / "scene.yaml"
     antdsl = [str(python), "-P", "-m", "antdsl"]
     for command in ([*antdsl, "run", str(scene), "--out", str(folder)], [*antdsl, "render", str(folder), "--sheet"]):

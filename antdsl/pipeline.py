@@ -90,12 +90,11 @@ def compile_files(
     parsed: ParsedFileCache | None = None,
     memo: CheckResultCache | None = None,
 ) -> tuple[Program | None, Report]:
-    """Parse and check programs together, with the library and all files that they use. Return the program, or None, and a
-    report.
+    """Parse and check programs together, with the library and all files that they use. Return (program, report). The program is
+    None if no file can be read or if it has errors.
 
-    `strict`: whether to add the findings of `check --strict`.
-    `parsed` and `memo`: caches of parsed and checked parts, for reuse by the next call.
-    """
+    `strict`: whether to add the findings of `check --strict`. `parsed` and `memo`: caches of parsed and checked parts, for reuse
+    by the next call."""
     files = [Path(path) for path in paths]
     loaded = LoadedSources(resolve_path(files[0]).parent if files else Path.cwd(), parse_cache={} if parsed is None else parsed)
     for file in files:
@@ -106,7 +105,8 @@ def compile_files(
 def _check_loaded_sources(
     loaded: LoadedSources, strict: bool, memo: CheckResultCache | None = None
 ) -> tuple[Program | None, Report]:
-    """Check loaded files as one program. Return the program, or None, and a report. `strict`: as in `compile_files`."""
+    """Check loaded files as one program. Return (program, report). The program is None if no file was loaded or if it has errors.
+    `strict`: as in `compile_files`."""
     from antdsl.program import check
 
     report = Report()
@@ -142,12 +142,10 @@ def open_scene(
     thorough: bool = True,
     raw: bool = False,
 ) -> tuple[Shot | None, Report]:
-    """Read a scene and compile its programs. Return the shot, or None if there are errors, and a report.
+    """Read a scene and compile its programs. Return (shot, report). The shot is None if there are errors.
 
-    `parsed`: as in `compile_files`.
-    `thorough`: as in `passes.optimise`.
-    `raw`: whether to return the plan as it is before any pass.
-    """
+    `parsed`: as in `compile_files`. `thorough`: as in `passes.optimise`. `raw`: whether to return the plan as it is before any
+    pass."""
     path = Path(path)
     from antdsl import passes, plan
     from antdsl.bodies.crowd_bodies import load_crowd_bodies
@@ -216,7 +214,8 @@ def _read_scene(
     data: bytes | None = None,
     texts: Mapping[Path, bytes] | None = None,
 ) -> tuple[Scene | None, Program | None, LoadedSources, Report]:
-    """Return a scene, the program of all its files, their sources, and a report.
+    """Return a scene, the program of all its files, their sources, and a report. Scene and program are None if errors prevent
+    them.
 
     The report also covers how well the scene and the program match. `data`: the text of the scene in an editor; None to read the
     file. `texts`: texts that override files on disk."""

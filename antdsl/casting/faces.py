@@ -92,7 +92,7 @@ class TriangleFaces:
         """Intersect rays from `origin` [k,3] along `displacement` [k,3] with the planes of faces.
 
         Returns the ray parameter in lengths of `displacement`, and the barycentric weights [k,3] of the intersection. Two masks
-        tell whether it is inside the face, and whether it is within float32 error of the face's border."""
+        tell whether the intersection is inside the face, and whether it is within float32 error of the face's border."""
         rows, rim = self._get_planes_and_borders(face)
         base = ((rows[:, :, 0] * origin[:, 0:1] + rows[:, :, 1] * origin[:, 1:2]) + rows[:, :, 2] * origin[:, 2:]) + rows[:, :, 3]
         rate = (rows[:, :, 0] * displacement[:, 0:1] + rows[:, :, 1] * displacement[:, 1:2]) + rows[:, :, 2] * displacement[:, 2:]
@@ -141,8 +141,8 @@ class TriangleFaces:
         return fractions, weights, hit, tolerances
 
     def build_kernel_tables(self) -> tuple[Floats, Floats, Index, Index, Index] | None:
-        """Return the tables of all faces that kernels read: planes, border weights, and the results of `_weld_corners`. Return
-        None for short-lived faces."""
+        """Return the tables of all faces that kernels read, or None for short-lived faces. They are the planes, the border
+        weights, and the arrays that `_weld_corners` returns."""
         if self._is_short_lived:
             return None
         self._get_planes_and_borders(np.empty(0, np.int64))
@@ -176,8 +176,8 @@ class TriangleFaces:
         return place, square, face
 
     def find_faces_at_corner(self, face: Index, weights: Floats) -> tuple[Index, Index]:
-        """Return all faces that share with a face its corner with the largest weight. The result is ascending pairs, as two
-        arrays: an index into `face`, and the number of a face with this corner."""
+        """For each of `face`, find all faces at its corner with the largest weight. Return ascending pairs as two arrays: indices
+        into `face`, and numbers of faces at this corner."""
         if self._corner_tables is None:
             self._corner_tables = self._weld_corners()
         weld, first, faces = self._corner_tables
@@ -199,7 +199,8 @@ class TriangleFaces:
         return is_doubled
 
     def _weld_corners(self) -> tuple[Index, Index, Index]:
-        """Weld equal corners. Return the vertex number of each corner, and the faces at each vertex as starts and a list."""
+        """Weld equal corners. Return the vertex number of each corner, and the faces at each vertex: the start of each vertex in
+        a list, and the list."""
         flat = self.corners.reshape(-1, 3)
         order = np.lexsort((flat[:, 2], flat[:, 1], flat[:, 0]))
         new = (flat[order[1:]] != flat[order[:-1]]).any(axis=1)
@@ -323,7 +324,7 @@ def write_nearest_points_on_faces(
 
 @inlined
 def evaluate_plane(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
-    """Return the value of one row of a face's planes at a point: its product with (x, y, z, 1)."""
+    """Return the value of one row of a face's planes at a point: the product of the row's four numbers with (x, y, z, 1)."""
     return ((planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z) + planes[face, row, 3]
 
 

@@ -75,8 +75,8 @@ class ProximityQueries(ABC):
     def _find_hits_within(
         self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
     ) -> tuple[Index, Vectors, Index]:
-        """Return the ascending numbers of the rays that hit within one length of `displacement`, with ray parameters and
-        faces."""
+        """Return the rays that hit a face between `origin` and `origin + displacement`: their ascending numbers, ray parameters
+        and faces."""
 
     @abstractmethod
     def _get_facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:

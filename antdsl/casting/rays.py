@@ -193,7 +193,8 @@ class RayScene(ProximityQueries):
     def _find_hits_within(
         self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
     ) -> tuple[Index, Vectors, Index]:
-        """Return the ascending numbers of the rays that hit within one length of `displacement`, with ray parameters and faces.
+        """Return the rays that hit a face between `origin` and `origin + displacement`: their ascending numbers, ray parameters
+        and faces.
 
         Short rays use the grid, the others use Open3D."""
         grid = self._get_triangle_grid()

@@ -311,12 +311,12 @@ class SurfaceCells:
 
     @cached_property
     def links(self) -> CellLinks:
-        """Return the links between cells in the same voxel or in voxels that share a face, except cells of opposite sides."""
+        """Return the links between cells in the same voxel, or in voxels with a common face. Opposite sides are not linked."""
         return self._link_cells(1)
 
     @cached_property
     def diagonal_links(self) -> CellLinks:
-        """Return the links between cells in voxels that share only an edge, except cells of opposite sides."""
+        """Return the links between cells in voxels that share only an edge. Cells of opposite sides are not linked."""
         return self._link_cells(2)
 
     def _link_cells(self, steps: int) -> CellLinks:

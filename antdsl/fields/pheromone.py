@@ -132,9 +132,9 @@ class PheromoneField:
         self._remaining_amounts.append((cells, amounts))
 
     def advance(self, remaining_share: float, diffusion: float, dt: float, threads: int = 1) -> None:
-        """Advance the field by `dt` (s). Sets the remaining amounts, diffuses, multiplies by `remaining_share`, then adds
-        deposits. With `deposits_first`, deposits are added before diffusion. `diffusion` is in mm²/s. Raises ValueError with
-        the largest stable value if `diffusion` is unstable for the cell size."""
+        """Advance the field by `dt` (s). First stores the amounts from `set_remaining_amounts`, then diffuses, multiplies by
+        `remaining_share`, and adds deposits. With `deposits_first`, deposits are added before diffusion. `diffusion` is in mm²/s.
+        Raises ValueError with the largest stable value if `diffusion` is unstable for the cell size."""
         values = self.amounts
         for cells, amounts in self._remaining_amounts:
             values[cells] = amounts

@@ -17,8 +17,9 @@ _CELLS_PER_CHUNK = 512  # cells per chunk: compared first, then the changed ones
 
 
 class CellsNearThreshold:
-    """The set of cells near a strong cell: at least one of their `k` nearest cells has an amount of `threshold` or more. It
-    contains all cells if `threshold` is 0 or less, if the field can get new cells, or if a table would be too large."""
+    """The set of all cells with a strong cell among their `k` nearest cells. A cell is strong if its amount is at least
+    `threshold`. The set contains all cells in three cases: `threshold` is 0 or less, the field can get new cells, or a table
+    would be too large."""
 
     def __init__(self, field: PheromoneField, threshold: np.float32, k: int) -> None:
         self._inputs, self._k = (field, field.version, threshold), k

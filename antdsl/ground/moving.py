@@ -178,8 +178,8 @@ class _StillAndMovingRayScenes:
 
 
 class _MovingPieceClearances:
-    """Clearances for a ground with moving meshes. Distances between static meshes are measured once. Agents near the box of a
-    moving mesh always search. Agents on a moving mesh also do so if another mesh is near."""
+    """Clearances for a ground with moving meshes. Distances between static meshes are measured once. An agent near the box of a
+    moving mesh always searches for nearby surfaces. An agent on a moving mesh searches if another mesh is near."""
 
     def __init__(self, ground: MovingGround) -> None:
         self._ground = ground

@@ -200,8 +200,8 @@ class GroundMove:
         return GroundMove(self.footing.select_rows(rows), position, up, heading, direction, travelled, blocked, lost)
 
     def write_rows(self, rows: Rows, other: GroundMove) -> None:
-        """Replace the results in `rows` by `other`, from the same ground. Values that all agents share, such as `up` of a plane,
-        do not change."""
+        """Replace the results in `rows` by those in `other`, which are results of the same ground. Values that all agents share,
+        such as `up` of a plane, do not change."""
         self.footing.write_rows(rows, other.footing)
         for column, values in zip(self.list_columns(), other.list_columns(), strict=True):
             if column.flags.writeable:
@@ -307,5 +307,5 @@ class MeshSurfaces(Ground, Protocol):
         """Return the ascending rows of the agents that may have a rising surface within `reach` [n] mm. `place`: their positions
         [n,3].
 
-        A surface rises at an inner crease, at another piece, or at a moving mesh. No agent near a rise is omitted, except agents
-        with a `reach` of 0 or less. The result for an agent does not depend on other agents."""
+        A surface may rise at an inner crease, where another piece of the ground is near, or at a moving mesh. No agent near a
+        rise is omitted, except agents with a `reach` of 0 or less. The result for an agent does not depend on other agents."""

@@ -267,7 +267,7 @@ class LaneBuilder(VectorBuilder[Lanes]):
     # --- memory --------------------------------------------------------------------------------------------------------
 
     def address(self, base: Number, index: Lanes | int, kind: str) -> Lanes:
-        """Return the address of the element at `index`, a single number."""
+        """Return the address of the element at `index`, which is a single number."""
         if isinstance(index, int):
             index = self.make_constant(index, I64, 1)
         return self.op("element", PTR, base, index, x=kind)

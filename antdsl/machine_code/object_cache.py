@@ -89,8 +89,8 @@ def compute_object_key(text: str, target: Target, *, versions: tuple[str, ...]) 
 
 @cache
 def list_code_versions() -> tuple[str, ...]:
-    """Return the versions that an object file depends on, apart from the target: of the LLVM IR, calls, passes and LLVM.
-    Imports llvmlite."""
+    """Return the versions of the LLVM IR, the calls, the passes and LLVM. Object files depend on these and on the target. Imports
+    llvmlite."""
     import llvmlite.binding as llvm
 
     from antdsl.machine_code import llvm_compiler

@@ -1,10 +1,11 @@
 """CRC-32 checksums, the same as in zip files and `zlib`. They are computed with carry-less multiplications if the processor
-supports these. The method is that of V. Gopal, E. Ozturk, J. Guilford, G. Wolrich, W. Feghali, M. Dixon, D. Karakoyunlu, Fast
-CRC Computation for Generic Polynomials Using PCLMULQDQ Instruction, Intel 2009. Four registers represent the data read so far:
-as a polynomial, both have the same remainder. The registers consist of blocks of 16 bytes. To advance a block by n bits, each
-of its halves is multiplied by the remainder of x**n. At the end, the last 16 bytes of state and the remaining data (fewer than
-16 bytes) are processed byte by byte with a table. A register has 16 bytes, or 64 bytes if the processor can multiply 64 bytes
-at once (VPCLMULQDQ) without slowing down. With 64 bytes, the computation is almost three times as fast."""
+supports these. The method is that of V. Gopal, E. Ozturk, J. Guilford, G. Wolrich, W. Feghali, M. Dixon, D. Karakoyunlu, Fast CRC
+Computation for Generic Polynomials Using PCLMULQDQ Instruction, Intel 2009. Four registers stand for the data read so far: read
+as polynomials, the registers and the data have the same remainder. The registers consist of blocks of 16 bytes. To advance a
+block by n bits, each of its halves is multiplied by the remainder of x**n. At the end, the last 16 bytes of state and the
+remaining data (fewer than 16 bytes) are processed byte by byte with a table. A register has 16 bytes, or 64 bytes if the
+processor can multiply 64 bytes at once (VPCLMULQDQ) without slowing down. With 64 bytes, the computation is almost three times as
+fast."""
 
 from __future__ import annotations
 

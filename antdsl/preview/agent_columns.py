@@ -29,7 +29,8 @@ def make_reduced_frame(population: Population, previous_arrays: Arrays | None = 
 
 
 def reuse_arrays(arrays: Arrays, previous_arrays: Arrays) -> Arrays:
-    """Return `arrays`, but replace each array that equals the one in `previous_arrays` by that object, which saves memory."""
+    """Return `arrays`. An array that equals the array of the same name in `previous_arrays` is replaced by that object, which
+    saves memory."""
     return {
         name: previous_arrays[name] if name in previous_arrays and np.array_equal(previous_arrays[name], array) else array
         for name, array in arrays.items()

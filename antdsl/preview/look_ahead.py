@@ -48,7 +48,8 @@ class LookAheadSimulation:
         return not self._stopped and max(self.frames) < self._find_last_frame(session)
 
     def simulate_next_frame(self, session: PreviewSession) -> None:
-        """Simulate one more frame if one is missing. The first call only stores the session's current frame."""
+        """Simulate the next future frame, unless enough frames are stored. The first call only stores the session's current
+        frame."""
         stretch, world = session.timeline.find_stretch(session.frame), self._world
         if world is None:
             world = self._world = stretch.restore_world(

@@ -123,7 +123,7 @@ class PreviewSession:
         return replace(self._current_stretch.choices, params=params, notes=list_active_lines(self.notes))
 
     def step(self) -> None:
-        """Advance by one frame: within the recorded history if possible, otherwise by simulation. A fault ends `playing` only."""
+        """Advance by one frame: within the recorded history if possible, otherwise by simulation."""
         self._simulate_step()
         later = self.timeline.find_next_stretch(self._current_stretch)
         if later is not None and later.first == self.frame:
@@ -379,8 +379,8 @@ class PreviewSession:
         return line
 
     def _drop_unknown_choices(self, choices: RunChoices, disabled_layers: DisabledLayers) -> tuple[RunChoices, list[str]]:
-        """Return the choices without values and notes that the current files cannot use, and a text about each of those
-        removed."""
+        """Return the choices without values and notes that the current files cannot use, and one text about each removed value or
+        note."""
         shot, report, _ = self._compile(replace(choices, params={}, notes=()), disabled_layers)
         if shot is None or not report.ok:
             return choices, []

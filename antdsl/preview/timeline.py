@@ -154,7 +154,8 @@ class SimulationSegment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimelineBranch:
-    """The history from frame `first` on that was replaced, and the `reason`. Its curves are displayed next to the new ones."""
+    """A part of the history that an edit replaced: everything from frame `first` on. `reason`: why it was replaced. Its curves
+    are displayed next to the new ones."""
 
     first: int
     reason: str

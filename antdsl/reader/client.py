@@ -367,7 +367,7 @@ def begin_scene() -> None:
 
 
 def start_reader_early(format: str) -> None:
-    """Start the reader in advance, with the libraries for `format` (a key of PRELOADED_MODULES). Return at once."""
+    """Start the reader in advance, with the libraries for `format` (a key of PRELOADED_MODULES). Return immediately."""
     _file_reader.start_early(format)
 
 

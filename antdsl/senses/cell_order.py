@@ -241,8 +241,8 @@ def _take_maximum_if_valid(high: F32, place: F32, is_valid: BOOL) -> F32:
 def _is_one_layer_enough(
     axis_positions: Columns, low: FloatTriple, inverse: FloatTriple, size: CellCounts, occupied: Array2[BOOL]
 ) -> BOOL:
-    """Return whether columns of cells contain few agents or few layers. If there are too many columns, several are counted as
-    one. `occupied` (2, k): buffers with a flag for each column, and for each cell, that contains agents."""
+    """Return whether one layer of cells is enough: columns contain few agents, or agents in few layers. If there are too many
+    columns, several count as one. `occupied` (2, k): buffers with a flag for each column, and each cell, with agents."""
     agents, columns, cells = 0, 0, 0
     for row in range(axis_positions[0].size):
         a, b, c = axis_positions[0][row], axis_positions[1][row], axis_positions[2][row]

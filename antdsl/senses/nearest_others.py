@@ -199,7 +199,7 @@ def find_nearest_others(crowd: CrowdTables, requesters: NeighbourRequests, k: I6
 def _select_nearest_others(
     crowd: CrowdTables, position: I64, reach: F32, up: Vec3, count: I64, max_others: I64, memory: CandidateMemory
 ) -> I64:
-    """Reduce the first `count` candidates to the nearest and write them, sorted, to `memory.nearest_rows`. Return their number.
+    """Write the nearest of the first `count` candidates to `memory.nearest_rows`, sorted. Return their number.
 
     `position`: the searching agent, as a position in the order of cells. `reach`: the radius (mm) of the search."""
     x, y, z, _ = load_consecutive(crowd.grid.packed_positions, 4 * position, 4)

@@ -212,7 +212,7 @@ class _Resimulation:
         self.maker = FrameMaker(world, history.shot.program, attributes, None, history.shot.scene.model.output.events)
 
     def simulate_frames(self) -> Iterator[str]:
-        """Simulate all frames. Yield a text after each."""
+        """Simulate all frames. Yield a progress text after each frame."""
         world, first = self.world, self.cache.frames()[0]
         start = world.frame
         for number in (each for each in self.cache.frames() if each >= start):

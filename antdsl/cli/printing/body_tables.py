@@ -134,8 +134,8 @@ def _shorten_text(text: str) -> str:
 
 
 def format_body_json(body: Definition | None, report: Report) -> str:
-    """Return the description of a body as JSON. Its value `body` is null if there is none. Its value `findings` has the form of
-    `antdsl check --format json`."""
+    """Return the description of a body as JSON. Its value `body` is null if there is no body. Its value `findings` has the form
+    of `antdsl check --format json`."""
     findings = json.loads(render(report, "json")) if choose_visible_diagnostics(report) else None
     content: dict[str, Any] = {"format_version": "1.0", "valid": report.ok, "body": None, "findings": findings}
     if body is not None:

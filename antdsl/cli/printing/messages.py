@@ -181,7 +181,7 @@ def print_note(words: str = "", *, to_stderr: bool = False, newline: bool = True
 
 
 def print_result(text: str, *, newline: bool = True) -> None:
-    """Print a part of the command's result to standard output. If it is lost, for example on a full disk, the command ends with
-    exit code 3."""
+    """Print a part of the command's result to standard output. If the text cannot be written, for example on a full disk, the
+    command ends with exit code 3."""
     sys.stdout.write(text + "\n" if newline else text)
     sys.stdout.flush()

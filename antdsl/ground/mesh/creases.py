@@ -101,7 +101,7 @@ def _measure_edge_turns(table: MeshTopology) -> tuple[Index, Floats, Index]:
 
 
 class CreaseMap:
-    """A grid that tells where an inner crease, another piece, or a face that cuts its own piece is near.
+    """A grid of the cells near an inner crease, near another piece of the ground, or near a face that cuts its own piece.
 
     - `corners` float64[m,3,3]: the corners of the faces
     - `table`: the topology of the faces
@@ -150,8 +150,8 @@ class CreaseMap:
     def find_rows_near_creases(
         self, rows: Index, distance_levels: Index, used_levels: int, place: Floats, threads: int
     ) -> NDArray[np.bool_]:
-        """Return a mask of the `rows` that may be near a crease, another piece or a cut. `place` (n, 3): the positions. No row
-        that is near one is omitted.
+        """Return a mask of the `rows` that may be near a crease, another piece of the ground, or a cut. `place` (n, 3): the
+        positions. No row that is near one is omitted.
 
         `distance_levels`: the level of a reach is its binary exponent minus that of the cell width. Rows of level -1 count as
         near; others are tested with the grid of their level. `used_levels`: bit k is set if level k occurs. The result for a
@@ -173,7 +173,7 @@ class CreaseMap:
         return is_near
 
     def _get_cells_within(self, distance_level: int) -> NDArray[np.bool_]:
-        """Return a mask of the cells within 2**distance_level mm of a crease, another piece or a cut."""
+        """Return a mask of the cells within 2**distance_level mm of a crease, another piece of the ground, or a cut."""
         if distance_level not in self._near_cells_by_rung:
             rings = int(min(np.ceil(np.ldexp(1.0, distance_level) / self._width) + 1, self._shape.max()))
             corners, table, minded, half = self._inputs
@@ -185,7 +185,7 @@ class CreaseMap:
         return self._near_cells_by_rung[distance_level]
 
     def _expand_crease_cells(self, rings: int) -> stored_tables.Tables:
-        """Return a mask of the cells within `rings` cells of a crease, another piece or a cut."""
+        """Return a mask of the cells within `rings` cells of a crease, another piece of the ground, or a cut."""
         sharp, *pieces = self._crease_and_piece_grids
         is_near: NDArray[np.bool_] = filter_maximum(sharp, rings) if sharp.any() else sharp
         if pieces:
@@ -205,7 +205,8 @@ def _get_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> F
 
 
 def compute_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
-    """Return a distance (mm) around each face, float64[m], within which there is no crease, no other piece and no cut face.
+    """Return a distance (mm) around each face, float64[m], within which there is no crease, no other piece of the ground and no
+    cut face.
 
     `half`: the half-edges that are creases. The distance is 0 for a cut face, and infinite on a ground without creases, other
     pieces and cuts."""
@@ -354,8 +355,8 @@ def find_candidates_near_slopes(
 ) -> tuple[I64, I64, I64]:
     """Write the rows of agents that may have a rise within `reach`. Agents `begin` to `end` (exclusive) are tested.
 
-    Both result arrays are written from index `begin` on. A level is -1, or for an agent on a face larger than its reach, that of
-    its reach in `CreaseMap`. Returns `begin`, the number of rows, and a bit for each level that occurs."""
+    Both result arrays are written from index `begin` on. A level is -1, except for an agent on a face larger than its reach: it
+    gets the level of the reach in `CreaseMap`. Returns `begin`, the number of rows, and a bit for each level that occurs."""
     count, rung_bits = begin, 0
     lowest = _compute_distance_level(width, width, largest)
     for i in range(begin, end):

@@ -32,8 +32,8 @@ MAX_RUN_PER_RISE = 1e3  # mm along a face per mm up, above which the face counts
 def find_surface_crossing(
     surface: SurfaceTables, around: NearbySurfaces, cuts: CutTables, walker: FaceWalker, length: F64
 ) -> SurfaceLanding:
-    """Return the landing on the first face of the same piece that cuts the current face across the path. The path continues
-    there.
+    """Return the landing on the first face that cuts the current face across the path. Only faces of the same piece of the ground
+    count. The path continues there.
 
     The path ends instead if it would continue on the other side of an open sheet, or if there is no space. The search of
     `surroundings`, from above the ground, cannot find such faces: near a cut, any point above the feet may already be behind
@@ -156,10 +156,11 @@ def _is_crossing_to_other_side(
     crossing_place: Vec3,
     touch: F64,
 ) -> BOOL:
-    """Return whether a path goes on beyond the plane of the face `other_face`, which it reaches at `crossing_place`.
-    `start_height`: the signed height of its start over the plane.
+    """Return whether a path continues beyond the plane of the face `other_face`, which it reaches at `crossing_place`.
+    `start_height`: the signed height of the path's start over the plane.
 
-    It does not if the current face only touches the other face, and its neighbour folds back there into a wedge without space."""
+    It does not if the current face only touches `other_face`, and the neighbour of the current face folds back into a wedge
+    without space."""
     sign = -1.0 if start_height < 0 else 1.0
     if not _find_lowest_corner_height(table, face, other_face, sign) >= -touch:
         return True

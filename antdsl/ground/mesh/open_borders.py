@@ -53,7 +53,7 @@ def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundTolera
 def _select_borders_with_ground_beyond(
     table: MeshTopology, boxes: FaceBoxes, scale: GroundTolerances, reach: float, half: Index
 ) -> tuple[NDArray[np.bool_], int]:
-    """Return a mask of the half-edges in `half` that have no ground beyond them, and the number of checked pairs.
+    """Return a mask of the half-edges in `half` beyond which there is no ground, and the number of checked pairs.
 
     A pair consists of a half-edge and a face within `reach` mm of the half-edge's box."""
     face, k = half // 3, half % 3

@@ -149,8 +149,8 @@ def _find_piercing_edges(start: Floats, end: Floats, triangle: Floats, grain: fl
     """Return whether each edge passes through its triangle, or touches it within `grain` mm (Möller, Trumbore, Fast, Minimum
     Storage Ray/Triangle Intersection, 1997, p. 22-24).
 
-    For an edge in the plane of the triangle, only its start is tested. Its end is the start of another edge. If it crosses an
-    edge of the triangle, the test of that edge shows it."""
+    If an edge is in the plane of the triangle, only its start is tested, because its end is the start of another edge. If the
+    edge also crosses an edge of the triangle, the test of that other edge finds the crossing."""
     a, e1, e2 = triangle[:, 0], triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
     normal = np.cross(e1, e2)
     size = length(normal)

@@ -55,8 +55,8 @@ def project_to_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s
 
 @inlined
 def get_face_part_clearance(clearances: ClearanceTables, face: I64, weights: TriangleWeights) -> F64:
-    """Return a distance (mm) around a point of `face` within which there is no other piece. It is at most `reach` (see
-    `FacePartClearances`)."""
+    """Return a distance (mm) from a point of `face` within which there is no other piece of the ground. It is at most `reach`
+    (see `FacePartClearances`)."""
     n = clearances.parts_per_edge[face]
     if n == 0:
         return clearances.reach

@@ -195,8 +195,8 @@ class MeshGround:
         """Return the ascending rows of the agents that may have a rising surface within `reach` [n] mm. `place`: their positions
         [n,3].
 
-        A surface rises at an inner crease, at another piece, or at a moving mesh. No agent near a rise is omitted, except agents
-        with a `reach` of 0 or less. The result for an agent does not depend on other agents."""
+        A surface may rise at an inner crease, where another piece of the ground is near, or at a moving mesh. No agent near a
+        rise is omitted, except agents with a `reach` of 0 or less. The result for an agent does not depend on other agents."""
         if self._slope_map is None:
             corners = self._vertices[self._faces]
             self._slope_map = SlopeMap(
@@ -214,9 +214,9 @@ class MeshGround:
         """Write to `levels` how much the ground bends around each agent. Return a mask of wide faces. `place`: positions [n,3].
         `size`: sizes [n], mm.
 
-        The level is 2 within 1.6 body lengths of a sharp edge, another piece, a cut or a moving mesh. It is 1 for other agents
-        within 0.9 body lengths of narrow faces that rise or curve much, and 0 for all others. The mask bool[m] is true for wide
-        faces at or near an edge at which the ground bends."""
+        The level is 2 within 1.6 body lengths of a sharp edge, another piece of the ground, a cut or a moving mesh. It is 1 for
+        other agents within 0.9 body lengths of narrow faces that rise or curve much, and 0 for all others. The mask bool[m] is
+        true for wide faces at or near an edge at which the ground bends."""
         part, power = np.frexp(max(float(np.fmax.reduce(size, initial=0.0)), 1e-6))
         rung = float(np.ldexp(np.ceil(part * 8) / 8, power))  # rounded, so that tables exist for a few sizes only
         own = [mask for mask, _, _ in self.list_moving_boxes()]

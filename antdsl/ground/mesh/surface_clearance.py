@@ -1,4 +1,5 @@
-"""Lower bounds of the distances between pieces of surface. With these, most agents need no search for other pieces."""
+"""Lower bounds of the distances between pieces of the ground. A piece consists of faces that are connected across edges. With
+these bounds, most agents need no search for other pieces."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ _MAX_PIECES = 500  # with more pieces, faces are not divided and count as touchi
 
 @dataclass(frozen=True, slots=True)
 class FacePartClearances:
-    """Faces divided into parts, and the distance of each part from other pieces.
+    """Faces divided into parts, and the distance of each part from other pieces of the ground.
 
     - `reach`: the greatest distance (mm) that is measured
     - `first_parts`: the number of the first part of each face
@@ -40,8 +41,8 @@ class FacePartClearances:
 
 
 class PieceClearances:
-    """Measures lower bounds of the distance from each face to the nearest other piece. A coarse grid selects the faces to
-    measure.
+    """Measures lower bounds of the distance from each face to the nearest other piece of the ground. A coarse grid selects the
+    faces to measure.
 
     - `corners` float64[m,3,3]: the corners of faces
     - `piece` int32[m]: the piece of each face, -1 for none
@@ -117,8 +118,8 @@ class PieceClearances:
         return clear
 
     def _find_faces_near_pieces(self, reach: float) -> NDArray[np.bool_]:
-        """Return a mask of the faces that may have another piece within `reach` mm: those in a grid cell with two pieces
-        nearby."""
+        """Return a mask of the faces that may have another piece of the ground within `reach` mm: those in a grid cell that has
+        two pieces nearby."""
         grid = self._piece_grid
         mixed = grid.find_mixed_cells(int(min(np.ceil(reach / grid.width), grid.size.max())))
         is_near = np.zeros(len(grid.corners_in_cells), bool)
@@ -147,7 +148,7 @@ class PieceClearances:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PieceNumberGrid:
-    """A grid with the pieces that each cell contains.
+    """A grid that records which pieces of the ground each cell contains.
 
     - `width`: the width of a cell (mm)
     - `corners_in_cells`: the corners of faces, in units of cells

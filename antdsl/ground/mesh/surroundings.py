@@ -57,7 +57,7 @@ MIN_COSINE_BETWEEN_NORMALS = -0.17
 class GroundTolerances:
     """Lengths (mm) that are proportional to the size of a ground.
 
-    - `distance_noise`: an upper bound of the error of measured distances to other pieces
+    - `distance_noise`: an upper bound of the error of measured distances to other pieces of the ground
     - `min_eye_height`: the least height above the feet from which an agent searches for other surfaces
     - `coincident_distance`: the distance within which surfaces coincide
     - `touch_distance`: the distance within which faces touch
@@ -115,7 +115,7 @@ class BorderFrame(NamedTuple):
 def find_landing_ahead(
     table: Array1[F64], nearby_surfaces: NearbySurfaces, body: F64, walker: FaceWalker, remaining_length: F64, length: F64
 ) -> SurfaceLanding:
-    """Return the landing on another piece of surface in the path, as seen from slightly above the ground.
+    """Return the landing on another piece of ground in the agent's path, as seen from slightly above the ground.
 
     If the agent's own piece hides the other piece, the search is repeated from the least eye height. Otherwise feet could pass
     below the agent's own piece."""
@@ -159,9 +159,8 @@ def find_landing_ahead(
 def _find_visible_piece(
     table: Array1[F64], around: NearbySurfaces, face_count: I64, ground: SurfaceStance, length: F64, eye_height: F64
 ) -> VisibleSurface:
-    """Return another piece in the path, seen from the height `eye_height`, or below a low ceiling from half its height.
-
-    If there is none, search from eye height down to the ground at the end of the path."""
+    """Return another piece of ground in the path that is visible from the height `eye_height`, or below a low ceiling from half
+    the ceiling's height. If none is visible, search from eye height down to the ground at the end of the path."""
     boxes, face_list, fine, under = (
         around.boxes,
         around.face_list,
@@ -188,8 +187,8 @@ def _find_visible_piece(
 def _is_face_hidden(
     table: Array1[F64], around: NearbySurfaces, f: I64, ground: SurfaceStance, length: F64, eye_height: F64, ray_direction: Vec3
 ) -> BOOL:
-    """Return whether the agent's own piece blocks the view along the search path. `f`: the agent's face. `ray_direction`: the
-    direction of the last part of the path."""
+    """Return whether the agent's own piece of ground blocks its view along the search path. `f`: the agent's face.
+    `ray_direction`: the direction of the last part of the path."""
     pieces, boxes, face_list, fine = (
         around.sides.piece_numbers,
         around.boxes,

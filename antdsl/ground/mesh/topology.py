@@ -184,7 +184,8 @@ def _link_edges(vertices: Floats, faces: Ints, weld: Ints, is_live: NDArray[np.b
     """Return the links of all half-edges for both sides of the faces (2, 3m). The neighbour on a side is the next face around the
     edge on this side.
 
-    So if more than two faces meet at an edge, such as a wall on a floor, an agent stays in its wedge."""
+    More than two faces can meet at an edge, as where a wall stands on a floor. An agent then stays in the wedge between two of
+    them."""
     m = len(faces)
     link = np.full((2, 3 * m), NO_LINKED_EDGE, np.int32)
     half = np.flatnonzero(np.repeat(is_live, 3))
@@ -282,8 +283,8 @@ def _compute_smooth_normals(vertices: Floats, faces: Ints, weld: Ints, is_live: 
 
 
 def _compute_crease_normals(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Floats) -> Floats:
-    """Return the smooth normals of corners, which are sorted by their `point`. Each is a mean over corners at the same point,
-    without corners of faces beyond a crease."""
+    """Return the smooth normals of corners, which are sorted by their `point`. Each normal is the mean over all corners at the
+    same point, except corners of faces beyond a crease."""
     count = np.bincount(point[corner])[point[corner]]
     begin = np.searchsorted(point[corner], point[corner], side="left")
     one = np.repeat(np.arange(corner.size), count)

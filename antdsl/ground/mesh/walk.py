@@ -215,7 +215,8 @@ def continue_walks(
     begin: I64,
     end: I64,
 ) -> None:
-    """Complete the step of the waiting agents `begin` to `end` (exclusive). With `stop_at_borders`, paths end at open borders."""
+    """Complete the steps of agents that wait for a search for other surfaces. Only waiting agents `begin` to `end` (exclusive)
+    are processed. With `stop_at_borders`, paths end at open borders."""
     table, first, boxes = surface.face_table, surface.first_faces, piece_tables.boxes
     face_list = FaceList(
         piece_tables.face_buffer,
@@ -333,7 +334,7 @@ def _store_pose(poses: PoseArrays, i: I64, pose: AgentPose) -> None:
 
 @inlined
 def _compute_search_margin(noise: F64, body: F64) -> F64:
-    """Return the distance (mm) from the path within which an agent searches for other pieces."""
+    """Return the distance (mm) from the path within which an agent searches for other pieces of the ground."""
     high = EYE_HEIGHT_BODY_LENGTHS * body
     if not high > noise:
         high = noise

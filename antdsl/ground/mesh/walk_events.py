@@ -94,8 +94,9 @@ class WalkTables:
 
 @dataclass(frozen=True, slots=True)
 class CrowdWalk:
-    """Everything that a crowd needs for steps over meshes. `walk_tables`: the tables of faces. `part_clearances`: distances to
-    other pieces. `boxes`: the box tree of all faces. `tolerances`: lengths that depend on the size of the ground."""
+    """Everything that a crowd needs for steps over meshes. `walk_tables`: the tables of faces. `part_clearances`: the distances
+    of faces from other pieces of the ground. `boxes`: the box tree of all faces. `tolerances`: lengths that depend on the size of
+    the ground."""
 
     walk_tables: WalkTables
     part_clearances: FacePartClearances

@@ -23,7 +23,7 @@ class SurfaceTables(NamedTuple):
 
 
 class ClearanceTables(NamedTuple):
-    """Distances to other pieces: the arrays of `FacePartClearances`.
+    """The distances of faces from other pieces of the ground: the arrays of `FacePartClearances`.
 
     An agent searches for other pieces within the length of its path, plus its eye height, plus `distance_noise`."""
 
@@ -60,7 +60,7 @@ class LengthTolerances(NamedTuple):
 
 
 class NearbySurfaces(NamedTuple):
-    """The tables for a search for other pieces, with a buffer for the faces near the search path."""
+    """The data for finding other pieces of the ground near a path: lookup tables, and a buffer that lists the candidate faces."""
 
     sides: SideGroups
     boxes: FaceBoxTree
@@ -112,7 +112,7 @@ class SurfaceLanding(NamedTuple):
 
 
 class PieceSearchTables(NamedTuple):
-    """The tables for searches for other pieces by several threads.
+    """The tables with which several threads search for other pieces of the ground.
 
     - `face_buffer`: `buffer_count` buffers in sequence, each with space for all faces
     - `agent_count`: the number of agents"""

@@ -155,7 +155,8 @@ class _NodeDistanceField:
     def _compute_nearer_distances(
         self, nodes: list[Index], triangle: NDArray[np.integer], only_unmeasured: bool
     ) -> tuple[Index, Distances, NDArray[np.integer]]:
-        """Return the array indices, distances and triangles of the nodes that are in the bricks and become nearer.
+        """Return the nodes for which `triangle` is nearer than their stored triangle: array indices, distances and triangles.
+        Nodes outside the bricks are ignored.
 
         With `only_unmeasured`, nodes that already have a distance from a close triangle are omitted. Otherwise, distances above
         EXACT_DISTANCE_VOXELS are omitted."""

@@ -110,13 +110,13 @@ class Volume:
         are in mm. `owners`: int64[k], the ids of the agents that dig.
 
         The distance of each node becomes max(distance, radius - distance from the centre), so the order of the balls does not
-        matter. The loss of a voxel is attributed to the ball that reaches deepest there, or at a tie to the lowest owner. The sum
-        of the result equals the decrease of `measure_volume()`, to the last bit."""
+        matter. The loss of a voxel is attributed to the ball that reaches deepest there, or on a tie, to the ball with the lowest
+        owner. The sum of the result equals the decrease of `measure_volume()`, to the last bit."""
         return carving.carve_balls(self.bricks, centres, radii, owners)
 
     def measure_volume(self) -> float:
-        """Return the solid volume in mm³. The solid fraction of each voxel is estimated from the distance of its node, in steps
-        of 1/256."""
+        """Return the solid volume in mm³. The solid fraction of each voxel, in steps of 1/256, is estimated from the distance of
+        the voxel's node."""
         return self.bricks.volume_steps * self.bricks.step_volume
 
     @property
@@ -138,8 +138,8 @@ class Volume:
     # ---- keeping
 
     def get_changes(self) -> Arrays:
-        """Return the changes by digging, as arrays by name: the bricks that differ from those of `from_mesh`, and the volume in
-        steps."""
+        """Return the changes by digging, as arrays by name: the bricks that differ from those of `from_mesh`, and the solid
+        volume in steps of `BrickGrid.step_volume`."""
         return self.bricks.get_changes()
 
     def restore_changes(self, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -187,7 +187,7 @@ def _find_bricks_to_mesh(bricks: BrickGrid) -> NDArray[np.bool_]:
 
 
 def load_corner_values(bricks: BrickGrid, brick: int) -> NDArray[np.float32]:
-    """Return the values (17, 17, 17) at the corners of a brick's cells. There are fewer at the end of the grid."""
+    """Return the values (17, 17, 17) at the corners of a brick's cells. A brick at the end of the grid has fewer values."""
     at = np.unravel_index(brick, bricks.shape)
     pool = bricks.values.reshape(-1, NODES_PER_BRICK)
     sizes = [NODES_PER_BRICK_SIDE + (1 if at[axis] + 1 < bricks.shape[axis] else 0) for axis in range(3)]

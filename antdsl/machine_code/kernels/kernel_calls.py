@@ -68,10 +68,10 @@ def make_parallel_caller(
     description: KernelDescription,
     single_call: Callable[..., Any],
 ) -> Callable[..., Any] | None:
-    """Return a function that runs a kernel in parts on a pool of workers, or None if the kernel cannot run in parts. The
-    function takes the kernel's arguments except the last two, which are the begin and end of its loop. Instead come the begin
-    and end of the complete loop, the number of parts, and the address of the pool. It returns a list with the kernel's results
-    for each part. If machine code cannot read the arguments, the function calls `single_call` once, for the complete loop."""
+    """Return a function that runs a kernel in parts on a pool of workers, or None if the kernel cannot run in parts. The function
+    takes the kernel's arguments, but four others in place of the last two (begin and end of the loop). These are the begin and
+    end of the complete loop, the number of parts, and the address of the pool. It returns a list with the kernel's results for
+    each part. If machine code cannot read the arguments, the function calls `single_call` once, for the complete loop."""
     specs = list(_argument_specs(types, description.written_arrays))
     words = RESULT_WORDS + sum(_word_count(each) for each in specs)
     if any(not isinstance(each, ScalarType) or each.kind != INT for each in types[-2:]) or (

@@ -127,7 +127,8 @@ class SimdWriter(StatementWriter):
         self._write_remaining([*true_body, *false_body])
 
     def _write_remaining(self, body: list[ast.stmt]) -> None:
-        """After the code of `body`, remove the iterations from the mask that `body` ended by `break`, `continue` or `return`."""
+        """Remove from the mask the iterations that `body` ended by `break`, `continue` or `return`. Called after the code of
+        `body`."""
         if _has_exits(body):
             assert self.mask is not None
             self.mask = self.emit_logical_and(self.mask, self.load(self.loop_masks[-1].active_mask, TRUTH, LANE_COUNT))

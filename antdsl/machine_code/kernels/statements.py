@@ -55,7 +55,7 @@ class StatementWriter(ExpressionEmitter):
         self.end()
 
     def end(self) -> None:
-        """End the function: return from it if the body does not."""
+        """End the function. If its body can reach its end without a `return`, add one."""
         if self.is_reachable:
             self.write_return(self.definition, ())
 

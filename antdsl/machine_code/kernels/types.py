@@ -15,8 +15,8 @@ LLVM_TYPE_BY_KIND = {DOUBLE: "double", FLOAT: "float", INT: "i64", UNSIGNED: "i6
 
 @dataclass(frozen=True, slots=True)
 class ScalarType:
-    """The type of a number. `dtype`: its NumPy type in arrays. `stored_type`: the LLVM type of this. `kind`: the kind of
-    number that kernels compute with."""
+    """The type of a number. `dtype`: its NumPy type in arrays. `stored_type`: the LLVM type of an array element. `kind`: the kind
+    of number that kernels compute with."""
 
     name: str
     dtype: np.dtype[Any]

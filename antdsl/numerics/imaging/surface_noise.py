@@ -106,10 +106,11 @@ def sample_value_noise(rotation: Array2[F32], table: Array1[F32], point: Vec3F32
 
 @inlined
 def sample_grain_noise(rotation: Array2[F32], table: Array1[F32], point: Vec3F32, scale: F32) -> Any:
-    """Find the nearest of densely packed grains to a point (Worley, SIGGRAPH 1996). Return the distance and the vector from
-    its centre, and its tone (−1 to 1). The distance is 0 to 1; the vector has a length of about 1 at the rim.
+    """Find the grain that is nearest to a point, in a dense packing of grains (Worley, SIGGRAPH 1996).
 
-    `scale`: grains per world unit. `table`: four numbers per lattice cell, from `make_grain_table`."""
+    Return the point's distance from the grain's centre (0 to 1), the vector from there to the point, and the grain's tone (−1 to
+    1). At the rim of the grain, the vector has a length of about 1. `scale`: grains per world unit. `table`: four numbers per
+    lattice cell, from `make_grain_table`."""
     x, y, z = rotate_to_lattice(rotation, point, scale)
     half = np.float32(0.5)
     a, b, c = np.floor(x - half), np.floor(y - half), np.floor(z - half)

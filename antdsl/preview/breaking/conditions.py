@@ -21,7 +21,7 @@ from antdsl.specs.value_text import format_value
 
 
 class ConditionWatcher:
-    """A breakpoint that is hit when its condition becomes true: it holds now and did not hold in the previous frame.
+    """A watcher that reports a hit when a condition becomes true: it holds now and did not hold in the previous frame.
 
     A condition about each agent is evaluated for each agent, and the hit names the agents for which it became true."""
 

@@ -17,7 +17,7 @@ class BreakpointError(Exception):
 
 
 class BreakpointWatcher(Protocol):
-    """An active breakpoint of one program. Checking it does not change the simulation."""
+    """An object that checks one breakpoint of the current program. Checking does not change the simulation."""
 
     def begin(self, session: PreviewSession) -> None:
         """Record whether the condition holds at the session's current frame. Only a later change from false to true is a hit."""

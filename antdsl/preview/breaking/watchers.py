@@ -17,7 +17,7 @@ MAX_SELECTED_AGENTS = 500  # maximum number of agents that a page selects
 
 
 class StateWatcher:
-    """A breakpoint that is hit when an agent enters a state.
+    """A watcher that reports a hit when an agent enters a state.
 
     Agents that are born in the state, or change from the state to itself, do not count."""
 
@@ -64,7 +64,7 @@ def _make_unknown_name_error(noun: str, name: str, known_names: list[str]) -> Br
 
 
 class SpecWatcher:
-    """A breakpoint that is hit at the first frame in which a spec fails."""
+    """A watcher that reports a hit at the first frame in which a spec fails."""
 
     def __init__(self, session: PreviewSession, request: SpecBreak, specs: SpecObserver) -> None:
         known = dict(specs.plan_specs(session.shot, session.compiler.scene))
@@ -95,7 +95,7 @@ class SpecWatcher:
 
 
 class FaultWatcher:
-    """A breakpoint that is hit when an agent has a fault, even if the run would continue with this agent in quarantine."""
+    """A watcher that reports a hit when an agent has a fault, even if the run would continue with this agent in quarantine."""
 
     def __init__(self, session: PreviewSession, request: FaultBreak) -> None:
         self.ask = request

@@ -130,25 +130,23 @@ class EditedRunView:
         return ""
 
     def describe_inputs(self) -> object:
-        """Return a value that identifies the inputs of the edited frames. Settled agents remain valid while this value is
-        equal."""
+        """Return a value that identifies the inputs of the edited frames. Settled agents remain valid as long as this value does
+        not change."""
         timeline = self.session.timeline
         return timeline, timeline.version, tuple(each.text for each in self.edits if each.is_on)
 
     def open_frames_to_settle(self) -> tuple[EditedCache, Mapping[str, int], tuple[str, ...]]:
-        """Return three inputs for settling: the edited frames, the next free ids, and the names of the arrays of agents in
-        frames.
+        """Return the three inputs of settling: the edited frames, the next free ids, and the names of the agent arrays in frames.
 
-        The frames reach to the last simulated frame and do not contain settled agents. The next free ids are the first id of
-        each species that no agent has. Raises NotEditable, BodyError or CacheError with the reason if the frames cannot be
-        edited."""
+        The frames reach to the last simulated frame and do not contain settled agents. The next free ids are the first id of each
+        species that no agent has. Raises NotEditable, BodyError or CacheError with the reason if the frames cannot be edited."""
         recorded = self._read_frames()
         frames = replace(recorded, last=self.session.last_frame)
         return self._apply_edits(self.edits, frames), self._find_next_ids(), list_attributes(recorded.shot)
 
     def store_settled_frames(self, inputs: object, settled: SettledFrames | None) -> None:
-        """Display agents that were simulated again, as long as `describe_inputs` still returns `inputs`. None removes these
-        agents."""
+        """Display the agents `settled`, which were simulated again, as long as `describe_inputs` still returns `inputs`. If
+        `settled` is None, display no such agents."""
         self._settled = None if settled is None else (inputs, settled)
 
     @property

@@ -20,7 +20,7 @@ _CHANGED_TEXT = "the edits or the frames have changed: settle again"
 
 
 class HandSettling:
-    """Simulates again the agents of a session that edits affect.
+    """The settling of a session's edited frames: agents that edits affect are simulated again.
 
     `is_running`: whether there is work left. `report`: lines of text for pages about the progress or the result."""
 

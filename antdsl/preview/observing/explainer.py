@@ -52,7 +52,7 @@ class StretchHistory:
         return sorted({*self.stretch.checkpoints, *self.extra_checkpoints})
 
     def restore_world(self, point: int) -> World | None:
-        """Return a new world with the state of the checkpoint at frame `point`, or None."""
+        """Return a new world with the state of the checkpoint at frame `point`."""
         arrays = self.extra_checkpoints[point] if point in self.extra_checkpoints else self.stretch.checkpoints[point]
         return self.stretch.restore_world(arrays, self.session.options, self.session.compiler.binding_cache)
 

@@ -1,12 +1,12 @@
 """Access control of the server, by the host name, the origin of the page, and a token that only the terminal displays.
 
-The three are checked separately. The host name is never compared with the origin: after DNS rebinding both are the attacker's.
+The three are checked separately. The host name is never compared with the origin, because after DNS rebinding both are names of
+the attacker.
 
-After a restart, a server has a new token. It still admits the pages of the previous server of the same scene on the same port.
-An admitted page receives a key. The page never sends the key, but only signs challenges with it. So another program that listens
-at the port in between learns nothing useful. The keys of the last few starts are in a file that only the user may read. If no
-such file is possible, no keys are stored, and the user has to open the page again.
-"""
+After a restart, a server has a new token. It still admits the pages of the previous server of the same scene on the same port. An
+admitted page receives a key. The page never sends the key, but only signs challenges with it. So another program that listens at
+the port in between learns nothing useful. The keys of the last few starts are in a file that only the user may read. If no such
+file is possible, no keys are stored, and the user has to open the page again."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from antdsl import limits
 
 @dataclass(slots=True, eq=False)
 class _QueuedPacket:
-    """A packet in the queue; None if a later packet of the same slot, further back in the queue, replaced it."""
+    """An entry of the queue: a packet, or None if a later packet of the same slot, further back in the queue, has replaced it."""
 
     slot: str
     packet: bytes | None

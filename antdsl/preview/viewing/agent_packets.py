@@ -25,8 +25,8 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class AgentPackets:
-    """The slot `frame`. Directions are unit vectors times 127, speeds are in mm/s, and columns are in units that the scene
-    message gives."""
+    """A maker of the packets for the slot `frame`. Directions are unit vectors times 127, speeds are in mm/s, and columns are in
+    units that the scene message gives."""
 
     def __init__(self) -> None:
         self._last_key: tuple[World | None, int, int | None, PageInterest, EditedCache | None] = (

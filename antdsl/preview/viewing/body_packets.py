@@ -344,7 +344,7 @@ def find_body_of_key(shot: Shot, key: str) -> Definition:
 
 
 class ItemBodyPackets:
-    """The slots `item:ITEMS:NAME` of item bodies. Items that are not drawn have no slot."""
+    """A maker of the packets of item bodies, for the slots `item:ITEMS:NAME`. Items that are not drawn have no slot."""
 
     def __init__(self) -> None:
         self._sent_bodies: dict[str, tuple[int, str, str | None]] = {}

@@ -13,7 +13,7 @@ _MAX_HISTORY_POINTS, _MAX_BRANCH_POINTS = 4000, 1000
 
 
 class SentCurveTracker:
-    """A record of the part of a session's curves that all pages have received."""
+    """A tracker of the curve values of a session that all pages have already received."""
 
     def __init__(self) -> None:
         self._timeline: Timeline | None = None

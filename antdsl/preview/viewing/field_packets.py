@@ -46,7 +46,8 @@ def encode_bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 class FieldPackets:
-    """The slots `fieldmesh:NAME` and `field:NAME`. A field has one byte per vertex, see `encode_bytes`."""
+    """A maker of the packets for the slots `fieldmesh:NAME` and `field:NAME`. A field has one byte per vertex, see
+    `encode_bytes`."""
 
     def __init__(self) -> None:
         self._world: World | None = None
@@ -131,7 +132,7 @@ class FieldMesh:
     moving_vertices: tuple[MovingVertices, ...] = ()
 
     def compute_positions(self, world: World) -> NDArray[np.float32]:
-        """Return the positions of the vertices at the world's frame."""
+        """Return the positions of the vertices at the world's current frame."""
         positions = self.position.copy() if self.moving_vertices else self.position
         for each in self.moving_vertices:
             corners = compute_vertices(world, each.mesh, world.frame)[each.corners]

@@ -27,7 +27,8 @@ _SOLVED_FLOW_INTERVAL_SECONDS = 1.0  # seconds after which flows that are solved
 
 
 class MeshPackets:
-    """The slots `mesh:NAME`, for the meshes of the scene and those that edits add. Unchanged meshes are not sent again."""
+    """A maker of the packets for the slots `mesh:NAME`: the meshes of the scene, and those that edits add. Unchanged meshes are
+    not sent again."""
 
     def __init__(self) -> None:
         self._world: World | None = None
@@ -81,7 +82,7 @@ class MeshPackets:
 
 
 class CurvePackets:
-    """The slots `curve:NAME`. Moving curves are sent in each frame."""
+    """A maker of the packets for the slots `curve:NAME`. Moving curves are sent in each frame."""
 
     def __init__(self) -> None:
         self._world: World | None = None
@@ -105,7 +106,7 @@ class CurvePackets:
 
 
 class FlowPackets:
-    """The slots `flow:NAME`, for the flows that a page displays."""
+    """A maker of the packets for the slots `flow:NAME`, for the flows that a page displays."""
 
     def __init__(self) -> None:
         self._world: World | None = None
@@ -133,7 +134,7 @@ class FlowPackets:
 
 
 class SolidPackets:
-    """The slots `solid:NAME:N`, for piece N of a solid. A packet without faces removes the piece."""
+    """A maker of the packets for the slots `solid:NAME:N`, for piece N of a solid. A packet without faces removes the piece."""
 
     def __init__(self) -> None:
         self._volumes: dict[str, Volume] = {}
@@ -142,7 +143,7 @@ class SolidPackets:
         self._last_sent_time = -1.0
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the pieces in which agents have dug. The rate is limited."""
+        """Yield packets with the pieces of solids in which agents have dug. While the session advances, their rate is limited."""
         if not view_state.interest.shows_solids or (
             view_state.is_advancing and view_state.time - self._last_sent_time < _UPDATE_INTERVAL_SECONDS
         ):

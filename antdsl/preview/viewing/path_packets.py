@@ -16,8 +16,8 @@ _UPDATE_INTERVAL_SECONDS = 0.1  # seconds between two of them while time goes on
 
 
 class PathPackets:
-    """The slot `paths`: the positions of each agent in the frames from `frame` (in the header) on. Positions are NaN in frames
-    where the agent does not exist."""
+    """A maker of the packet for the slot `paths`: the positions of each agent in the frames from `frame` (in the header) on.
+    Positions are NaN in frames where the agent does not exist."""
 
     def __init__(self) -> None:
         self._last_key: tuple[int, PageInterest] | None = None

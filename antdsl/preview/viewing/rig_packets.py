@@ -11,7 +11,8 @@ from antdsl.preview.viewing.view_state import SlotPackets, ViewState
 
 
 class RigPackets:
-    """The slots `rig:KEY`, one for each body of a species. A slot is sent again if the body or the clips that it plays change."""
+    """A maker of the packets for the slots `rig:KEY`, one for each body of a species. A slot is sent again if the body or the
+    clips that it plays change."""
 
     def __init__(self) -> None:
         self._sent_rigs: dict[str, tuple[BodyOutfit, tuple[str, ...]]] = {}

@@ -124,7 +124,7 @@ class FeetState:
         return self.match_ids(np.sort(self.ids))[0]
 
     def compute_id_ranks(self) -> NDArray[np.int32]:
-        """Return the rank of each row if rows are sorted by id."""
+        """Return the position that each row would have if the rows were sorted by id."""
         if self._cached_ranks is None:
             self._cached_ranks = invert_order(sort_stably(self.ids))
         return self._cached_ranks
@@ -143,8 +143,8 @@ class FeetState:
             array[(*rows, known)] = getattr(previous_feet, name)[(*rows, at[known])]
 
     def match_ids(self, ids: NDArray[np.int64]) -> tuple[FeetState, NDArray[np.intp]]:
-        """Return the feet of the agents `ids`, in this order, and the rows of agents that had no feet before. The feet of
-        these agents are zero."""
+        """Return the feet of the agents `ids`, in this order, and the rows of agents that had no feet before. Such new agents get
+        feet with all values zero."""
         if np.array_equal(ids, self.ids):
             return self, np.zeros(0, np.intp)
         at, known = self._find_id_rows(ids)

@@ -207,7 +207,7 @@ def mark_reachable_hits(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Flag the hits that legs can reach in `is_reachable`.
+    """Set `is_reachable` for the hits that legs can reach.
 
     Find the seekers that have no reachable hit near their target position and are not `is_quick`. Write them to `rows`, from
     index `begin` on. Return `begin` and their number."""

@@ -181,7 +181,7 @@ class FootGround:
     def move_positions_with_ground(
         self, world: World, thing_numbers: NDArray[np.int16], face: NDArray[np.int32], weight: Vectors, place: Vectors
     ) -> None:
-        """Move the positions `place` [3, …] that are on moving things with these things, in place."""
+        """Move the positions `place` [3, …], in place, along with the moving things that they are on."""
         for k in self.moving_numbers:
             rows = thing_numbers == k
             if rows.any():
@@ -290,8 +290,8 @@ def _search_with_detour_rays(
     is_reachable: NDArray[np.bool_],
     rows: Rows,
 ) -> None:
-    """Find ground for the feet `rows`, which have no usable hit on the straight line. Search from above the target, then for
-    the nearest position."""
+    """Find ground for the feet `rows`, for which the straight ray from the hip has no usable hit. First search with rays through
+    a point above the target. If these fail too, search for the nearest position on the ground."""
     threads, count = world.options.threads, len(rows)
     buffer = np.empty((13, count))
     above, to_above, down, hips, reach = buffer[:3], buffer[3:6], buffer[6:9], buffer[9:12], buffer[12]

@@ -80,7 +80,7 @@ def compute_lowered_trunk_rise(points: Any, swing_phases: Any, legs: Any, rise: 
 def rotate_point_by_slope(slope: Any, point: Any) -> Any:
     """Return a point of a trunk after the rotation that takes the trunk's up direction to the normal of a plane.
 
-    `slope`: the plane's slopes ahead and aside."""
+    `slope`: the plane's two slopes, along the body's ahead and aside axes."""
     x, y, z = point
     a, b = -slope[0], -slope[1]  # the normal (a, 1, b), divided by its length
     size = _ONE / np.sqrt((a * a + _ONE) + b * b)

@@ -35,7 +35,7 @@ _FLOAT32_ZERO, _FLOAT32_ONE, _MIN_VECTOR_LENGTH, _MIN_MASS = np.float32(0), np.f
 
 
 class CorrectionWalker:
-    """Moves the agents of a crowd that contacts displace, within one substep of `dt` s.
+    """Moves agents by the displacements that contacts request, within one substep of `dt` s.
 
     `began`: the positions (n, 3) mm at the start of the substep, by species."""
 
@@ -352,9 +352,9 @@ def _mark_unresolved_rows(
 def _mark_overlapping_pairs(
     i: Array1[I64], j: Array1[I64], gap: Array1[F64], radius: Array1[F64], is_touched: Array1[BOOL], is_overlapping: Array1[BOOL]
 ) -> BOOL:
-    """Flag the pairs that have a row in `is_touched` in `is_overlapping`.
+    """Set `is_overlapping` for the pairs that have a row in `is_touched`.
 
-    Return whether any of these pairs overlaps enough for another pass."""
+    Return whether any of these pairs overlaps visibly, so that another pass is needed."""
     for pair in simd_range(0, i.size):
         is_overlapping[pair] = is_touched[i[pair]] | is_touched[j[pair]]
     has_overlap = False

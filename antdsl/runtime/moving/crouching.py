@@ -1,7 +1,7 @@
-"""Lowers bodies that crouch below low ceilings. They are lowered before they reach a ceiling, and a ceiling that is too low
-acts as a wall. The registers exist only for species with `crouch`. Rays up from points around each agent measure the free
-height. An agent lowers itself to the least of these heights, at a limited speed, and stands up after the ceiling. A step below
-a ceiling for which it is still too tall is undone. Each agent is computed from its own values."""
+"""Lowers bodies that crouch below low ceilings. They are lowered before they reach a ceiling, and a ceiling that is too low acts
+as a wall. Only species with `crouch` have the registers for this. Upward rays from points around each agent measure the free
+height. An agent lowers itself to the least of these heights, at a limited speed, and stands up after the ceiling. A step below a
+ceiling for which it is still too tall is undone. Each agent is computed from its own values."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """Runs a substep of a crowd, from pushes to positions: acceleration, limits of speed and turn, obstacles, walk, headings and
-bodies. a = push * max_force / mass; v += a dt; P += v dt (T20 of the sources, explicit Euler as there). An agent with a
-`response` of at most one step changes its velocity at once, and faces its direction of motion. The headings of other agents
-follow within 0.1 s. An agent with a direction to face turns to that direction instead, so it may walk backward or sideways.
-The first loop over all agents computes everything that does not depend on obstacles or walls. The second loop walks all agents
-that stay on their own surface, and updates them after the walk (`substep_kernels`). Separate loops process the few agents that
-may touch an obstacle, search for walls, lean or have a wall ahead."""
+bodies. a = push * max_force / mass; v += a dt; P += v dt (explicit Euler, row T20 of docs/parity.md). An agent with a `response`
+of at most one step changes its velocity immediately, and faces its direction of motion. The headings of other agents follow
+within 0.1 s. An agent with a direction to face turns to that direction instead, so it may walk backward or sideways. The first
+loop over all agents computes everything that does not depend on obstacles or walls. The second loop walks all agents that stay on
+their own surface, and updates them after the walk (`substep_kernels`). Separate loops process the few agents that may touch an
+obstacle, search for walls, lean or have a wall ahead."""
 
 from __future__ import annotations
 
@@ -240,8 +240,8 @@ class _CrowdSubstep:
         parallel.run_in_parts(work, n, self.threads)
 
     def walk_agents(self, ground: Ground) -> ArrivalArrays:
-        """Walk all agents over a ground to their new positions, and update their registers. Return the arrays that later
-        stages use to update them again."""
+        """Walk all agents over a ground to their new positions, and update their registers. Return the arrays from which later
+        stages update the registers again."""
         now = self.population.now
         limits = SpeedAndTurnLimits(now["max_speed"], now["max_turn"], now["response"])
         times = TurnTimes(self.frame_time * MAX_INSTANT_RESPONSE_STEPS, self.dt, compute_heading_turn_share(self.dt))

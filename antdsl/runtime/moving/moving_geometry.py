@@ -151,8 +151,9 @@ def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp
 
 
 def move_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, positions: VectorArrays) -> VectorArrays:
-    """Return the current positions of points near agents that are given for the rest pose of the ground. `positions` and
-    result: three float32 arrays, mm. All ground near an agent is assumed to have moved with the agent's own face."""
+    """Return the current positions of points near agents. `positions`: the points (mm) as they are while the ground is in its
+    rest pose. Arguments and results are three float32 arrays. All ground near an agent is assumed to have moved with the agent's
+    own face."""
     ground = get_moving_ground(world)
     if ground is None:
         return positions

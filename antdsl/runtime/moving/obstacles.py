@@ -60,7 +60,7 @@ def slide_rows(world: World, population: Population, rows: Rows, step: VectorArr
 
 
 def _measure_distances_from_start(population: Population, rows: Rows) -> tuple[VectorArrays, Floats, Floats]:
-    """Return positions, radii, and upper bounds of the distances from the step's start, of the agents at `rows`, all in mm."""
+    """Return positions and radii of the agents at `rows`, and upper bounds of their distances from the step's start, in mm."""
     positions, start = (vec.get_vector_registers(registers, "position") for registers in (population.now, population.start))
     place, radius, drift = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
     measure_distance_from_start(rows, positions, start, population.now["radius"], place, radius, drift)
@@ -156,7 +156,7 @@ def _deflect_at_face(
     hit_rows: Rows,
     free_length: Floats, normal: VectorArrays, threads: int,
 ) -> None:  # fmt: skip
-    """Deflect the steps of the agents `hit_rows` in place along a face with this `normal`, which is `free_length` mm ahead."""
+    """Deflect the steps of the agents `hit_rows` in place, along a face `free_length` mm ahead that has this `normal`."""
     u, intended_steps = vec.take_rows(up, hit_rows), vec.take_rows(step, hit_rows)
     size = vec.length(intended_steps)
     wall = vec.normalise_or_fallback(vec.project_to_plane(normal, u), normal)
@@ -178,7 +178,7 @@ def _deflect_at_face(
 def _find_hits(
     scene: RayScene, place: VectorArrays, step: VectorArrays, margin: Floats, threads: int
 ) -> tuple[Rows, Floats, VectorArrays]:
-    """Return the agents that would hit a face on their step, the distance (mm) to the face, and the normal of the face."""
+    """Return the agents that would hit a face during their step, the distance (mm) to the face, and the normal of the face."""
     size = vec.length(step)
     going = np.flatnonzero(size > _MIN_STEP_MM)
     size, margin = size[going], margin[going]
@@ -344,10 +344,10 @@ def slide_steps_outside_margins(
     moving_rows: Array1[I64],
     rays: Array2[F32],
 ) -> I64:
-    """Write steps that keep the margin from the nearest face to `new_steps` [3, n], for agents found by
-    `select_agents_near_obstacle`. `up_columns`: the normals of the ground. `gaps`, `direction` [3, n]: distance (mm) and
-    direction of the nearest face. Returns the number of agents that may hit it. Writes them to `moving_rows`, and position,
-    direction, range, step and margin to `rays` [9, n]."""
+    """Change the steps of agents found by `select_agents_near_obstacle` to stay outside the margin from the nearest face. Write
+    them to `new_steps` [3, n]. `up_columns`: the normals of the ground. `gaps`, `direction` [3, n]: distance (mm) and direction
+    of the nearest face. Returns the number of agents that may hit it. Writes them to `moving_rows`, and position, direction,
+    range, step and margin to `rays` [9, n]."""
     count = 0
     for i in range(gaps.size):
         margin, up, away = (

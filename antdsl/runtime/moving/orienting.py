@@ -1,8 +1,9 @@
-"""Orients bodies by two methods that do not use the smooth normal of the ground.
+"""Orients bodies by two methods that do not use the smooth normal of the ground. Both come from the same source (row R15 of
+docs/parity.md).
 
-If a method fails, the normal is used. Both methods follow the sources (R15). `turns` (method 1 in the source) does not query
-the ground. On flat ground, the cross product of two successive directions of motion is the normal. `probes` (method 2) finds
-two points on the surface, ahead and to the left. The body's up is perpendicular to the directions to these points."""
+If a method fails, the normal is used. `turns` (method 1 in the source) does not query the ground: on flat ground, the cross
+product of two successive directions of motion is the normal. `probes` (method 2) finds two points on the surface, ahead of the
+agent and to its left. The body's up is perpendicular to the directions to these points."""
 
 from __future__ import annotations
 

@@ -40,8 +40,8 @@ class SpeedShares:
             _undo_speed_shares(vec.get_vector_registers(registers, "velocity"), self.slowed_rows, self.previous_speed_shares)
 
     def scale_limits(self, population: Population) -> None:
-        """Set the velocities at the step's start back to those of the slowed motion, and store the unscaled limits of speed
-        and turn."""
+        """Replace the velocities at the step's start by those of the slowed motion. Store the limits of speed and turn as they
+        are before they are scaled."""
         assert self._full_velocities is not None
         for register, values in zip(vec.get_vector_registers(population.start, "velocity"), self._full_velocities, strict=True):
             register[self.slowed_rows] = values

@@ -1,7 +1,7 @@
 """The postures of bodies: their up direction can be anywhere between the normal of their ground and the up of the world.
 
-The register exists only for species that set `upright`. At 0, bodies stand along the normal of the ground; at 1, along the
-world's up direction. Values in between rotate bodies by this fraction of the angle."""
+Species that set `upright` have a register of this name. At 0, bodies stand along the normal of the ground; at 1, along the
+world's up direction. A value in between rotates a body by this fraction of the angle."""
 
 from __future__ import annotations
 

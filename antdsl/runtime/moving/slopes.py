@@ -1,8 +1,9 @@
 """Treats ground that is too steep for agents as a wall. Steps onto such ground are deflected along it or cancelled.
 
-The register exists only for species with `max_slope`. A step is too steep if it leads up ground steeper than that, or from
-other ground onto such ground. Stair steps are not walls: an agent crosses a steep part if it can stand beyond it, at most a
-quarter of its height higher or lower. Only agents with too steep a step are computed here, each from its own values."""
+Only species with `max_slope` are affected. A step is too steep if it leads up ground steeper than `max_slope`, or from flatter
+ground onto such ground. Stair steps are not walls: an agent crosses a steep part if it can stand beyond it, at most a quarter of
+its height higher or lower. Only agents with too steep a step are computed here. The result for an agent does not depend on other
+agents."""
 
 from __future__ import annotations
 
@@ -31,7 +32,8 @@ _TURN_AWAY_STEP_SHARE = 0.3  # share of the step by which an agent turns away fr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepStartStance:
-    """The agents of a species before a substep: footings, positions (n, 3) mm, smooth ground normals, and headings (n, 3)."""
+    """The stances of a species' agents before a substep: footings, positions (n, 3) mm, smooth ground normals, and headings (n,
+    3)."""
 
     footing: Footing
     position: Floats

@@ -81,10 +81,10 @@ def prepare_steps(
     begin: I64,
     end: I64,
 ) -> tuple[F64, F64]:
-    """Compute the intended motion of agents from `begin` to before `end` after their push.
+    """For agents `begin` to `end` (exclusive), compute the motion that they intend after their push.
 
-    `has_min_speed`: whether `min_speed` applies. Returns the longest step and the greatest size (mm) among finite numbers;
-    -inf if there are none."""
+    `has_min_speed`: whether `min_speed` applies. Returns the length of the longest finite step (mm; 0 if there is none), and the
+    greatest size (mm; -inf if all sizes are NaN)."""
     heading, up, normal = drive.heading, drive.up, drive.ground_normal
     max_speed, max_turn, dt = abilities.max_speed, abilities.max_turn, push_times.dt
     to, step, looking, long, most, reach, state = motion

@@ -1,9 +1,9 @@
 """Tilts bodies smoothly to the ground below their feet, no faster than they can turn, and so that heads stay out of walls.
 
-Feet follow the ground exactly: at an edge, the footing and its normal (`Population.normal`) change at once, by any angle. The
-body's up and heading turn gradually towards the feet. Frames store the up and heading of the body. Programs sense and push
-along the axes of the feet. Before a wall, the body tilts earlier than the feet: by a right angle over about its own length. If
-it cannot tilt as fast as it walks, the feet slow down."""
+Feet follow the ground exactly: at an edge, the footing and its normal (`Population.normal`) change immediately, by any angle. The
+body's up and heading turn gradually towards the feet. Frames store the up and heading of the body. Programs sense and push along
+the axes of the feet. Before a wall, the body tilts earlier than the feet: by a right angle over about its own length. If it
+cannot tilt as fast as it walks, the feet slow down."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _WAITING_VELOCITY_SHARE = _F(0.05)  # share of the velocity that an agent retain
 
 
 def tilt_new_bodies(world: World, population: Population, rows: NDArray[np.intp]) -> None:
-    """Tilt new bodies at once as far as their posture and the walls ahead require, so that their heads are not in a wall."""
+    """Tilt new bodies immediately, as far as their posture and the walls ahead require, so that their heads are not in a wall."""
     n, now = len(population), population.now
     state, reach, rest = np.full(n, STANDING_BODY_STATE, np.int32), np.empty(n), np.zeros(n, np.float32)
     x, y, z = np.empty((3, n), np.float32)
@@ -66,9 +66,9 @@ def tilt_new_bodies(world: World, population: Population, rows: NDArray[np.intp]
 
 
 def align_leaning_bodies_with_ground(population: Population, threads: int = 1) -> None:
-    """Replace the heading and up of leaning bodies by those of their feet, along the ground, while programs run.
+    """While programs run, give leaning bodies the heading and up of their feet, which follow the ground.
 
-    So a push ahead continues over an edge while the body still tilts."""
+    So a push straight ahead leads over an edge even while the body is still tilting."""
     n, start, now = len(population), population.start, population.now
     (leaning_rows,) = population.get_buffers("leaning", 1, (n,), np.int64)
     lean = population.get_buffers("laid", 3, (3, n), np.float32)

@@ -92,7 +92,7 @@ class ArrivedBodies(NamedTuple):
 class TurnTimes(NamedTuple):
     """The times that control how agents turn after a walk.
 
-    `instant_response`: agents with a `response` of at most this (s) turn to their direction of motion at once. `dt`: the
+    `instant_response`: agents with a `response` of at most this (s) turn to their direction of motion immediately. `dt`: the
     duration (s). `turn_share`: the fraction of the turn that all others make in this time."""
 
     instant_response: F32

@@ -1,4 +1,4 @@
-"""Tests whether bodies are inside the ground or inside a solid."""
+"""Tests which bodies are inside the ground or inside a solid."""
 
 from __future__ import annotations
 

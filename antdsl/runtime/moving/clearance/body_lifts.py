@@ -93,9 +93,11 @@ def list_bodies_to_lift(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64, I64]:
-    """List the bodies from `begin` to before `end` that cannot simply follow their feet. They stand on ground that bends, or
-    are shifted, waiting or inside a surface. Return `begin`, the number of these rows, and the number of climbers, which are
-    all other bodies on faces that bend. The `state` of the listed rows becomes that of a body aligned with its feet."""
+    """List the bodies from `begin` to before `end` that cannot simply follow their feet, and the climbers.
+
+    A listed body is near a bend of the ground, or is shifted, waiting or inside a surface. Climbers are all other bodies on faces
+    next to a bend. Return `begin`, the number of listed bodies, and the number of climbers. The `state` of a listed body becomes
+    that of a body aligned with its feet."""
     first, (rows, row_levels, climbers, kind) = surface.first_faces, lists
     for row in simd_range(begin, end):
         climbs = False
@@ -152,8 +154,8 @@ def lift_bodies(
 def _compute_face_lift(
     table: Array1[F64], link: Array2[I32], face: I64, weights: TriangleWeights, shape: BodyShape, up: Vec3, heading: Vec3
 ) -> F64:
-    """Return how far (mm) a body must rise along its up direction. Both ends must clear its face and the faces that rise
-    beyond the face's edges."""
+    """Return how far (mm) a body must rise along its up direction so that both its ends clear its face. They must also clear the
+    faces that rise beyond the face's edges."""
     row, lift = FLOATS_PER_FACE_ROW * face, 0.0
     own = load_vector(table, row + NORMAL_OFFSET)
     side = -1.0 if dot(own, up) < 0 else 1.0

@@ -67,8 +67,8 @@ _MAX_YIELD_DISTANCE = _F(0.012)  # body lengths; a body that is stuck may become
 def has_clearance(world: World, population: Population) -> bool:
     """Return whether the bodies of a species stay outside their ground.
 
-    The ground must consist of meshes, and the bodies must follow it. Bodies that stand upright, limit their slope or crouch do
-    not."""
+    They do if the ground consists of meshes and the bodies follow it. Bodies that stand upright, limit their slope or crouch do
+    not follow it."""
     follows_ground = not (has_posture(population) or has_slope_limit(population) or has_crouch(population))
     return population.plan.has_body_clearance and follows_ground and isinstance(world.ground, MeshGround)
 
@@ -103,7 +103,7 @@ class BodyClearanceStep:
         world: World, population: Population, walk: CrowdWalk, stance: tuple[NDArray[np.int32], VectorArrays],
         limits: tuple[NDArray[np.float32], NDArray[np.float32], np.float32]
     ) -> BodyClearanceStep:  # fmt: skip
-        """Return the substep, after a search for the bodies that cannot simply follow their feet.
+        """Search for the bodies that cannot simply follow their feet, and return the substep of these bodies.
 
         `stance`: the states of bodies, and the headings of leaning bodies along the ground. `limits`: limits of tilt and turn,
         and the duration (s)."""
@@ -189,8 +189,8 @@ class BodyClearanceStep:
         now["~depth"][rows[uneven]] = depth
 
     def lift_climbers(self, rows: Rows) -> None:
-        """Lift the bodies at `rows`, once their poses are final. Their bend level is 0, but they stand on a wide face that
-        bends."""
+        """Lift the climbing bodies at `rows`, once their poses are final. No edge near these bodies bends sharply, but they stand
+        on a wide face next to an edge that does bend."""
         p, now = self.population, self.population.now
         poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
         inputs = (get_footing_arrays(p.footing), poses, self.limits, read_body_registers(p), rows)
@@ -200,9 +200,9 @@ class BodyClearanceStep:
         self, subset: Rows, previous_depths: NDArray[np.float32], turned_depths: NDArray[np.float32],
         previous_poses: list[NDArray[np.float32]], start_stances: SurfaceStances
     ) -> NDArray[np.float32]:  # fmt: skip
-        """Move bodies that can neither walk nor turn a step back or aside.
+        """Move bodies that can neither walk nor turn. Each moves one step back or to a side.
 
-        Return their remaining depths. A body that cannot step aside either keeps its pose. `subset`: indices into `rows`.
+        Return their remaining depths. A body that cannot make any of these steps keeps its pose. `subset`: indices into `rows`.
         `previous_depths`: depths before the step. `turned_depths`: depths of the bodies at their current positions.
         `previous_poses`: poses before the step. `start_stances`: footings, positions and normals before the step."""
         p, now, most = self.population, self.population.now, np.maximum(previous_depths, _MAX_DEPTH)
@@ -298,8 +298,8 @@ class BodyClearanceStep:
             p.now[f"position.{axis}"][rows] = position[:, k]
 
     def settle_new_bodies(self) -> None:
-        """Turn and shift new bodies at once. A body that does not fit tries several headings, and uses the one with the least
-        depth. A body that fits in no direction is moved aside by up to four body lengths."""
+        """Turn and shift new bodies immediately, without limits of speed. A body that does not fit tries several headings, and
+        uses the one with the least depth. A body that fits in no direction is moved aside by up to four body lengths."""
         p, now, rows, n = self.population, self.population.now, self.rows, len(self.rows)
         heading = np.stack([now[f"heading.{axis}"].take(rows) for axis in AXES])
         best, pose = np.full(n, np.inf, np.float32), [now[name].take(rows) for name in _POSE_REGISTERS]
@@ -377,9 +377,9 @@ class BodyClearanceStep:
 
 
 def settle_bodies_outside_ground(world: World, population: Population, rows: Rows) -> bool:
-    """Turn and shift new bodies at once, so that they are outside their ground.
+    """Turn and shift newly added bodies immediately, so that they are outside their ground. Return True if this was done.
 
-    Returns False if this does not apply, because bodies of the species need not stay outside or the ground has no triangles."""
+    Return False, and change nothing, if bodies of the species need not stay outside or if the ground has no triangles."""
     if not has_clearance(world, population):
         return False
     assert isinstance(world.ground, MeshGround)

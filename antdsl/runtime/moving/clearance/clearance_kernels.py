@@ -121,10 +121,10 @@ def _rotate_towards_normal(up: Vec3, normal: Vec3, max_angle: F64, ahead: Vec3) 
 
 @inlined
 def _find_largest_lean(ground_turn: F64, max_angle: F64) -> F64:
-    """Return how far (radians) a body should lean before an edge.
+    """Return how far (radians) a body should lean when it approaches an edge.
 
-    `ground_turn`: the turn of the ground at the edge. `max_angle`: how far the body can tilt in a step. It leans only as far
-    as necessary, so that it stays close to the ground on both sides."""
+    `ground_turn`: the turn of the ground at the edge. `max_angle`: how far the body can tilt in a step. It leans only as far as
+    necessary, so that it stays close to the ground on both sides."""
     return max(_MAX_LEAN, 0.5 * ground_turn - max_angle - _SHARP_EDGE_SLACK)
 
 
@@ -215,10 +215,11 @@ def _retreat_from_wall(step: Vec3, length: F64, wall: Vec3, distance: F64) -> Ve
 
 @inlined
 def _retreat_on_same_side(step: Vec3, retreat: Vec3, wall: Vec3, left: Vec3) -> Vec3:
-    """Return a retreat that leads to the same side of the heading as the step did, and a little sideways.
+    """Return a retreat on the same side of the heading as the step, and slightly sideways. Return `retreat` if that direction
+    would lead into the wall.
 
-    Returns `retreat` if this would lead into the wall. Without this, a body that turns towards its step could turn the wrong
-    way, or from side to side. `left`: the direction to the left of the heading."""
+    Without the change, a body that turns towards its step could turn the wrong way, or from side to side. `left`: the direction
+    to the left of the heading."""
     size, aside = np.sqrt(dot(retreat, retreat)), dot(retreat, left)
     side = max(abs(aside), _RETREAT_SIDE_SHARE * size) * (1.0 if dot(step, left) >= 0 else -1.0)
     turned = plus(retreat, times(left, side - aside))

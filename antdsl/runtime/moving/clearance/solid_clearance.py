@@ -31,15 +31,15 @@ _MIN_GRADIENT = 0.1  # mm per mm; the distance to a solid is not known where its
 
 
 def has_solid_clearance(world: World, population: Population) -> bool:
-    """Return whether the bodies of a species stay outside solids. Bodies that stand upright, limit their slope or crouch do
-    not."""
+    """Return whether the bodies of a species stay outside solids. The result is False for bodies that stand upright, limit their
+    slope or crouch."""
     follows_ground = not (has_posture(population) or has_slope_limit(population) or has_crouch(population))
     return bool(world.solids) and population.plan.has_body_clearance and follows_ground
 
 
 def shift_bodies_outside_solids(world: World, population: Population, start: Floats, dt: float) -> None:
-    """Change the shifts of bodies in place so that they leave solids. `start` (n, 3): the positions before the walk (mm). The
-    shift is limited: together with the step, it is hardly longer than the longest step that the agent could make."""
+    """Change the shifts of bodies, in place, so that the bodies leave solids. `start` (n, 3): the positions before the walk (mm).
+    A shift is limited so that the sum of step and shift is hardly longer than the longest step that the agent could make."""
     now = population.now
     size = np.where(now["size"] > 0, now["size"], 0).astype(np.float64)
     previous = population.read_vector("~lift")

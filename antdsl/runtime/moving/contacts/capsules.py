@@ -57,9 +57,9 @@ _GROUND_GAP = 0.05  # body lengths; least distance of a whole body from level gr
 
 
 def find_capsule(world: World, key: str) -> TrunkCapsule:
-    """Return the capsule of a body. The shape comes from the body's own file, if there is one. Otherwise it is that of a
-    library body: the one that the species' first crowd line names, or else the one for the species' name. The capsule of a
-    flat complete body is raised above its feet."""
+    """Return the capsule of a body. If the body has its own file, the shape comes from there. Otherwise it comes from a library
+    body: the one named in the species' first crowd line, or else the one for the species' name. The capsule of a complete body is
+    raised if it would touch the ground below its feet."""
     own, species = world.setting.body_capsules.get(key), find_species_of_key(key)
     is_whole = world.plan.species[species].has_whole_body
     if own is not None:
@@ -84,8 +84,8 @@ def _find_load_front(world: World, species: str) -> float | None:
 
 
 class CapsuleCrowd:
-    """The capsules of all agents of a world, species by species. Each property is read when it is accessed, as one array for
-    the crowd. Values are the current ones, or those at the `start` of the step."""
+    """The capsules of all agents of a world, species by species. Each property returns one array for the complete crowd, with the
+    values at the time of access. With `start`, these are the values at the start of the step."""
 
     def __init__(self, world: World, start: bool = False) -> None:
         self.world, self._start = world, start

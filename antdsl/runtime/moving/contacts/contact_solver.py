@@ -66,7 +66,8 @@ SOLVER_ITERATIONS_BY_EFFORT: Mapping[str, SolverIterations] = {
 class StartStances(StartPositions):
     """Positions and ground normals of agents at the start of a substep, by species; for hard contacts also their headings.
 
-    `stances`: complete stances, if steps can be undone. They can for species with complete bodies that follow the ground."""
+    `stances`: the complete stances of species of which steps can be undone, or None. These have complete bodies that follow the
+    ground."""
 
     heading_by_species: Mapping[str, VectorArrays]
     stances: Mapping[str, Stances] | None

@@ -86,7 +86,8 @@ def stop_long_steps_at_impacts(
 def _drop_nearby_pairs(
     encounters: PathEncounters, nearby_pairs: NearbyCapsulePairs, rank_by_row: NDArray[np.int64]
 ) -> PathEncounters:
-    """Return the pairs that collide on their paths but are not near each other at the end."""
+    """Return the pairs that collide on their paths, without the pairs that are near each other at the end and so are in
+    `nearby_pairs`."""
     known = (
         rank_by_row[nearby_pairs.rows.take(nearby_pairs.first_indices)] * len(rank_by_row)
         + rank_by_row[nearby_pairs.rows.take(nearby_pairs.second_indices)]
@@ -118,7 +119,7 @@ def _fill_paths(crowd: CapsuleCrowd, start_positions: StartPositions) -> Capsule
 def _list_path_encounters(
     paths: CapsulePaths, rank_by_row: NDArray[np.int64], active_rows: NDArray[np.int64], only_impacts: bool
 ) -> PathEncounters:
-    """Return pairs of agents with near paths, at least one of which is active. The arguments are those of
+    """Return the pairs of agents that have near paths and at least one active agent. The arguments are those of
     `impacts.list_path_pairs`."""
     middle = paths.middle + paths.displacement / 2
     reach = np.sqrt(vec.dot(paths.displacement, paths.displacement)) / 2 + paths.half_length + paths.radius + paths.path_sag

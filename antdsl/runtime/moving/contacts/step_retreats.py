@@ -1,9 +1,9 @@
 """Undoes steps after which bodies still overlap: agents of such a pair return to their stances at the start of the substep.
 Contacts separate most bodies. Some cannot move far enough, for example in corners, on ground that was dug, or when clearance
-shifts their bodies after contacts. If both agents of a pair overlapped no other at the start of the substep, one of them
-returns to its stance at that time. If they still overlap, the other one returns too. Agents that return stand still for one
-substep, so they neither jump nor turn. Other agents that have moved to their positions return too. The two agents of a pair
-take turns from frame to frame, so that neither waits forever."""
+shifts their bodies after contacts. If both agents of a pair overlapped no other at the start of the substep, one of them returns
+to its stance at that time. If they still overlap, the other one returns too. Agents that return stand still for one substep, so
+they neither jump nor turn. Other agents that have moved to where a returning agent must stand return too. The two agents of a
+pair take turns from frame to frame, so that neither waits forever."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ class Stances:
         self.poses = {name: now[name].copy() if rows is None else now[name].take(rows) for name in names}
 
     def restore(self, population: Population, rows: Rows, own: Rows) -> None:
-        """Give the agents at `rows` of the species their copied stances. `own`: the indices of these stances among the copies."""
+        """Set the agents at `rows` of the species back to their copied stances. `own`: the indices of these stances among the
+        copies."""
         position = self.position[own]
         for k, axis in enumerate(AXES):
             population.now[f"position.{axis}"][rows] = position[:, k]
@@ -109,7 +110,7 @@ def _find_clear_agents(world: World, start: Mapping[str, Stances]) -> Flags:
 
 
 def _find_deep_pairs(crowd: CapsuleCrowd) -> tuple[Rows, Rows]:
-    """Return the first and the second agent of each pair that overlaps visibly."""
+    """Return the first and the second agent of each pair of bodies with a visible overlap, that is, one above `_MAX_DEPTH`."""
     near = find_near_pairs(crowd)
     overlapping_pairs = np.flatnonzero(_measure_depths(crowd, near) > _MAX_DEPTH)
     return near.rows.take(near.first_indices.take(overlapping_pairs)), near.rows.take(near.second_indices.take(overlapping_pairs))
