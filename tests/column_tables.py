@@ -10,7 +10,7 @@ from pathlib import Path
 from antdsl.program.tables.columns import FRAME_COLUMNS, Column
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "cache.md"
-HEAD = "| array | type, shape | what |\n|---|---|---|\n"
+HEAD = "| array | type, shape | meaning |\n|---|---|---|\n"
 _LETTERS = {"frame": "", "species": "n", "one": "k", "pair": "p", "event": "e", "item": "m", "part": "c"}
 
 

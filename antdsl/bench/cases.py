@@ -217,21 +217,21 @@ BENCH_CASES: Mapping[str, BenchCase] = {
             "500 points that wander and keep apart: the work of one node",
             _open_node_case,
             (500,),
-            published_figures="Houdini: 58.8 frames a second in VEX, 3.98 in Python",
+            published_figures="Houdini: 58.8 frames per second in VEX, 3.98 in Python",
         ),
         BenchCase(
             "valley",
             "the thesis' ants, the hill as a volume",
             _open_valley_case,
             (500, 15_000),
-            published_figures="the thesis: 9 frames a second with 500, 3 with 15,000",
+            published_figures="the thesis: 9 frames per second with 500, 3 with 15,000",
         ),
         BenchCase(
             "valley_of_meshes",
             "the thesis' ants, the hill as a mesh without digging",
             _open_mesh_valley_case,
             (500, 15_000),
-            published_figures="the thesis: about 5 frames a second more than with the volume",
+            published_figures="the thesis: about 5 frames per second more than with the volume",
         ),
     )
 }

@@ -84,7 +84,7 @@ def result_of(measurement: dict[str, Any]) -> BenchCaseResult:
 
 def steps_table(all_results: Iterable[BenchCaseResult]) -> str:
     """The whole step."""
-    columns = ("case", "agents", "backend", "CPU ms", "wall ms", "frames a second", "µs per agent", "of the bound")
+    columns = ("case", "agents", "backend", "CPU ms", "wall ms", "frames per second", "µs per agent", "of the bound")
     rows = []
     for result in all_results:
         for each in result.alone:
@@ -105,7 +105,7 @@ def steps_table(all_results: Iterable[BenchCaseResult]) -> str:
 
 def runs_table(all_results: Iterable[BenchCaseResult]) -> str:
     """Full runs, and the bare step beside them."""
-    columns = ("case", "agents", "backend", "CPU ms", "wall ms", "frames a second", "its step", "its feet", "bare step, CPU ms")
+    columns = ("case", "agents", "backend", "CPU ms", "wall ms", "frames per second", "its step", "its feet", "bare step, CPU ms")
     rows = []
     for result in all_results:
         for each in result.alone:
@@ -161,7 +161,7 @@ def comparison_table(all_results: Iterable[BenchCaseResult]) -> str:
                     format_full_run(each)[2],
                     BENCH_CASES[each.job.case].published_figures,
                 ])  # fmt: skip
-    return markdown_table(("case", "agents", "backend", "frames a second", "of a full run", "reported"), rows)
+    return markdown_table(("case", "agents", "backend", "frames per second", "of a full run", "reported"), rows)
 
 
 def operations_table(all_results: Iterable[BenchCaseResult], operations: Mapping[tuple[str, int], int]) -> str:
