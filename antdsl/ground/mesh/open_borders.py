@@ -43,14 +43,14 @@ def find_open_borders(table: MeshTopology, boxes: FaceBoxes, scale: GroundTolera
     batches, begin, many, left = [half[:0]], 0, 1, _MAX_BORDER_PAIRS
     while begin < len(half) and left > 0:
         batch = half[begin : begin + many]
-        free, pairs = _select_borders_with_ground_beyond(table, boxes, scale, reach, batch)
-        batches.append(batch[free])
+        is_open, pairs = _find_borders_without_ground_beyond(table, boxes, scale, reach, batch)
+        batches.append(batch[is_open])
         begin, left = begin + many, left - pairs
         many = max(1, min(2 * many, _PAIRS_PER_CHUNK * len(batch) // max(pairs, 1)))
     return np.concatenate(batches)
 
 
-def _select_borders_with_ground_beyond(
+def _find_borders_without_ground_beyond(
     table: MeshTopology, boxes: FaceBoxes, scale: GroundTolerances, reach: float, half: Index
 ) -> tuple[NDArray[np.bool_], int]:
     """Return a mask of the half-edges in `half` beyond which there is no ground, and the number of checked pairs.
@@ -62,11 +62,11 @@ def _select_borders_with_ground_beyond(
     edge_rows, near_faces = (each[near_faces != face.take(edge_rows)] for each in (edge_rows, near_faces))
     out = table.to_world_vectors(face, table.edge_s.take(half), -table.edge_c.take(half)).take(edge_rows, axis=1)
     normal, begin = table.normal.take(face.take(edge_rows), axis=1), one.take(edge_rows, axis=1)
-    free, least = np.ones(len(half), np.bool_), _PLANE_TOLERANCE * scale.coincident_distance
+    is_open, least = np.ones(len(half), np.bool_), _PLANE_TOLERANCE * scale.coincident_distance
     for corner in range(3):
         away = _get_corners(table, near_faces, np.full(len(near_faces), corner)) - begin
-        free[edge_rows[~((np.abs(dot(away, normal)) <= least) & (dot(away, out) <= least))]] = False
-    return free, len(edge_rows)
+        is_open[edge_rows[~((np.abs(dot(away, normal)) <= least) & (dot(away, out) <= least))]] = False
+    return is_open, len(edge_rows)
 
 
 def _get_corners(table: MeshTopology, face: Index, k: Index) -> NDArray[np.float64]:
