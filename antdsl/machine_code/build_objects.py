@@ -38,7 +38,7 @@ def build_object_files(folder: Path, entries: Sequence[library.LibraryEntry], ta
         keys[name] = {
             _get_qualified_name(each): shipped_objects.compute_shipped_key(named, target)
             for each in entries
-            if (named := each.text_key(target))
+            if (named := each.make_text_key(target))
         }
         objects_by_target[name] = {key: code for key in keys[name].values() if (code := stored.get(key)) is not None}
     tasks: list[_CompileTask] = []

@@ -23,13 +23,13 @@ _DECORATOR_PATTERN: Final = re.compile(rb"^@(kernel|make_library_text)\b", re.MU
 class LibraryEntry(Protocol):
     """A kernel or an LLVM IR text of the package.
 
-    `text_key` returns the LLVM IR, or a key that identifies it. Both may depend on the target. The LLVM IR is empty for
+    `make_text_key` returns the LLVM IR, or a key that identifies it. Both may depend on the target. The LLVM IR is empty for
     processors that cannot run it."""
 
     __module__: str
     __name__: str
 
-    def text_key(self, target: llvm_compiler.Target) -> str: ...
+    def make_text_key(self, target: llvm_compiler.Target) -> str: ...
 
     def text(self, target: llvm_compiler.Target) -> str: ...
 
@@ -76,7 +76,7 @@ class LibraryText:
     def __call__(self, target: llvm_compiler.Target) -> str:
         return self._write_text(target)
 
-    text = text_key = __call__
+    text = make_text_key = __call__
 
     def code(self) -> llvm_compiler.LoadedCode:
         """Return the functions of the text, ready to run on this processor."""

@@ -215,9 +215,7 @@ class _ServedClaims:
             self.changes[positions] = (had + amount).astype(np.float64) - had.astype(np.float64)
         self.register_values[positions], self.has_register[positions] = had, True
 
-    def compute_complete_amounts(
-        self, positions: NDArray[np.intp], remaining_amounts: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def compute_total_amounts(self, positions: NDArray[np.intp], remaining_amounts: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return what each claim for everything that is left gets, given `remaining_amounts`.
 
         These amounts are multiples of `unit` by which a float32 register can increase exactly."""
@@ -264,7 +262,7 @@ def _grant_amounts(rest: NDArray[np.float64], item_numbers: NDArray[np.integer],
     _serve_in_order(rest, item[simple_rows], claims.changes[simple_rows], part)
     got[simple_rows] = part
     alone = starts[every & (ends - starts == 1)]
-    part = claims.compute_complete_amounts(alone, rest[item[alone]])
+    part = claims.compute_total_amounts(alone, rest[item[alone]])
     winners, part = alone[part > 0], part[part > 0]
     got[winners] = part
     rest[item[winners]] -= part
@@ -285,7 +283,7 @@ def _serve_mixed(
         _serve_in_order(rest, item[first:stop], change[first:stop], obtained_amounts[first:stop])
         if stop == len(item) or (obtained_amounts[first:stop] < 0).any():
             return
-        part = float(claims.compute_complete_amounts(np.array([begin + stop]), rest[item[:1]])[0])
+        part = float(claims.compute_total_amounts(np.array([begin + stop]), rest[item[:1]])[0])
         if not part > 0:
             return
         obtained_amounts[stop] = part

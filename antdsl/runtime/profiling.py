@@ -110,9 +110,9 @@ class StepMeter:
             self._plan = world.plan
             self._measurements.clear()
             self._frames_by_backend.clear()
-            self._instructions = {key: metered.instructions for key, metered in _list_metered_blocks(world).items()}
+            self._instructions = {key: metered.instructions for key, metered in _collect_metered_blocks(world).items()}
         self._times_before = dict(world.timings), dict(world.cpu_seconds)
-        for metered in _list_metered_blocks(world).values():
+        for metered in _collect_metered_blocks(world).values():
             metered.reset()
 
     def end(self, world: World) -> None:
@@ -123,7 +123,7 @@ class StepMeter:
             {name: seconds - previous_times.get(name, 0.0) for name, seconds in current_times.items()}
             for previous_times, current_times in zip(self._times_before, (world.timings, world.cpu_seconds), strict=True)
         )
-        calls = {key: metered.seconds for key, metered in _list_metered_blocks(world).items()}
+        calls = {key: metered.seconds for key, metered in _collect_metered_blocks(world).items()}
         now = _Measurement(1, self._clock(), phases, worked, calls)
         if isinstance(world.backend, NumpyBackend):
             by = world.backend.backend_name
@@ -179,7 +179,7 @@ class StepMeter:
         return tuple(layer_times)
 
 
-def _list_metered_blocks(world: World) -> dict[BlockKey, MeteredBlock]:
+def _collect_metered_blocks(world: World) -> dict[BlockKey, MeteredBlock]:
     return world.backend.metered_blocks if isinstance(world.backend, NumpyBackend) else {}
 
 

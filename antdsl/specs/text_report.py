@@ -35,7 +35,7 @@ def describe_failure(failure: SpecFailure) -> list[str]:
     if failure.frame is not None:
         time_text = f"  first at frame {failure.frame}"
         time_text += f", {failure.time:.6g} s from the start" if failure.time is not None else ""
-        lines.append(time_text + (f", by {_list_agent_names(failure)}" if failure.agent else ""))
+        lines.append(time_text + (f", by {_format_agent_names(failure)}" if failure.agent else ""))
     if failure.wait_start_frame is not None:
         lines.append(f"  pending since frame {failure.wait_start_frame}")
     if failure.other_count and (failure.values or failure.states_and_position):
@@ -49,7 +49,7 @@ def _format_agent_name(failure: SpecFailure) -> str:
     return "" if failure.agent is None else f"{failure.agent[0]} {failure.agent[1]}"
 
 
-def _list_agent_names(failure: SpecFailure) -> str:
+def _format_agent_names(failure: SpecFailure) -> str:
     assert failure.agent is not None
     agents = failure.agents or (failure.agent[1],)
     remainder = failure.other_count + 1 - len(agents)

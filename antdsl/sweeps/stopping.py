@@ -172,14 +172,14 @@ class SweepJobChooser:
 
     def list_missing_measures(self) -> list[str]:
         """Return the measures of the width goals that no run has reported; [] until the first run has ended."""
-        names = self._list_measure_names() if self.width_goals else ()
+        names = self._collect_measure_names() if self.width_goals else ()
         return [w.measure for w in self.width_goals if names and not any(name.startswith(w.measure) for name in names)]
 
     def list_measure_prefixes(self) -> list[str]:
         """Return, without duplicates, the part before the first dot of each reported measure's name."""
-        return list(dict.fromkeys(name.split(".")[0] for name in self._list_measure_names()))
+        return list(dict.fromkeys(name.split(".")[0] for name in self._collect_measure_names()))
 
-    def _list_measure_names(self) -> dict[str, None]:
+    def _collect_measure_names(self) -> dict[str, None]:
         """Return the names of all reported measures, as the keys of an ordered dictionary."""
         return {name: None for measures in self._measures.values() if measures is not None for name in measures}
 

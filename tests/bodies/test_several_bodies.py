@@ -18,7 +18,7 @@ from antdsl.outputs.gallery import Gallery
 from antdsl.pipeline import Shot, check_path, open_scene
 from antdsl.preview.agent_columns import make_reduced_frame
 from antdsl.preview.viewing.action_arrays import collect_actions, make_action_arrays
-from antdsl.preview.viewing.body_packets import list_outfits
+from antdsl.preview.viewing.body_packets import collect_outfits
 from antdsl.runtime import Options, World, bind, feet_hash, restore_checkpoint, state_hash, step, take_checkpoint
 from antdsl.runtime.clip_values import read_clip_value
 from antdsl.runtime.moving.contacts.capsules import CapsuleCrowd
@@ -155,7 +155,7 @@ def test_pictures_exports_and_pages_have_the_body_of_each_agent(tmp_path: Path) 
     light = make_reduced_frame(population)
     arrays = make_action_arrays(collect_actions(world, opened(tmp_path), population, light))
     assert arrays["walker/body"].tolist() == choose_body_numbers(WEIGHTS, 4, "walker", light["id"].astype(np.int64)).tolist()
-    assert len(list_outfits(world, opened(tmp_path), population)) == 3
+    assert len(collect_outfits(world, opened(tmp_path), population)) == 3
     for k, word in enumerate(WORDS):
         assert arrays[f"walker#{k}/feet"].shape == (int((arrays["walker/body"] == k).sum()), len(load_library_body(word).legs), 3)
 

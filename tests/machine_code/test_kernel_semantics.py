@@ -350,9 +350,9 @@ def test_a_checked_build_raises_errors_with_file_and_line(tmp_path: Path) -> Non
 def test_checked_code_has_a_key_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     from antdsl.machine_code.kernels import source_key
 
-    previous = usual.text_key(llvm_compiler.PORTABLE_TARGET)
+    previous = usual.make_text_key(llvm_compiler.PORTABLE_TARGET)
     monkeypatch.setattr(source_key, "CHECKS_ENABLED", not source_key.CHECKS_ENABLED)
-    assert usual.text_key(llvm_compiler.PORTABLE_TARGET) != previous
+    assert usual.make_text_key(llvm_compiler.PORTABLE_TARGET) != previous
     assert render_kernels([usual], llvm_compiler.PORTABLE_TARGET, checked=True) != render_kernels(
         [usual], llvm_compiler.PORTABLE_TARGET, checked=False
     )

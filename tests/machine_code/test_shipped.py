@@ -76,7 +76,7 @@ def test_objects_are_what_compiling_gives(folder: Path) -> None:
         objects = shipped_objects.ObjectFile(shipped_objects.make_objects_path(folder, name))
         assert len(objects) == len(ENTRIES)
         for entry in ENTRIES:
-            code = objects.get(shipped_objects.compute_shipped_key(entry.text_key(target), target))
+            code = objects.get(shipped_objects.compute_shipped_key(entry.make_text_key(target), target))
             assert code == llvm_compiler.compile_object(entry.text(target), target)
             assert code[:4] == b"\x7fELF" and int.from_bytes(code[18:20], "little") == (62 if target.is_x86 else 183)
     assert build_object_files(folder, ENTRIES, shipped_objects.TARGET_BY_NAME) == 0, "what is there is not compiled again"

@@ -31,7 +31,7 @@ def serve(rest, item, asks):
     for k, which in enumerate(item.tolist()):
         part = asks.changes[k]
         if asks.claims_all[k]:
-            part = float(asks.compute_complete_amounts(np.array([k]), rest[[which]])[0])
+            part = float(asks.compute_total_amounts(np.array([k]), rest[[which]])[0])
         if which in closed or not part <= rest[which] or (asks.claims_all[k] and not part > 0):
             closed.add(which)
             continue

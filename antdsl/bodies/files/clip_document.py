@@ -104,8 +104,8 @@ def _compute_rest_parts(joints: tuple[str, ...], rig: Rig | None) -> Floats:
 
 
 def write_clip(clip: Clip) -> str:
-    """Return a clip as JSON text, with the channels of `list_clip_channels`."""
-    channels = {name: _to_json_samples(column) for name, column in list_clip_channels(clip).items()}
+    """Return a clip as JSON text, with the channels of `collect_clip_channels`."""
+    channels = {name: _to_json_samples(column) for name, column in collect_clip_channels(clip).items()}
     return format_json(
         {
             "antdsl_clip": 1, "name": clip.name, "rate": clip.rate, "rotation_order": "xyz", "angles": "degrees",
@@ -115,7 +115,7 @@ def write_clip(clip: Clip) -> str:
     )  # fmt: skip
 
 
-def list_clip_channels(clip: Clip) -> dict[str, NDArray[np.float64]]:
+def collect_clip_channels(clip: Clip) -> dict[str, NDArray[np.float64]]:
     """Return the samples (n,) of a clip's channels by name: `joint:tx` to `joint:shear3` of each joint, and rig channels.
 
     Rotations are in degrees about x, then y, then z, without jumps of 360 degrees."""

@@ -18,7 +18,7 @@ from antdsl import __version__
 from antdsl.bodies.agents.definition import Binding, Clip, Definition, Layer, SkinShape
 from antdsl.bodies.agents.other_axes import convert_definition_axes
 from antdsl.bodies.agents.transforms import compose_matrix, decompose_matrix
-from antdsl.bodies.files.clip_document import list_clip_channels, shorten_samples, write_clip
+from antdsl.bodies.files.clip_document import collect_clip_channels, shorten_samples, write_clip
 from antdsl.bodies.files.document_values import format_axis, parse_unit_mm
 from antdsl.bodies.files.documents import format_json, write_group, write_layer, write_metadata, write_rig
 from antdsl.bodies.files.gltf.gltf_clips import build_settings_extras
@@ -55,7 +55,7 @@ def build_definition_files(body: Definition, name: str, *, has_houdini_clips: bo
         return {"file": f"{name}/{own}.{ending}"}
 
     def add_houdini_clip(clip: Clip) -> dict[str, Any]:
-        channels = {channel: shorten_samples(column) for channel, column in list_clip_channels(clip).items()}
+        channels = {channel: shorten_samples(column) for channel, column in collect_clip_channels(clip).items()}
         reference = add_part_file(f"clips/{_to_file_name(clip.name)}", write_clip_text(channels, clip.rate), "clip")
         settings = {"loop": clip.loop, "stride": clip.stride, "marks": dict(clip.marks), "feet": clip.feet}
         return {**reference, "name": clip.name, **settings}

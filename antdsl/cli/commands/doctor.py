@@ -130,7 +130,7 @@ def _check_kernels() -> None:
     from antdsl.numerics.elementary_loops import write_cosines
 
     host = llvm_compiler.find_host_target()
-    if shipped_objects.find_object(write_cosines.text_key(host), host) is None:
+    if shipped_objects.find_object(write_cosines.make_text_key(host), host) is None:
         print_result(f"-       {'kernels':<16} compiled on first use, which takes some seconds once")
     else:
         print_result(f"ok      {'kernels':<16} compiled in advance for {shipped_objects.find_target_name(host)}")

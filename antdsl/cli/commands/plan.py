@@ -43,10 +43,10 @@ def run_plan_command(
     exit_on_errors(report)
     if final_plan is None:
         raise CommandError(ExitCode.FINDINGS)
-    print_result(_list_machine_code(final_plan, setting, code) if native or code else planning.format_plan(final_plan))
+    print_result(_format_machine_code(final_plan, setting, code) if native or code else planning.format_plan(final_plan))
 
 
-def _list_machine_code(final_plan: Plan, setting: WorldSetting | None, include_code: bool) -> str:
+def _format_machine_code(final_plan: Plan, setting: WorldSetting | None, include_code: bool) -> str:
     """Return a text that describes a plan's machine code. Raises CommandError if the plan cannot be compiled.
 
     `setting`: the world of the scene, or None for a program without a scene.

@@ -29,13 +29,13 @@ def format_body(body: Definition) -> Iterator[str]:
     for shape in body.shapes.values():
         yield escape_line(f"shape        {shape.name}: {', '.join(_describe_shape(shape))}")
     for layer in body.layers.values():
-        yield escape_line(f"layer        {layer.name}: {_list_bindings(layer)}")
+        yield escape_line(f"layer        {layer.name}: {_format_bindings(layer)}")
     for clip in body.clips.values():
         yield escape_line(f"clip         {clip.name}: {', '.join(_describe_clip(body, clip))}")
     if body.idle:
         yield escape_line(f"idle         {body.idle}")
     for leg in body.legs:
-        yield escape_line(f"leg          {leg.name}: {', '.join(_list_leg_joints(leg).values())}")
+        yield escape_line(f"leg          {leg.name}: {', '.join(_collect_leg_joints(leg).values())}")
     for gait in body.gaits:
         phases = " ".join(f"{each:.3g}" for each in gait.phases)
         words = f"at {gait.speed:.4g} {unit}/s, stride {gait.stride:.4g} {unit}, duty factor {gait.duty:.3g}"
@@ -91,7 +91,7 @@ def _describe_shape(shape: SkinShape) -> list[str]:
     return words
 
 
-def _list_bindings(layer: Layer) -> str:
+def _format_bindings(layer: Layer) -> str:
     static = [f"{each.shape} at {each.transform}" for each in layer.static]
     deforming = [f"{each.shape} by {each.deformer}" for each in layer.deforming]
     return _shorten_list([*deforming, *static])
@@ -120,7 +120,7 @@ def _is_clip_closed(body: Definition, clip: Clip) -> bool:
     return bool(values <= 1e-3 and all(a <= tolerance for a, tolerance in zip(gaps, near, strict=False)))
 
 
-def _list_leg_joints(leg: Leg) -> dict[str, str]:
+def _collect_leg_joints(leg: Leg) -> dict[str, str]:
     """Return the joints of a leg from hip to foot, by their keys in a definition file."""
     return {key: joint for key, joint in leg.to_entry().items() if key != "name"}
 
@@ -151,7 +151,7 @@ def format_body_json(body: Definition | None, report: Report) -> str:
             "layers": {name: _make_layer_document(layer) for name, layer in body.layers.items()},
             "clips": {name: _make_clip_document(clip) for name, clip in body.clips.items()},
             "idle": body.idle,
-            "legs": {leg.name: _list_leg_joints(leg) for leg in body.legs},
+            "legs": {leg.name: _collect_leg_joints(leg) for leg in body.legs},
             "gaits": {gait.name: _make_gait_document(gait) for gait in body.gaits},
             "groups": {
                 name: {"members": dict(group.members), "channels": list(group.channels)} for name, group in body.groups.items()

@@ -82,7 +82,7 @@ class ExpressionEmitter(ElementAccess, ABC):
             case ast.IfExp(test=test, body=then, orelse=other):
                 return self._emit_conditional(node, test, then, other)
             case ast.Subscript(value=of, slice=index):
-                return self.load_variables(self._emit_index(node, self._emit_unloaded(of), index))
+                return self.load_variables(self._emit_index(node, self._emit_before_load(of), index))
             case ast.Attribute(value=of, attr=attribute):
                 return self.load_variables(self._emit_attribute(node, of, attribute))
             case ast.Call(func=ast.Attribute(value=of, attr="_replace")):
@@ -100,7 +100,7 @@ class ExpressionEmitter(ElementAccess, ABC):
             self.fail(node, "`*` expands only tuples and records")
         return spread
 
-    def _emit_unloaded(self, node: ast.expr) -> Any:
+    def _emit_before_load(self, node: ast.expr) -> Any:
         """Return the value of an expression without loading stack variables. So an index or attribute loads only the part that
         it selects."""
         match node:
@@ -242,7 +242,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         """Return an attribute of a module, a field of a record, or the `shape` or `size` of an array."""
         if isinstance(owner, ast.Name) and isinstance(self.module_names.get(owner.id), ModuleType):
             return make_literal_number(getattr(self.module_names[owner.id], attribute))
-        value = self._emit_unloaded(owner)
+        value = self._emit_before_load(owner)
         if attribute in getattr(value, "_fields", ()):
             return getattr(value, attribute)
         if isinstance(value, Array) and attribute == "shape":

@@ -103,7 +103,7 @@ class Kernel:
             if self._loaded_call is None:
                 llvm_compiler.require_llvm()
                 types, host = self.types(), llvm_compiler.find_host_target()
-                code = code_cache.load_code(self.text_key(host), lambda: self.text(host))
+                code = code_cache.load_code(self.make_text_key(host), lambda: self.text(host))
                 self._loaded_call = self.__call__ = run = self.make_caller(code)
                 self._get_parallel_call = cache(
                     lambda: _add_fault_guard(
@@ -134,9 +134,9 @@ class Kernel:
         """Return whether the kernel's machine code is available without compilation, in memory or stored in a file."""
         if self._loaded_call is not None:
             return True
-        return code_cache.is_code_available(self.text_key(llvm_compiler.find_host_target()))
+        return code_cache.is_code_available(self.make_text_key(llvm_compiler.find_host_target()))
 
-    def text_key(self, target: llvm_compiler.Target) -> str:
+    def make_text_key(self, target: llvm_compiler.Target) -> str:
         """Return the key of the kernel's sources, or its LLVM IR if the sources have no key."""
         return source_key.compute_source_key(self.part, self.types()) or self.text(target)
 

@@ -282,7 +282,7 @@ class _AgentWriter:
                 stage.write_presence(node, frames)
             return node
         if not is_always_worn:  # points follow nodes at the joints: their scale hides the shape
-            for joint in worn_shape.parts.followed_joints:
+            for joint in worn_shape.parts.capsule_joints:
                 followed[joint] = stage.add_joint(followed[joint], f"{joint}_{binding.shape}")
                 stage.write_presence(followed[joint], frames)
         return stage.add_body(None, name, worn_shape.meshes[colour], worn_shape.parts.add_skin(followed, nodes[0]))

@@ -37,9 +37,9 @@ from antdsl.preview.viewing.body_packets import (
     BodyOutfit,
     BodyTraits,
     build_posed_body,
+    collect_outfits,
     find_depth_order,
     find_traits,
-    list_outfits,
 )
 from antdsl.runtime import Population, World
 from antdsl.runtime.body_rows import find_body_numbers
@@ -68,7 +68,7 @@ def read_stored_poses(session: PreviewSession, frame: int) -> dict[str, Arrays]:
     arrays_by_species = {}
     for name, then in session.timeline.poses.get(frame, {}).items():
         population = session.world.populations.get(name)
-        if population is not None and list_outfits(session.world, session.shot, population) == then.outfit:
+        if population is not None and collect_outfits(session.world, session.shot, population) == then.outfit:
             arrays_by_species[name] = then.arrays
     return arrays_by_species
 
@@ -122,7 +122,7 @@ def collect_actions(world: World, shot: Shot, population: Population, displayed:
         population.plan.channels,
         world.setting.seed,
         world.frame * world.dt,
-        list_outfits(world, shot, population),
+        collect_outfits(world, shot, population),
         find_body_numbers(population, world.setting)[population.rows_by_id()],
         stored,
         displayed,

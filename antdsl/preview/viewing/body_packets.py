@@ -56,7 +56,7 @@ class BodyOutfit:
     blends_lean: bool = False
 
 
-def list_outfits(world: World, shot: Shot, population: Population) -> dict[str, BodyOutfit]:
+def collect_outfits(world: World, shot: Shot, population: Population) -> dict[str, BodyOutfit]:
     """Return the outfits of a species, by body key. Layers beyond the number that pages support are dropped."""
     keys = world.setting.list_body_keys(population.name)
     return {key: _make_outfit(world, population, find_body_of_key(shot, key)) for key in keys}

@@ -19,7 +19,7 @@ from antdsl.outputs.edits.frame_rows import match_rows
 from antdsl.outputs.edits.verbs.agent_moves import find_axes
 from antdsl.pipeline import Shot
 from antdsl.preview.viewing.action_arrays import SpeciesActions, make_action_arrays
-from antdsl.preview.viewing.body_packets import MAX_PAGE_LAYERS, BodyOutfit, list_outfits
+from antdsl.preview.viewing.body_packets import MAX_PAGE_LAYERS, BodyOutfit, collect_outfits
 from antdsl.runtime import World
 from antdsl.scene.setting import MeshData
 from antdsl.scene.thing_models import UNIT_MM
@@ -135,7 +135,7 @@ def _find_owner(name: str) -> str:
     return parts[1] if len(parts) > 1 and parts[0] in ("clips", "wears", "channels", "looks", "leans", "feet", "joints") else ""
 
 
-def list_added_meshes(view: EditedCache) -> dict[str, MeshData]:
+def collect_added_meshes(view: EditedCache) -> dict[str, MeshData]:
     """Return the meshes that edits add to the scene, by name, in mm relative to the scene's origin."""
     manifest, known = view.manifest, {mesh.name for mesh in view.original.manifest.meshes}
     names = [mesh.name for mesh in manifest.meshes if mesh.name not in known]
@@ -164,7 +164,9 @@ def find_edited_outfits(view: EditedCache, world: World, shot: Shot) -> Mapping[
             _list_body_choices(original),
             view.original.manifest.bodies,
         )
-        edited[entry.name] = list_outfits(world, shot, world.populations[entry.name]) if is_same else _make_outfits(view, number)
+        edited[entry.name] = (
+            collect_outfits(world, shot, world.populations[entry.name]) if is_same else _make_outfits(view, number)
+        )
     return edited
 
 

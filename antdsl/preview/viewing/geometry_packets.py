@@ -15,7 +15,7 @@ from antdsl.outputs.cache.solid_pieces import Piece, join_pieces
 from antdsl.outputs.edits.edited_cache import EditedCache
 from antdsl.outputs.flow_arrows import make_flow_arrows
 from antdsl.preview.binary_packets import pack_arrays
-from antdsl.preview.viewing.edited_packets import list_added_meshes
+from antdsl.preview.viewing.edited_packets import collect_added_meshes
 from antdsl.preview.viewing.view_state import SlotPackets, ViewState
 from antdsl.runtime import World
 from antdsl.runtime.moving.moving_geometry import compute_vertices
@@ -43,7 +43,7 @@ class MeshPackets:
         if not is_fresh and (not moves or world.frame == self._frame):
             return
         self._world, self._view, self._frame = world, view, world.frame
-        ground = {**world.setting.surfaces, **(list_added_meshes(view) if view is not None and is_fresh else {})}
+        ground = {**world.setting.surfaces, **(collect_added_meshes(view) if view is not None and is_fresh else {})}
         if is_fresh:
             for name in sorted(self._sent_meshes.keys() - ground.keys() - world.setting.obstacles.keys()):
                 del self._sent_meshes[name]

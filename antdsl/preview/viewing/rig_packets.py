@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from antdsl.outputs.cache.pose_arrays import list_playing_machines
-from antdsl.preview.viewing.body_packets import BodyOutfit, list_outfits, make_rig_packet
+from antdsl.preview.viewing.body_packets import BodyOutfit, collect_outfits, make_rig_packet
 from antdsl.preview.viewing.edited_packets import find_edited_outfits, list_added_species
 from antdsl.preview.viewing.view_state import SlotPackets, ViewState
 
@@ -22,7 +22,7 @@ class RigPackets:
         world, shot, view = view_state.world, view_state.shot, view_state.edited.find_view()
         outfits: Mapping[str, Mapping[str, BodyOutfit]]
         if view is None:
-            outfits = {name: list_outfits(world, shot, population) for name, population in world.populations.items()}
+            outfits = {name: collect_outfits(world, shot, population) for name, population in world.populations.items()}
         else:
             outfits = find_edited_outfits(view, world, shot)
         playing = {name: tuple(list_playing_machines(population)) for name, population in world.populations.items()}

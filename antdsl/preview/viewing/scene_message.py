@@ -12,7 +12,7 @@ from antdsl.fields.vector_field import list_program_fields
 from antdsl.outputs.feelers import list_feelers
 from antdsl.preview.outcomes import make_silencing_settings
 from antdsl.preview.session import PreviewSession
-from antdsl.preview.viewing.body_packets import list_outfits
+from antdsl.preview.viewing.body_packets import collect_outfits
 from antdsl.preview.viewing.edited_packets import find_edited_outfits, list_added_species
 from antdsl.preview.viewing.field_packets import choose_full_value
 from antdsl.preview.viewing.file_names import FileNames, read_file_text
@@ -90,7 +90,7 @@ def _make_camera_entry(session: PreviewSession) -> dict[str, Any] | None:
 def _make_species_entry(live: LiveSimulation, names: FileNames, population: Population) -> dict[str, Any]:
     session, view = live.session, live.screen.edited.find_view()
     world, shot, name = session.world, session.shot, population.name
-    worn = list_outfits(world, shot, population) if view is None else find_edited_outfits(view, world, shot)[name]
+    worn = collect_outfits(world, shot, population) if view is None else find_edited_outfits(view, world, shot)[name]
     declared = list_colour_attributes(world, name, shot.program.species[name].attributes)
     feelers = list_feelers(shot.program, name, world.params, world.setting.unit_mm, world.dt)
     return {

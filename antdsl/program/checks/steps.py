@@ -28,7 +28,7 @@ def check_step_units(context: CheckContext, report: Report) -> None:
             if isinstance(part, nodes.Setting | nodes.AnimalProperty):
                 around[id(part.value)] = part
             elif isinstance(part, nodes.Quantity) and (known := find_unit_measure(part.unit)) is not None and known.step:
-                fix, help = _suggest_step_free_quantity(part, known.step, around.get(id(part)))
+                fix, help = _suggest_quantity_without_steps(part, known.step, around.get(id(part)))
                 message = f"{quote_source(part.span)} depends on the frames per second"
                 report.warning("per-step", message, part.span, help, fix=fix)
 
@@ -44,7 +44,7 @@ def _iterate_files(files: Sequence[FileNames]) -> Iterator[FileNames]:
             yield file
 
 
-def _suggest_step_free_quantity(
+def _suggest_quantity_without_steps(
     node: nodes.Quantity, power: float, parent: nodes.Setting | nodes.AnimalProperty | None
 ) -> tuple[Fix | None, str]:
     """Return a fix that removes the unit `step` from a quantity, and its help text. The fix is None if there is no

@@ -116,7 +116,7 @@ def check_constant_conditions(context: CheckContext, report: Report) -> None:
 
 def _check_transition(reader: ConditionReader, change: Transition, report: Report) -> None:
     test = change.condition
-    if test is None or _is_truth_word(test):
+    if test is None or _is_boolean_literal(test):
         return
     if is_always_false(reader, test):
         message = f"{quote_source(test.span)} can never hold"
@@ -150,6 +150,6 @@ def _split_conjunction(test: Expr) -> list[Expr]:
     return [test]
 
 
-def _is_truth_word(test: Expr) -> bool:
+def _is_boolean_literal(test: Expr) -> bool:
     """Return whether a condition is the word `true` or `false`. Such a condition is constant on purpose."""
     return isinstance(test, Constant)

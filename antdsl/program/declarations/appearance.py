@@ -107,7 +107,7 @@ def check_play(scope: NameScope, line: nodes.VerbLine, block: StatementContext) 
     clip = line.name.text
     arguments_by_slot = arrange_arguments(scope, "play", _CLIP_SLOTS, line, f"play {clip}") if line.arguments else {}
     if arguments_by_slot is None:
-        type_arguments(scope, _drop_name_arguments(line))
+        type_arguments(scope, _remove_bare_name_arguments(line))
         return None
     if not block.is_state_body:
         message = f"`play {clip}` is in an action, but a clip plays as long as a state lasts"
@@ -136,7 +136,7 @@ def check_play(scope: NameScope, line: nodes.VerbLine, block: StatementContext) 
     )  # fmt: skip
 
 
-def _drop_name_arguments(line: nodes.VerbLine) -> nodes.VerbLine:
+def _remove_bare_name_arguments(line: nodes.VerbLine) -> nodes.VerbLine:
     """Return the line without the arguments that name clips or transform groups, because such names are not expressions."""
     named = [
         isinstance(each, nodes.Argument) and each.name is not None and each.name.text in _NAME_ARGUMENTS

@@ -17,7 +17,7 @@ from antdsl.scene import field_settings
 from antdsl.scene.camera_models import CAMERA_VIEWS, DEFAULT_CAMERA_NAME, FollowCamera, PlacedCamera, UsdCamera
 from antdsl.scene.checks.entry_checks import WorldEntryCheck, check_dimension, check_file, convert_constant, report_unknown_name
 from antdsl.scene.checks.existence_checks import check_absent_species, check_body_files, check_dark_lamps
-from antdsl.scene.checks.shape_checks import list_item_names
+from antdsl.scene.checks.shape_checks import collect_item_declarations
 from antdsl.scene.checks.step_checks import check_avoidance_steps, check_step_lengths
 from antdsl.scene.checks.wrap_checks import check_wrap
 from antdsl.scene.crowds.crowd_checks import check_around, check_crowd, count_agents
@@ -73,7 +73,7 @@ def list_selector_names(scene: Scene, program: Program) -> SelectorNames:
     return SelectorNames(
         {line.name: count for line, count in zip(scene.model.crowd, count_agents(scene), strict=True) if line.name is not None},
         frozenset(program.species),
-        frozenset(list_item_names(scene)),
+        frozenset(collect_item_declarations(scene)),
         frozenset(states),
         frozenset(name for name, camera in cameras.items() if isinstance(camera, PlacedCamera | UsdCamera)),
         {name: _get_followed_agent(camera) for name, camera in cameras.items() if isinstance(camera, FollowCamera | str)},

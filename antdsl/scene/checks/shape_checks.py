@@ -16,7 +16,7 @@ _KEY_BY_FIELD = {"volume": "in"}  # keys that are no names in Python
 _SHAPE_FIELDS = ("points", "inside", "along", "edge", "volume", "ranks")  # of which a place has one at most
 
 
-def list_item_names(scene: Scene) -> dict[str, tuple[str, str]]:
+def collect_item_declarations(scene: Scene) -> dict[str, tuple[str, str]]:
     """Return the names that `around` accepts. Each name maps to a pair: the name of the group of items, and the name of one
     item.
 
@@ -52,7 +52,7 @@ def check_placement_shapes(scene: Scene, program: Program, report: Report, place
     surfaces = program.list_things_of_kind(MESH_GROUND_KIND)
     if place.edge is not None and place.edge not in surfaces:
         report_unknown_name(report, scene, (*path, "edge"), "no surface is named", surfaces, key=False)
-    items = list_item_names(scene)
+    items = collect_item_declarations(scene)
     around = place.volume.around if isinstance(place.volume, Ball) else None
     if isinstance(around, str) and around not in items and not scene.model.has_usd_items:
         report_unknown_name(report, scene, (*path, "in", "around"), "no item is named", items, key=False)

@@ -7,7 +7,7 @@ from antdsl.diagnostics import Label, Report
 from antdsl.program.model import Program
 from antdsl.program.tables.things import KIND_BY_WORD
 from antdsl.scene.checks.entry_checks import check_file, check_map_name, report_unknown_name
-from antdsl.scene.checks.shape_checks import check_placement_shapes, list_item_names
+from antdsl.scene.checks.shape_checks import check_placement_shapes, collect_item_declarations
 from antdsl.scene.crowds.crowd_model import Placement, UsdPositions
 from antdsl.scene.crowds.initial_values import stage_initial_values
 from antdsl.scene.document import PathKey
@@ -73,7 +73,7 @@ def _check_line_name(scene: Scene, program: Program, report: Report, number: int
     """Report the name of a crowd line if it is already the name of something else."""
     name = scene.model.crowd[number].name
     earlier = [k for k, line in enumerate(scene.model.crowd[:number]) if line.name == name]
-    taken = {**dict.fromkeys(list_item_names(scene), "an item"), **dict.fromkeys(program.species, "a species")}
+    taken = {**dict.fromkeys(collect_item_declarations(scene), "an item"), **dict.fromkeys(program.species, "a species")}
     if name in taken:
         help = f"write another name, such as `{name}_line`"
         report.error("duplicate-name", f"`{name}` is the name of {taken[name]}", scene.find_span("crowd", number, "name"), help)
@@ -86,8 +86,8 @@ def _check_line_name(scene: Scene, program: Program, report: Report, number: int
 
 def check_around(scene: Scene, report: Report, around: object, radius: object, *path: PathKey) -> None:
     """Report an `around` that names no item, or that comes without a `radius`."""
-    if isinstance(around, str) and around not in list_item_names(scene) and not scene.model.has_usd_items:
-        report_unknown_name(report, scene, (*path, "around"), "no item is named", list_item_names(scene), key=False)
+    if isinstance(around, str) and around not in collect_item_declarations(scene) and not scene.model.has_usd_items:
+        report_unknown_name(report, scene, (*path, "around"), "no item is named", collect_item_declarations(scene), key=False)
     if around is not None and radius is None:
         at = scene.find_span(*path, "around", key=True)
         report.error("missing-key", "`around` has no effect without `radius`", at, "add `radius: 50 mm`")

@@ -263,14 +263,14 @@ def transform_raw_mesh(
 
     The outside of a mesh remains outside if the transform mirrors."""
     vertices = rotate_points(rotate_up_axis(mesh.vertices * factor, own_up, up), angles) + np.array(position)
-    mesh_data = make_limited_mesh(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
+    mesh_data = make_size_checked_mesh(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
     if not mesh.vertices.flags.writeable:
         for array in (mesh_data.vertices, mesh_data.faces):
             array.setflags(write=False)
     return mesh_data
 
 
-def make_limited_mesh(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
+def make_size_checked_mesh(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
     """Return vertices in mm and faces as a mesh. Raises MeshError if a vertex is too far out."""
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > _MAX_COORDINATE_MM:
         raise MeshError("is more than 1000 km from the origin", "move it with `at`, or check its `units`")

@@ -9,7 +9,7 @@ import numpy as np
 from antdsl import limits
 from antdsl.scene import setting as setting_data
 from antdsl.scene.geometry.heights import compute_sampling_deviation, make_height_surface, read_heights
-from antdsl.scene.geometry.mesh_files import RawMesh, check_mesh, make_limited_mesh, read_mesh, transform_raw_mesh
+from antdsl.scene.geometry.mesh_files import RawMesh, check_mesh, make_size_checked_mesh, read_mesh, transform_raw_mesh
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.staging.mesh_imports import close_solid, report_import_losses, weld_thing_mesh
@@ -51,7 +51,7 @@ def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing 
         moving = place_motion(staging, value, raw, inner, factor, own_up)
         if moving is not None:
             rest, moves = moving
-            mesh = make_limited_mesh(rest, mesh.faces)
+            mesh = make_size_checked_mesh(rest, mesh.faces)
             if moves is not None:
                 staging.moves_by_mesh[name] = moves
     except MeshError as error:

@@ -225,7 +225,7 @@ class GltfShapeWriter:
         return sum(float(np.sqrt((offsets**2).sum(axis=1)).max(initial=0.0)) for offsets, _ in targets)
 
     @property
-    def followed_joints(self) -> tuple[str, ...]:
+    def capsule_joints(self) -> tuple[str, ...]:
         """Return the names of the joints that at least one point follows."""
         capture = self.shape.capture
         assert capture is not None

@@ -72,7 +72,7 @@ def _build_ready(
     text = cache(lambda: write_program(plan, blocks, facts, host))
     if stored is None:
         subject = stored_blocks.number_plan(plan, blocks, facts, host)
-        stored = {name: stored_blocks.text_key(each) for name, each in text().units.items()}, dict(text().blocks)
+        stored = {name: stored_blocks.make_text_key(each) for name, each in text().units.items()}, dict(text().blocks)
         if subject is not None:
             stored_blocks.write_blocks(subject, text())
     units, written = stored

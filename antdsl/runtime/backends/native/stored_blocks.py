@@ -63,7 +63,7 @@ def number_plan(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target
     return NumberedPlan(plan, blocks, facts, key, written.numbers, instructions)
 
 
-def text_key(text: str) -> str:
+def make_text_key(text: str) -> str:
     """Return the key under which the code for the text of a function is stored."""
     return "program text " + blake2b(text.encode(), digest_size=32).hexdigest()
 
@@ -90,7 +90,7 @@ def write_blocks(stored_subject: NumberedPlan, program: NativeProgram) -> None:
             " ".join(place): _block_to_json(code, stored_subject.nodes, stored_subject.instructions[place])
             for place, code in program.blocks.items()
         }
-        units = {name: text_key(text) for name, text in program.units.items()}
+        units = {name: make_text_key(text) for name, text in program.units.items()}
         code_cache.store_data(stored_subject.key, json.dumps({"units": units, "blocks": blocks}).encode())
 
 

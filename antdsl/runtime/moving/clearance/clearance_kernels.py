@@ -152,7 +152,7 @@ def limit_steps(
         if dot(wall, wall) > 0:
             wall = minus(wall, times(ground, dot(wall, ground)))
             retreat = _retreat_from_wall(displacement, length, wall, _RETREAT_SHARE * (length + limits.voluntary_shift * size))
-            displacement = _retreat_on_same_side(displacement, retreat, wall, cross(ground, read_vector(poses.heading, i)))
+            displacement = _limit_retreat_to_same_side(displacement, retreat, wall, cross(ground, read_vector(poses.heading, i)))
             for k in range(3):
                 step[k][i] = _F(displacement[k])
                 velocity[k][i], registers.outward_direction[k][i] = step[k][i] / limits.dt, _F(0)
@@ -214,7 +214,7 @@ def _retreat_from_wall(step: Vec3, length: F64, wall: Vec3, distance: F64) -> Ve
 
 
 @inlined
-def _retreat_on_same_side(step: Vec3, retreat: Vec3, wall: Vec3, left: Vec3) -> Vec3:
+def _limit_retreat_to_same_side(step: Vec3, retreat: Vec3, wall: Vec3, left: Vec3) -> Vec3:
     """Return a retreat on the same side of the heading as the step, and slightly sideways. Return `retreat` if that direction
     would lead into the wall.
 
