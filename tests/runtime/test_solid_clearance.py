@@ -1,7 +1,9 @@
-"""Bodies stay outside solids: in a slot hardly wider than they are long, where they step from its floor to its walls."""
+"""Bodies stay outside solids, and outside the meshes and obstacles beside them: in a slot hardly wider than they are long, and
+at the foot of a block on a floor."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from typing import Any
 
@@ -15,7 +17,7 @@ from antdsl.passes import optimise_plan
 from antdsl.runtime import MeshData, Options, World, WorldSetting, bind, state_hash, step
 from antdsl.runtime.body_positions import compute_body_positions
 from antdsl.runtime.moving.clearance.bodies_inside import find_bodies_inside
-from antdsl.runtime.moving.clearance.solid_clearance import _find_free_shares
+from antdsl.runtime.moving.clearance.solid_clearance import _find_free_shares, _find_shifts
 from antdsl.scene.setting import SolidData
 
 WALKER = """ant 2
@@ -39,6 +41,25 @@ def slot() -> MeshData:
     )]  # fmt: skip
     faces = [faces + 8 * k for k, (_, faces) in enumerate(boxes)]
     return MeshData(np.concatenate([vertices for vertices, _ in boxes]), np.concatenate(faces))
+
+
+FLOOR_WALKER = WALKER.replace("world { solid soil }", "world { surface floor; solid soil; obstacle post }")
+
+
+def block_on_floor() -> dict[str, Any]:
+    """Return a floor, a steep block of soil on it, and a post, as fields of a setting."""
+    floor, post = meshes.grid(60, 20), meshes.box((-12, -1, -12), (-8, 10, -8))
+    soil = meshes.box((-3, -4, -3), (3, 6, 3))
+    return {
+        "surfaces": {"floor": MeshData(*floor)}, "obstacles": {"post": MeshData(*post)},
+        "solids": {"soil": SolidData(MeshData(*soil), 0.5)},
+    }  # fmt: skip
+
+
+def walking_at_block(count: int, clears: bool = True, options: Options | None = None, **fields: Any) -> World:
+    text = FLOOR_WALKER.replace("SWITCH", "" if clears else "body_clearance false")
+    setting = WorldSetting(fps=Fraction(24), crowds=(crowd(count, radius=16),), seed=4, **block_on_floor(), **fields)
+    return bind(optimise_plan(plan_of(text, "")), setting, options or Options(backend="numpy"))
 
 
 def walking(count: int, clears: bool = True, options: Options | None = None, **fields: Any) -> World:
@@ -66,6 +87,33 @@ def test_bodies_stay_outside_the_walls_of_a_slot_and_as_fast() -> None:
     assert paths[1] > 0.95 * paths[0]
 
 
+def test_bodies_stay_outside_the_floor_and_a_post_beside_a_solid() -> None:
+    inside = []
+    for clears in (False, True):
+        world, shares = walking_at_block(60, clears), []
+        for frame in range(120):
+            step(world)
+            if frame > 12:
+                shares.append(float(find_bodies_inside(world, world.populations["a"], np.arange(60)).mean()))
+        inside.append(np.mean(shares))
+    assert inside[0] > 0.008 and inside[1] < 0.1 * inside[0], inside
+
+
+def test_a_body_that_is_deep_at_one_end_leaves_with_its_middle() -> None:
+    world = walking_at_block(1)
+    population = world.populations["a"]
+    population.position[0] = -4.2, 0.0, 0.0  # the wall is at x = -3, and the field is flat 1 mm behind it
+    for name, values in (("heading", (1, 0, 0)), ("up", (0, 1, 0))):
+        for axis, value in zip("xyz", values, strict=True):
+            population.now[f"{name}.{axis}"][:] = value
+    shift = _find_shifts(world, population)[0]
+    assert find_bodies_inside(world, population, np.arange(1)).all()
+    assert -1.2 < shift[0] < -0.5 and np.abs(shift[1:]).max() < 0.1
+    for axis, value in zip("xyz", shift, strict=True):
+        population.now[f"~lift.{axis}"][:] = value
+    assert not find_bodies_inside(world, population, np.arange(1)).any()
+
+
 def test_step_and_shift_together_are_no_longer_than_a_step() -> None:
     world = walking(24)
     population, farthest = world.populations["a"], 0.0
@@ -78,16 +126,19 @@ def test_step_and_shift_together_are_no_longer_than_a_step() -> None:
 
 
 def test_results_do_not_depend_on_threads_rows_or_backends() -> None:
-    hashes = set()
+    for make in (walking, walking_at_block):
+        assert len({state_hash(world) for world in _run_in_all_ways(make)}) == 1
+
+
+def _run_in_all_ways(make: Callable[..., World]) -> Iterator[World]:
     for options in (
         Options(backend="numpy"), Options(backend="numpy", threads=2), Options(backend="native", wait_for_code=True),
         Options(backend="numpy", shuffle_rows=7), Options(backend="reference"),
     ):  # fmt: skip
-        world = walking(16, options=options, contacts="hard")
+        world = make(16, options=options, contacts="hard")
         for _ in range(10):
             step(world)
-        hashes.add(state_hash(world))
-    assert len(hashes) == 1
+        yield world
 
 
 def test_no_agents_change_nothing() -> None:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.surface import MeshGround
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.body_positions import LIFT_REGISTERS
-from antdsl.runtime.moving.body_records import BodyLimits, BodyPoses, BodyStances
-from antdsl.runtime.moving.clearance.body_tables import compute_unit_shapes, make_contact_faces
-from antdsl.runtime.moving.clearance.clearance_kernels import shift_bodies
+from antdsl.runtime.moving.body_records import BodyPoses
+from antdsl.runtime.moving.clearance.body_tables import compute_unit_shapes
+from antdsl.runtime.moving.clearance.mesh_clearance import shift_rows_outside_meshes
 from antdsl.runtime.moving.crouching import compute_lowering
 from antdsl.runtime.world import Population, World
 
@@ -33,33 +32,15 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
     A body is the capsule of its trunk, with head and abdomen. It is inside a ground or an obstacle if a face crosses its axis.
     It is also inside if the distance of a face from the axis is less than the radius minus 1 % of the body length. It is
     inside a solid if the solid is that near to the middle or an end of the axis."""
-    now, count = population.now, len(rows)
+    now = population.now
     size, (shapes, body) = now["size"].take(rows).astype(np.float64), compute_unit_shapes(world, population, 0.0)
-    depths, outs = np.zeros(count, np.float32), np.zeros((3, count), np.float32)
     poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
     zero = np.zeros(len(population), np.float32)
     lift = vec.get_vector_registers(now, "~lift") if LIFT_REGISTERS[0] in now else (zero, zero.copy(), zero.copy())
     lowering = np.minimum(compute_lowering(population), _measure_room_below(shapes)[body] * now["size"])
     x, y, z = (along - above * lowering for along, above in zip(lift, poses.up, strict=True))
     lift = x, y, z
-    meshes = world.ground.meshes
-    walk = None if not isinstance(meshes, MeshGround) else meshes.build_crowd_walk(0.0, float(np.fmax.reduce(size, initial=0.0)))
-    if walk is not None and count:
-        limits = BodyLimits(zero, zero, _F(1), now["size"], zero, shapes, body, np.inf, np.inf)
-        old = vec.take_rows(lift, rows)
-        shift_bodies(
-            *make_contact_faces(world, walk, count, 1),
-            rows,
-            BodyStances(population.position, population.normal, poses),
-            limits,
-            lift,
-            old,
-            depths,
-            outs,
-            0,
-            0,
-            count,
-        )
+    depths = shift_rows_outside_meshes(world, population, rows, lift, 0, 1)
     is_inside: NDArray[np.bool_] = depths > _VISIBLE_DEPTH
     up, heading = (np.stack(vec.take_rows(each, rows)).astype(np.float64) for each in poses)
     place = population.position[rows].T + np.stack(vec.take_rows(lift, rows))

@@ -13,7 +13,15 @@ from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
 from antdsl.runtime.body_rows import find_body_numbers
-from antdsl.runtime.moving.body_records import BodyRegisters, ContactFaces, FaceBuffers, FaceSearch
+from antdsl.runtime.moving.body_records import (
+    BodyLimits,
+    BodyPoses,
+    BodyRegisters,
+    BodyStances,
+    ContactFaces,
+    FaceBuffers,
+    FaceSearch,
+)
 from antdsl.runtime.moving.clearance.body_paths import BodyShape
 from antdsl.runtime.moving.clearance.obstacle_clearance import find_obstacle_faces
 from antdsl.runtime.moving.contacts.capsules import find_capsule
@@ -59,6 +67,14 @@ def compute_unit_shapes(
         for each in capsules
     ]
     return np.array(shapes, np.float64), find_body_numbers(population, world.setting)
+
+
+def make_unlimited_bodies(world: World, population: Population) -> tuple[BodyStances, BodyLimits]:
+    """Return the stances of all bodies of a species, and their capsules without margins as limits that allow any shift."""
+    now, zero = population.now, np.zeros(len(population), _F)
+    poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
+    limits = BodyLimits(zero, zero, _F(1), now["size"], zero, *compute_unit_shapes(world, population, 0.0), np.inf, np.inf)
+    return BodyStances(population.position, population.normal, poses), limits
 
 
 def select_stances(stances: SurfaceStances, selection: NDArray[np.int64] | NDArray[np.bool_]) -> SurfaceStances:

@@ -1,29 +1,40 @@
-"""Shifts bodies out of solids. Bodies would be inside in narrow tunnels, at rims, and where the ground was just dug. Bodies on
-a solid follow the smooth normal of its surface, so heads and abdomens enter the walls where the surface curves. Here, each
-capsule moves out of the solid along the gradient of the distance. The result for an agent does not depend on other agents."""
+"""Shifts of bodies in worlds with solids: in narrow tunnels, at rims, and where the ground was just dug.
+
+Bodies on a solid follow the smooth normal of its surface, so heads and abdomens enter walls where it curves. Here, each
+capsule leaves the solid along the gradient of the distance to it. The result for an agent does not depend on other agents."""
 
 from __future__ import annotations
+
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.ground.solid.trilinear import BrickTables, interpolate_distance_and_gradient, make_brick_tables
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, inlined, kernel, kernel_helper
+from antdsl.numerics import parallel
+from antdsl.numerics import vectors as vec
+from antdsl.numerics.kernel_vectors import Vec3, plus, times
+from antdsl.numerics.kernel_vectors import dot as dot_of
 from antdsl.numerics.vector_rows import dot
-from antdsl.numerics.vectors import length as length_of
 from antdsl.runtime.body_positions import LIFT_REGISTERS
-from antdsl.runtime.moving.clearance.body_tables import compute_unit_shapes
+from antdsl.runtime.moving.body_records import MAX_LIFT_BODY_LENGTHS, BodyLimits, BodyStances, compute_body_shape
+from antdsl.runtime.moving.clearance.body_paths import BodyShape
+from antdsl.runtime.moving.clearance.body_tables import ROWS_PER_THREAD, Rows, make_unlimited_bodies
+from antdsl.runtime.moving.clearance.mesh_clearance import find_rows_near_faces, shift_rows_outside_meshes
+from antdsl.runtime.moving.contacts.body_contacts import MAX_SHIFT_ROUNDS
 from antdsl.runtime.moving.crouching import has_crouch
-from antdsl.runtime.moving.postures import has_posture
+from antdsl.runtime.moving.postures import has_posture, read_vector
 from antdsl.runtime.moving.slopes import has_slope_limit
 from antdsl.runtime.world import Population, World
 
 Floats = NDArray[np.float64]
 
-# Points of a capsule: the side of the axis, and the share of the radius that must be free around it. Distances are those of
-# voxels, so the free balls at the ends of the axis do not tell that the tips are outside.
-_CAPSULE_POINTS = ((-1.0, 1.0), (0.0, 1.0), (1.0, 1.0), (-1.0, 0.0), (1.0, 0.0))
+_F = np.float32
+
 _MAX_ROUNDS = 4  # shifts of a body, each out of the deepest contact
+_MAX_MESH_ROUNDS = 3  # shifts of a body out of faces, each followed by shifts out of solids
 _SLACK_BODY_LENGTHS = 0.004  # body lengths; a shallower contact needs no shift
-_MAX_SHIFT_BODY_LENGTHS = 0.3  # body lengths; legs reach the ground from there
 # body lengths per second; a body leaves a solid at the first speed, and returns to its feet at the second, as on meshes
 _LEAVING_SPEED, _RETURN_SPEED = 8.4, 3.6
 _MAX_STEP_SHARE = 1.03  # of the longest step; step and shift together move a body no farther, so it leaves walls at full speed
@@ -38,52 +49,113 @@ def has_solid_clearance(world: World, population: Population) -> bool:
 
 
 def shift_bodies_outside_solids(world: World, population: Population, start: Floats, dt: float) -> None:
-    """Change the shifts of bodies, in place, so that the bodies leave solids. `start` (n, 3): the positions before the walk (mm).
-    A shift is limited so that the sum of step and shift is hardly longer than the longest step that the agent could make."""
+    """Shift bodies out of solids, meshes and obstacles: change their shifts in place.
+
+    `start` (n, 3): the positions before the walk (mm). Step and shift together are hardly longer than the longest step of the
+    agent."""
     now = population.now
-    size = np.where(now["size"] > 0, now["size"], 0).astype(np.float64)
-    previous = population.read_vector("~lift")
-    goal = _find_shifts(world, population, size)
+    previous, goal = population.read_vector("~lift"), _find_shifts(world, population)
+    rows = np.flatnonzero(((previous != 0) | (goal != 0)).any(axis=1))
+    previous, goal, size = previous[rows], goal[rows], now["size"][rows].astype(np.float64)
     change = goal - previous
     length = np.sqrt(dot(change, change))
     most = np.where(dot(goal, goal) > dot(previous, previous), _LEAVING_SPEED, _RETURN_SPEED) * dt * size
     change *= np.minimum(1.0, most / np.maximum(length, 1e-12))[:, None]
-    walked = population.position - start
-    longest = np.nan_to_num(now["max_speed"].astype(np.float64), posinf=1e12) * (_MAX_STEP_SHARE * dt)
+    walked = population.position[rows] - start[rows]
+    longest = np.nan_to_num(now["max_speed"][rows].astype(np.float64), posinf=1e12) * (_MAX_STEP_SHARE * dt)
     lift = previous + change * _find_free_shares(walked, change, longest)[:, None]
     for name, values in zip(LIFT_REGISTERS, lift.T, strict=True):
-        now[name][:] = values
+        now[name][rows] = values
 
 
-def _find_shifts(world: World, population: Population, size: Floats) -> Floats:
-    """Return the shifts (n, 3) mm that move capsules out of all solids. `size` (n): sizes of the bodies (mm)."""
-    shifts = np.zeros((len(population), 3))
-    shapes, body = compute_unit_shapes(world, population, 0.0)
-    up, heading = population.read_vector("up"), population.read_vector("heading")
-    half, radius, height, ahead = (shapes[body] * size[:, None]).T
-    middle = population.position + up * height[:, None] + heading * ahead[:, None]
-    rows = np.arange(len(population))
-    for _ in range(_MAX_ROUNDS):
+def _find_shifts(world: World, population: Population) -> Floats:
+    """Return the shifts (n, 3) mm that bring capsules outside of all solids, meshes and obstacles."""
+    shifts, now = np.zeros((len(population), 3)), population.now
+    size = np.where(now["size"] > 0, now["size"], 0).astype(np.float64)
+    _leave_solids(world, population, shifts, np.arange(len(population)))
+    rows = find_rows_near_faces(world, population, size)
+    for _ in range(_MAX_MESH_ROUNDS):
         if not len(rows):
             break
-        depth, out = np.zeros(len(rows)), np.zeros((len(rows), 3))
-        for volume in world.solids.values():
-            for end, share in _CAPSULE_POINTS:
-                needed = share * (radius[rows] - volume.voxel / 2)
-                reach = end * (half[rows] + (1.0 - share) * radius[rows])
-                point = middle[rows] + shifts[rows] + heading[rows] * reach[:, None]
-                distance, gradient = volume.sample_with_gradients(point)
-                slope = length_of((gradient[:, 0], gradient[:, 1], gradient[:, 2]))
-                over = np.where(slope > _MIN_GRADIENT, needed - distance, 0.0)
-                is_deeper = over > depth
-                depth[is_deeper] = over[is_deeper]
-                out[is_deeper] = (gradient / np.maximum(slope, 1e-12)[:, None])[is_deeper]
-        is_deep = depth > _SLACK_BODY_LENGTHS * size[rows]
-        rows = rows[is_deep]
-        shifts[rows] += out[is_deep] * depth[is_deep][:, None]
-        length = np.sqrt(dot(shifts[rows], shifts[rows]))
-        shifts[rows] *= np.minimum(1.0, _MAX_SHIFT_BODY_LENGTHS * size[rows] / np.maximum(length, 1e-12))[:, None]
+        lift = vec.split_columns(shifts, _F)
+        shift_rows_outside_meshes(world, population, rows, lift, MAX_SHIFT_ROUNDS, world.options.threads)
+        new = np.stack(vec.take_rows(lift, rows), axis=1)
+        has_moved = (new != shifts[rows].astype(_F)).any(axis=1)
+        rows = rows[has_moved]
+        shifts[rows] = new[has_moved]
+        _leave_solids(world, population, shifts, rows)
     return shifts
+
+
+def _leave_solids(world: World, population: Population, shifts: Floats, rows: Rows) -> None:
+    """Bring the capsules of `rows` outside of all solids: change their `shifts` (n, 3) mm in place."""
+    bodies, threads = make_unlimited_bodies(world, population), world.options.threads
+    for volume in world.solids.values():
+        work = partial(leave_solid, make_brick_tables(volume.bricks), rows, *bodies, shifts)
+        parallel.run_in_parts(work, len(rows), threads, ROWS_PER_THREAD)
+
+
+@kernel
+def leave_solid(
+    bricks: BrickTables, rows: Array1[I64], stances: BodyStances, limits: BodyLimits, shifts: Array2[F64], begin: I64, end: I64
+) -> None:
+    """Shift the capsules of `rows` from `begin` to before `end` out of a solid, each time out of its deepest contact."""
+    positions, _, poses = stances
+    grid = bricks[2:]
+    for j in range(begin, end):
+        i = rows[j]
+        size = np.float64(limits.size[i])
+        if not (size > 0 and size < np.inf):
+            continue
+        shape, heading = compute_body_shape(limits, i, size), read_vector(poses.heading, i)
+        rest = plus((positions[i, 0], positions[i, 1], positions[i, 2]), times(heading, shape.middle_forward_offset))
+        rest = plus(rest, times(read_vector(poses.up, i), shape.middle_height))
+        shift, most = (shifts[i, 0], shifts[i, 1], shifts[i, 2]), MAX_LIFT_BODY_LENGTHS * size
+        if not _is_near_grid(grid, plus(rest, shift), shape.axis_half_length + shape.radius):
+            continue
+        for _turn in range(_MAX_ROUNDS):
+            depth, out = _find_deepest_contact(bricks, shape, plus(rest, shift), heading)
+            if depth <= _SLACK_BODY_LENGTHS * size:
+                break
+            shift = plus(shift, times(out, depth))
+            shift = times(shift, min(1.0, most / max(np.sqrt(dot_of(shift, shift)), 1e-12)))
+        for k in range(3):
+            shifts[i, k] = shift[k]
+
+
+@inlined
+def _is_near_grid(grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3, reach: F64) -> BOOL:
+    """Return whether a point is within `reach` (mm) of the box of a solid; False for NaN."""
+    near = True
+    for k in range(3):
+        high = grid[k] + (16.0 * grid[4 + k] - 1.0) * grid[3]
+        near = near and p[k] >= grid[k] - reach and p[k] <= high + reach
+    return near
+
+
+@kernel_helper
+def _find_deepest_contact(bricks: BrickTables, shape: BodyShape, middle: Vec3, heading: Vec3) -> tuple[F64, Vec3]:
+    """Return how deep (mm) a capsule is inside a solid, and the direction out.
+
+    Five points are tested: the ends and the middle of the axis, around which the radius must be free, and both tips. Distances
+    are those of voxels, so free balls at the ends do not tell that the tips are outside."""
+    grid = bricks[2:]
+    depth, out = 0.0, (0.0, 0.0, 0.0)
+    _, inner = interpolate_distance_and_gradient(bricks[0], bricks[1], grid, middle)
+    for point in range(5):
+        is_tip = point > 2
+        side = 2.0 * point - 7.0 if is_tip else point - 1.0
+        needed = 0.0 if is_tip else shape.radius - grid[3] / 2
+        reach = side * (shape.axis_half_length + shape.radius if is_tip else shape.axis_half_length)
+        p = plus(middle, times(heading, reach))
+        distance, gradient = interpolate_distance_and_gradient(bricks[0], bricks[1], grid, p)
+        # The field is flat deep inside: a deep end follows the middle out.
+        if dot_of(gradient, gradient) <= _MIN_GRADIENT * _MIN_GRADIENT and distance < 0:
+            gradient = inner
+        slope = np.sqrt(dot_of(gradient, gradient))
+        if slope > _MIN_GRADIENT and needed - distance > depth:
+            depth, out = needed - distance, times(gradient, 1.0 / slope)
+    return depth, out
 
 
 def _find_free_shares(walked: Floats, change: Floats, longest: Floats) -> Floats:
