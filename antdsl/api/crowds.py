@@ -29,7 +29,8 @@ def make_unknown_name_error(kind: str, name: object, known: Iterator[str] | tupl
     names = sorted(known)
     near = find_nearest_name(str(name), names)
     return AntdslError(
-        f"there is no {kind} `{name}`", f"did you mean `{near}`?" if near else f"known: {', '.join(names) or 'none'}"
+        f"there is no {kind} `{name}`",
+        f"did you mean `{near}`?" if near else f"the known names are: {', '.join(names) or 'none'}",
     )
 
 
@@ -174,11 +175,14 @@ class Crowd:
         try:
             columns = np.broadcast_to(np.asarray(values, np.float64), shape)
         except (TypeError, ValueError):
-            raise AntdslError(f"`{name}` needs numbers of the shape {shape}", f"there are {len(population)} agents") from None
+            raise AntdslError(
+                f"`{name}` needs numbers of the shape {shape}",
+                f"pass one row of numbers for each of the {len(population)} agents",
+            ) from None
         with np.errstate(over="ignore"):
             columns = columns.astype(np.float32)
         if not (np.isfinite(columns) | (is_limit_attribute(name) & (columns == np.inf))).all():
-            raise AntdslError(f"`{name}` needs finite numbers")
+            raise AntdslError(f"`{name}` needs finite numbers, without nan and inf")
         for extreme in (columns.min(), columns.max()) if columns.size else ():
             if (advice := explain_range(name, float(extreme))) is not None:
                 raise AntdslError(f"`{name}` cannot be {extreme:g}", advice)

@@ -66,7 +66,7 @@ def read_seed(seed: SupportsIndex) -> int:
     except TypeError:
         number = -1
     if not 0 <= number < 2**63:
-        raise AntdslError(f"`{seed}` is not a seed", "write a whole number from 0")
+        raise AntdslError(f"`{seed}` is not a seed", "write a whole number, 0 or more")
     return number
 
 

@@ -79,7 +79,7 @@ def sweep(
     points = [dict(zip(names, map(str, values), strict=True)) for values in product(*(vary or {}).values())]
     numbers = list(range(1, seeds + 1)) if isinstance(seeds, int) else [read_seed(seed) for seed in seeds]
     if not paths or not numbers or not points:
-        raise AntdslError("there is nothing to run", "name a scene, a seed and a value for each param")
+        raise AntdslError("this sweep has no runs", "write at least one scene, one seed, and one value for each param")
     jobs, report = build_jobs(
         make_variations([Path(path) for path in paths], points), numbers, frames=read_frames(frames), until=until, grants={}
     )

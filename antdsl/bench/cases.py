@@ -173,7 +173,7 @@ BENCH_CASES: Mapping[str, BenchCase] = {
     for case in (
         BenchCase(
             "foraging",
-            "ants that search, carry and lay scent on hills",
+            "ants that search, carry food and lay scent on hills",
             _open_foraging_case,
             _FORAGING_AGENT_COUNTS,
             (1_000, 15_000),
@@ -181,7 +181,7 @@ BENCH_CASES: Mapping[str, BenchCase] = {
         ),
         BenchCase(
             "boids",
-            "three rules on a plane, about 9 neighbours each",
+            "boids with three rules on a plane, about 9 neighbours each",
             _open_boids_case,
             (1_000, 15_000, 100_000),
             (1_000, 15_000),
@@ -197,7 +197,7 @@ BENCH_CASES: Mapping[str, BenchCase] = {
         ),
         BenchCase(
             "cluster",
-            "the boids, all within a tenth of the area",
+            "the same boids, all within a tenth of the area",
             _open_cluster_case,
             (1_000, 15_000),
             sight_radius_mm=programs.SIGHT_RADIUS_MM,
@@ -209,12 +209,12 @@ BENCH_CASES: Mapping[str, BenchCase] = {
             (400, 15_000),
             sight_radius_mm=25.0,
         ),
-        BenchCase("tunnel", "scouts dig through a hill, others follow", _make_example_opener("tunnel/scene.yaml")),
+        BenchCase("tunnel", "scouts that dig through a hill, and ants that follow", _make_example_opener("tunnel/scene.yaml")),
         BenchCase("moods", "roaches with several state machines", _make_example_opener("moods/scene.yaml"), (200, 15_000)),
         BenchCase("anthill", "builders that dig a nest out of a block", _make_example_opener("anthill/scene.yaml")),
         BenchCase(
             "node",
-            "500 points that wander and keep apart: the work of one node",
+            "500 points that wander and keep apart, the work of one Houdini node",
             _open_node_case,
             (500,),
             published_figures="Houdini: 58.8 frames per second in VEX, 3.98 in Python",

@@ -145,5 +145,7 @@ def measure_in_process(job: BenchJob, base_command: Sequence[str] = ()) -> Measu
     command = [*base_command, text] if base_command else build_module_command("antdsl.bench", text)
     process = subprocess.run(command, capture_output=True, text=True, env=build_module_environment())
     if process.returncode:
-        raise MeasuringError((process.stderr.strip() or f"the process ended with {process.returncode}").splitlines()[-1])
+        raise MeasuringError(
+            (process.stderr.strip() or f"the process ended with exit code {process.returncode}").splitlines()[-1]
+        )
     return MEASUREMENT_ADAPTER.validate_json(process.stdout.splitlines()[-1])

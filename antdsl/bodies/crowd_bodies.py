@@ -174,8 +174,10 @@ def _check_layers(
             if key in definitions:
                 _check_worn_layers(line.species, definitions[key], dressed, len(keys_by_species[line.species]) > 1, place, report)
         if len(named) > MAX_WORN_LAYERS:
-            words = f"agents of `{line.species}` may wear {len(named)} layers, but at most {MAX_WORN_LAYERS} are possible"
-            report.error("too-large", words, place, "combine shapes that are worn together in one layer")
+            words = (
+                f"the agents of this line use {len(named)} layers of `{line.species}`, but at most {MAX_WORN_LAYERS} are possible"
+            )
+            report.error("too-large", words, place, "combine shapes that agents always wear together into one layer")
 
 
 def _check_worn_layers(
@@ -187,7 +189,7 @@ def _check_worn_layers(
         if name not in body.layers:
             near = find_nearest_name(name, list(body.layers))
             known = ", ".join(f"`{each}`" for each in list(body.layers)[:_MAX_LISTED_NAMES])
-            has = f"it has {known}" if known else "it has no layers"
+            has = f"its layers are {known}" if known else "this body has no layers"
             which = f"the body `{body.name}` of `{species}`" if has_other_bodies else f"the body of `{species}`"
             report.error(
                 "unknown-name", f"{which} has no layer `{name}`", place, f"did you mean `{near}`? {has}" if near else has
@@ -265,7 +267,7 @@ def _check_body(
             return
         near = find_nearest_name(name, names)
         listed = ", ".join(f"`{each}`" for each in names[:_MAX_LISTED_NAMES]) + (" …" if len(names) > _MAX_LISTED_NAMES else "")
-        has = f"it has {listed}" if names else f"it has no {noun}s"
+        has = f"its {noun}s are {listed}" if names else f"this body has no {noun}s"
         help = f"did you mean `{near}`? {has}" if near else has  # several words, unlike a replacement for the file's path
         lacks.setdefault(f"{noun} `{name}`", (help, label))
 
@@ -291,7 +293,9 @@ def _check_body(
     if lacks:
         helps = [help if len(lacks) == 1 else f"{name}: {help}" for name, (help, _) in lacks.items()]
         if chosen_by_species:
-            helps.append(f"without a `body`, `{species.name}` has this one, by its name: add `body: …` for another")
+            helps.append(
+                f"`{species.name}` has this body because of its name: write `body: …` in the crowd line to choose another one"
+            )
         labels = tuple(label for _, label in lacks.values())
         words = f"`{text[-60:]}` has no {', no '.join(lacks)}"
         report.error("unknown-name", words, place, "; ".join(helps), labels=labels)

@@ -133,7 +133,7 @@ def _build_skinned_part(definition: Definition, binding: Binding, bone_table: _B
     shape = definition.shapes[binding.shape]
     capture = shape.capture
     if capture is None:
-        raise ValueError(f"shape `{shape.name}` says for none of its points which joints they follow (capture)")
+        raise ValueError(f"shape `{shape.name}` has no capture weights, so its points cannot follow joints")
     number = np.array(
         [
             bone_table.get_bone_number(definition.rig.find_joint(name), capture.inverse_matrices[k])

@@ -39,7 +39,7 @@ class SampledCurve:
     def __init__(self, points: Vectors, spacing: float, reverse: bool = False) -> None:
         points = np.asarray(points, np.float64).reshape(-1, 3)
         if not len(points) or not np.isfinite(points).all():
-            raise ValueError("a curve needs at least one point, and all of its points finite")
+            raise ValueError("a curve needs at least one point, and all of its coordinates must be finite numbers")
         if not spacing > 0:
             raise ValueError("the spacing of a curve must be more than 0")
         self.samples = resample_curve(points[::-1] if reverse else points, spacing)

@@ -37,7 +37,7 @@ _ROLES = ("scheduler", "worker", "nanny")
 _CONNECT_SECONDS = 15  # limit for connecting to a scheduler
 _FILE_TRANSFER_SECONDS = 5.0  # limit for the transfer of files before tasks are submitted
 _MAX_FUTILE_RESUBMITS = 3  # maximum number of resubmissions of all tasks without an answer in between
-_ALL_WORKERS_LOST_MESSAGE = "every worker that received it was lost"
+_ALL_WORKERS_LOST_MESSAGE = "every worker that received the task was lost"
 _MAX_MESSAGE_CHARACTERS = 2000  # characters of one sentence of a worker
 
 

@@ -97,8 +97,8 @@ def explain_mismatch(address: str, worker_versions: Mapping[str, str], expected_
     """Return the message about a worker that gets no tasks, because its antdsl sources differ from the requester's.
     `worker_versions`: the result of `describe_worker`."""
     return (
-        f"worker {address} on {worker_versions['host']} gets no tasks: its antdsl {worker_versions['antdsl']} has other sources "
-        f"({worker_versions['sources'][:8]}, here {expected_sources[:8]}); install the same version there"
+        f"worker {address} on {worker_versions['host']} gets no tasks: its antdsl {worker_versions['antdsl']} has different "
+        f"source files ({worker_versions['sources'][:8]}, here {expected_sources[:8]}); install the same version there"
     )
 
 

@@ -29,7 +29,7 @@ class FileBundle:
         for name, content in self.files.items():
             path = folder / name
             if not path.resolve().is_relative_to(folder.resolve()):
-                raise TaskRejectedError(f"the path of a project file leads out of its folder: `{name}`")
+                raise TaskRejectedError(f"the path of a project file leads out of the project's folder: `{name}`")
             path.parent.mkdir(parents=True, exist_ok=True)
             with open(path, "xb") as file:
                 file.write(content)

@@ -84,8 +84,8 @@ def _describe_exit(code: int | None) -> str:
     if code is not None and code < 0:
         name = signal.Signals(-code).name if -code in {s.value for s in signal.Signals} else str(-code)
         reason = ", most likely because memory ran out" if name == "SIGKILL" else ""
-        return f"its process was stopped by {name}{reason}"
-    return f"its process ended with code {code}"
+        return f"the worker process was stopped by {name}{reason}"
+    return f"the worker process ended with code {code}"
 
 
 _PROCESS_WORKER = WorkerContext(1)

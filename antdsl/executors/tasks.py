@@ -276,7 +276,9 @@ def run_task(
     answer = work(json.loads(document_text), worker)
     document_text = json.dumps({"answer": answer, "notes": worker.notes})
     if len(document_text) > MAX_TASK_ANSWER_BYTES:
-        raise TaskRejectedError(f"its result has {len(document_text):,} bytes; the limit is {MAX_TASK_ANSWER_BYTES:,}")
+        raise TaskRejectedError(
+            f"the result of the task has {len(document_text):,} bytes; the limit is {MAX_TASK_ANSWER_BYTES:,}"
+        )
     return document_text
 
 

@@ -142,7 +142,8 @@ class PheromoneField:
         max_diffusion = compute_max_diffusion(self.cells.cell, dt)
         if diffusion > max_diffusion * (1 + 1e-9):
             raise ValueError(
-                f"a diffusion of {diffusion:g} mm²/s is unstable here, the largest that is stable is {max_diffusion:g} mm²/s"
+                f"a diffusion of {diffusion:g} mm²/s is unstable for this cell size and frame rate; write at most "
+                f"{max_diffusion:g} mm²/s"
             )
         self._run_step_kernels(float(np.float32(remaining_share)), diffusion * dt / self.cells.cell**2, threads)
 

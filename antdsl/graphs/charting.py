@@ -92,7 +92,7 @@ class _ChartBuilder:
         if change.choices:
             target = self._add_extra_box("choice", change.key, "", details)
         elif change.targets_previous:
-            target = self._add_extra_box("previous", name, "previous", "back to the state before")
+            target = self._add_extra_box("previous", name, "previous", "back to the previous state")
         else:
             target = f"s{change.target}"
         self._add_arrow(source, target, change.is_interrupt, words, details)

@@ -78,7 +78,7 @@ class CombinedGround:
         names = self.names if surface_names is None else tuple(surface_names)
         unknown = [name for name in names if name not in self.names]
         if unknown:
-            raise KeyError(f"no surface `{unknown[0]}` on this ground, which has {', '.join(self.names) or 'none'}")
+            raise KeyError(f"this ground has no surface `{unknown[0]}`; its surfaces are: {', '.join(self.names) or 'none'}")
         meshes = [name for name in names if name in self.names[: self._count]]
         footing, is_placed = self.create_unplaced(len(points)), np.zeros(len(points), np.bool_)
         if meshes and self.meshes is not None:

@@ -96,7 +96,7 @@ def _compile_for_targets(entry: library.LibraryEntry, names: tuple[str, ...]) ->
 def main() -> int:
     """Run the command. Return its exit code."""
     parser = argparse.ArgumentParser(prog="python -m antdsl.machine_code.build_objects", description=__doc__)
-    parser.add_argument("--host", action="store_true", help="only for this machine")
+    parser.add_argument("--host", action="store_true", help="compile only for this machine")
     host = parser.parse_args().host
     isolate_search_paths()  # set before processes start
     why = llvm_compiler.find_unavailability_reason()
@@ -119,7 +119,7 @@ def main() -> int:
     count = build_object_files(shipped_objects.OBJECTS_FOLDER, entries, targets, min(core_count, _MAX_PROCESSES))
     size = sum(shipped_objects.make_objects_path(shipped_objects.OBJECTS_FOLDER, name).stat().st_size for name in targets)
     words = f"{len(entries)} kernels and texts for {', '.join(targets)}: {size / 1e6:.1f} MB"
-    print(f"{words}, {count} compiled in {time.monotonic() - start:.0f} s")
+    print(f"{words}; {count} of them were compiled in {time.monotonic() - start:.0f} s")
     return 0
 
 

@@ -67,10 +67,10 @@ CODE_STORE: Final = StoreKind(
     ".object",
     "compiled code",
     "is",
-    "code is only run if a private key signs it",
+    "antdsl runs only code that it has signed with your private key",
     "one program",
-    "each run compiles it again",
-    "it is compiled again",
+    "each run compiles the code again",
+    "antdsl compiles the code again",
 )
 
 
@@ -189,7 +189,7 @@ class ObjectCache:
             try:
                 self._signer = signing.get_signer(create=create)
             except OSError as problem:
-                what = f"{self._kind.usage}, and there is none ({_describe_problem(problem)})"
+                what = f"{self._kind.usage}, and no such key exists ({_describe_problem(problem)})"
                 self._report_not_stored(folder, what, self._kind.recompute_phrase)
                 self._folder = None
         return self._signer
@@ -245,7 +245,7 @@ class ObjectCache:
 
     def _folder_advice(self, problem: OSError | ValueError) -> str:
         full = isinstance(problem, OSError) and problem.errno == errno.ENOSPC
-        return f"{'make room there, or ' if full else ''}name another folder in {self._kind.variable}"
+        return f"{'free some disk space, or ' if full else ''}name another folder in {self._kind.variable}"
 
     def _reject_file(self, path: Path, reason: str) -> None:
         """Report that a file is not used, and remove it. If it is a link, the link is removed, not its target."""

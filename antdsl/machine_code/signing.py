@@ -83,7 +83,7 @@ def _read_key(path: Path) -> bytes:
     length."""
     secret = read_private(path, _KEY_BYTES)
     if len(secret) != _KEY_BYTES:
-        raise OSError(0, "its length is wrong")
+        raise OSError(0, "the key has the wrong length")
     return secret
 
 

@@ -165,7 +165,7 @@ class Tools:
                 env={**build_module_environment(), "NO_COLOR": "1", "COLUMNS": "130"},
             )
         if result is None:
-            advice = "; `resume` continues it" if words[0] == "run" else ""
+            advice = "; call `run` again with `resume` to continue" if words[0] == "run" else ""
             raise ToolError(f"`antdsl {words[0]}` was stopped after {seconds:g} s{advice}")
         return Completed(result.returncode, result.stdout.decode("utf-8", "replace").strip())
 

@@ -21,7 +21,7 @@ _SOURCE_NAME = "<condition>"
 _ONE_CONDITION_HELP = "write one condition, such as `count(state == carry) > 10`"
 
 
-_COMPLETE_RUN_HELP = "use the `share`, `count`, `any` or `every` of all"
+_COMPLETE_RUN_HELP = "use `share`, `count`, `any` or `every` to test all agents together"
 
 
 class ConditionError(Exception):
@@ -46,7 +46,7 @@ def check_condition(loaded: LoadedSources, text: str, *, allows_each: bool = Tru
         raise ConditionError(f"`{short_text[:80]}` is not one condition", _ONE_CONDITION_HELP)
     program, report = check([*loaded.files, file], loaded.find_library, loaded.module_by_path)
     species = next(iter(program.species), "SPECIES")
-    each_help = f"write `each {species}: {short_text}` to test every agent, or use a `count` of all"
+    each_help = f"write `each {species}: {short_text}` to test every agent, or use `count` to test all agents together"
     words = each_help if allows_each else _COMPLETE_RUN_HELP
     _raise_first_error(report, "" if _EACH_PATTERN.fullmatch(text) else words)
     return program

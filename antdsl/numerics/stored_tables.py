@@ -33,10 +33,10 @@ TABLE_STORE: Final = object_cache.StoreKind(
     ".tables",
     "tables of meshes",
     "are",
-    "tables are only used if a private key signs them",
+    "antdsl uses only tables that it has signed with your private key",
     "one mesh",
-    "each run computes them again",
-    "they are computed again",
+    "each run computes the tables again",
+    "antdsl computes the tables again",
 )
 _MAX_STORE_BYTES: Final = 1024 * MIB
 _MAX_TABLE_BYTES: Final = 256 * MIB

@@ -240,7 +240,7 @@ class FileReader:
             self._end_process()
             raise _make_memory_failure(memory)
         if document.get("failure") == "exception":
-            raise ReaderFailureError("cannot be read: it is damaged", _DAMAGED_FILE_HELP)
+            raise ReaderFailureError("cannot be read: the file is damaged", _DAMAGED_FILE_HELP)
         self._end_process()
         raise ReaderFailureError(_INVALID_ANSWER_MESSAGE, _DAMAGED_FILE_HELP)
 
@@ -288,7 +288,7 @@ class FileReader:
 
 
 _DAMAGED_FILE_HELP = "export it again"
-_SMALLER_FILE_HELP = "use a smaller file, or a part of it"
+_SMALLER_FILE_HELP = "use a smaller file, or only a part of this one"
 _OVERDUE_STATUS = -getattr(signal, "SIGXCPU", 1 << 20)  # exit statuses
 _KILLED_STATUS = -getattr(signal, "SIGKILL", 1 << 20)  # killed by the system when memory runs out
 _INVALID_ANSWER_MESSAGE = "cannot be read: the reader process sent an invalid answer"
@@ -319,7 +319,7 @@ def _explain_death(reader_process: _ReaderProcess, status: int, is_late: bool, m
 
     Raises MemoryError if this process cannot provide that much."""
     if is_late or status == _OVERDUE_STATUS:
-        words = "cannot be read: reading it takes too long"
+        words = "cannot be read: reading the file takes too long"
         return ReaderFailureError(words, _SMALLER_FILE_HELP, is_lasting=not is_late, is_heavy=True)
     if status == _KILLED_STATUS or get_address_space_limit() < memory:
         return _make_memory_failure(memory)
@@ -335,7 +335,7 @@ def _make_memory_failure(needed_bytes: int) -> ReaderFailureError:
     the limit of the request."""
     if get_address_space_limit() < needed_bytes:
         raise MemoryError("the reader process has no memory")
-    return ReaderFailureError("cannot be read: reading it needs too much memory", _SMALLER_FILE_HELP, is_heavy=True)
+    return ReaderFailureError("cannot be read: reading the file needs too much memory", _SMALLER_FILE_HELP, is_heavy=True)
 
 
 _file_reader = FileReader()

@@ -152,10 +152,10 @@ def read_message(file: IO[bytes], max_array_bytes: int) -> ReaderMessage:
 def _parse_array_entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
     """Return the name, type, shape and size in bytes of an array that a header lists."""
     if not isinstance(entry, list) or len(entry) != 3:
-        raise ProtocolError("the header of a message describes an array in an unknown form")
+        raise ProtocolError("the header of a message describes an array in an unknown format")
     name, dtype, shape = entry
     if not isinstance(name, str) or dtype not in ALLOWED_DTYPES or not isinstance(shape, list) or len(shape) > _MAX_AXES:
-        raise ProtocolError("the header of a message describes an array in an unknown form")
+        raise ProtocolError("the header of a message describes an array in an unknown format")
     if not all(isinstance(side, int) and not isinstance(side, bool) and 0 <= side < 1 << 40 for side in shape):
         raise ProtocolError("the header of a message gives an array invalid dimensions")
     return name, dtype, tuple(shape), prod(shape) * np.dtype(dtype).itemsize

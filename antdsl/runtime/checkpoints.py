@@ -78,7 +78,7 @@ def restore_checkpoint(world: World, arrays: Mapping[str, NDArray[Any]]) -> None
         raise
     # arrays from outside may fail in any of these ways
     except (ValueError, TypeError, IndexError, KeyError, OverflowError) as error:
-        raise CheckpointError(f"it is inconsistent ({type(error).__name__})") from error
+        raise CheckpointError(f"the checkpoint is inconsistent ({type(error).__name__})") from error
 
 
 def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -23,6 +23,6 @@ def check_periodic_steps(world: World) -> None:
             if len(rows):
                 row = rows[np.argmin(population.ids[rows])]
                 advice = "write a wider range below `wrap`, more `fps`, or a lower `max_speed`"
-                why = f"is half of the world's width in a step, or more: {advice}"
+                why = f"is so high that the agent crosses half of the world or more in one step: {advice}"
                 values = (("step", f"{steps[row]:.4g} mm"), ("width", f"{box.widths[k]:.4g} mm"))
                 raise LimitStop(Fault(world.frame, population.name, int(population.ids[row]), "velocity", None, values, why))

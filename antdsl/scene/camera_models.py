@@ -29,7 +29,8 @@ CAMERA_VIEWS = ("scene", "fit", "above", "top", "eye", "close")  # words of `ren
 
 
 class CameraKey(ScenePart):
-    """A camera at one frame. It changes linearly between keys, and is constant before the first and after the last."""
+    """The camera at one frame. It moves evenly from one key to the next, and does not move before the first key and after the
+    last."""
 
     at: PointValue | None = None
     look_at: PointValue | None = None
@@ -66,8 +67,8 @@ else:
 class LensCamera(ScenePart):
     """The lens of a camera.
 
-    `f_stop`: the focal length divided by the diameter of the lens; None for no depth of field.
-    `focus`: what is sharp: a distance, or an agent. None for what the camera looks at."""
+    `f_stop`: the focal length divided by the diameter of the lens. Without it, everything is sharp.
+    `focus`: a distance, or an agent, that is sharp. By default, what the camera looks at is sharp."""
 
     focal: PositiveLength | None = None
     f_stop: Annotated[float, BeforeValidator(parse_number_between(*F_STOP_RANGE))] | None = None
@@ -75,7 +76,7 @@ class LensCamera(ScenePart):
 
 
 class PlacedCamera(LensCamera):
-    """A camera at a point, which looks at another point. `keys`: by frame, the values that change over time."""
+    """A camera at a fixed or moving position that looks at a point. `keys`: the values that change, by frame."""
 
     at: PointValue
     look_at: PointValue
@@ -83,18 +84,18 @@ class PlacedCamera(LensCamera):
 
 
 class UsdCamera(ScenePart):
-    """A camera of a USD file, with its motion."""
+    """A camera from a USD file, with its motion."""
 
     usd: FilePath
     prim: SceneWord
 
 
 class FollowCamera(LensCamera):
-    """A camera that moves with one agent, and does not turn with it.
+    """A camera that moves along with one agent, but does not turn with it.
 
     `follow`: the agent, such as `guards.17`.
-    `by`: the offset from the agent to the camera; by default, the offset that `render --camera close` chooses.
-    `smooth`: the motion of the agent is averaged over this time before and after each frame."""
+    `by`: the position of the camera relative to the agent. By default, `render` chooses it as for `--camera close`.
+    `smooth`: the time before and after each frame over which the agent's motion is averaged."""
 
     follow: _SingleAgent
     by: PointValue | None = None

@@ -46,11 +46,12 @@ LightStrength = Annotated[float, BeforeValidator(_parse_strength)]
 
 
 class LightModel(ScenePart):
-    """The light of pictures. 100 % is the light that pictures have without this key.
+    """The light in pictures. At 100 %, the light is as it is without this key.
 
-    `sun`, `sky`, `haze`, `lamps`: strengths. Lamps are items with `look: light`; at a distance of ten radii a lamp of 100 % is as
-    bright as the sun.
-    `elevation`, `azimuth`: the direction to the sun, above the ground and about the scene's up."""
+    `sun`, `sky`: the strength of the light from the sun and from the sky.
+    `haze`, `lamps`: the strength of the haze, and of the lamps. A lamp is an item with `look: light`. At a distance of ten
+    times its radius, a lamp of 100 % is as bright as the sun.
+    `elevation`, `azimuth`: the direction to the sun, as angles above the ground and around the scene's up axis."""
 
     sun: LightStrength = DEFAULT_LIGHT.sun
     sky: LightStrength = DEFAULT_LIGHT.sky

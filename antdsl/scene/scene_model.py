@@ -93,10 +93,10 @@ else:
 
 
 class FieldStart(ScenePart):
-    """Starting values of a field.
+    """The values of a field at the start.
 
-    `start`: the value, everywhere, or only within `radius` of a point or an item.
-    `around`: the point or item (default: the origin)."""
+    `start`: the value everywhere or, with `radius`, only within this distance of a point or an item.
+    `around`: this point or item (default: the origin)."""
 
     start: Annotated[float, BeforeValidator(parse_number_between(0, 1e9))]
     around: PointOrName | None = None
@@ -104,17 +104,18 @@ class FieldStart(ScenePart):
 
 
 class LevelOfDetail(ScenePart):
-    """Level of detail by distance from the camera.
+    """Simpler feelers for agents that are far from the camera.
 
-    `near`: up to here, feelers hit triangles.
-    `far`: up to here, feelers hit the boxes of the pieces of obstacles. Beyond it, they hit nothing."""
+    `near`: up to this distance, feelers find the triangles of meshes.
+    `far`: up to this distance, feelers find only boxes around the parts of obstacles. Beyond it, they find nothing."""
 
     near: PositiveLength
     far: PositiveLength | None = None
 
 
 class OutputModel(ScenePart):
-    """The data that a cache stores: `attributes` of agents, `events`, and a checkpoint every `checkpoint` frames."""
+    """What the cache of a run stores. `attributes`: of the agents. `events`: the events of each frame. `checkpoint`: the
+    number of frames from one checkpoint to the next."""
 
     attributes: tuple[Annotated[str, BeforeValidator(lambda v: v)], ...] = DEFAULT_ATTRIBUTE_NAMES
     checkpoint: Annotated[int, BeforeValidator(parse_integer_between(1, 100_000))] = 50
@@ -122,7 +123,7 @@ class OutputModel(ScenePart):
 
 
 class Wrap(ScenePart):
-    """The range of each axis along which the world is periodic: what leaves it on one side enters on the other."""
+    """The range in which the world repeats, for each axis. What leaves the world on one side enters it on the other."""
 
     x: LengthRange | None = None
     y: LengthRange | None = None
@@ -130,7 +131,7 @@ class Wrap(ScenePart):
 
 
 class StartFrom(ScenePart):
-    """A frame of another cache. Its agents, items and fields are the start of the run."""
+    """A frame of another cache. The run starts with the agents, items and fields of this frame."""
 
     cache: FilePath
     frame: Annotated[int, BeforeValidator(parse_integer_between(-limits.MAX_FRAMES, limits.MAX_FRAMES * 1000))]
@@ -143,7 +144,7 @@ MODEL_BY_PATH: dict[str, type[ScenePart]] = {  # the models of mappings, by key
 
 
 class SceneModel(ScenePart):
-    """All keys of a scene. `stick`: how agents find meshes. `orient`: how bodies stand. `lod`: level of detail by distance."""
+    """All keys of a scene."""
 
     edition: Annotated[str, BeforeValidator(parse_one_of("1"))] = Field(alias="antdsl")
     extends: FilePath | None = None  # removed when the scenes are merged

@@ -50,11 +50,12 @@ class ThingModel(ScenePart):
 
 
 class MeshThing(ThingModel):
-    """A mesh file, transformed into the scene. `####` in its name means one file per frame.
+    """A mesh from a file. With `####` in the name of the file, there is one file for each frame.
 
-    It is scaled, its `up` becomes the scene's, it is rotated about x, then y, then z, and moved to `at`.
-    `group`: only this group or object of an .obj file, or only this node of a glTF file with all below it.
-    `weld`: vertices nearer to each other than this are merged."""
+    First the mesh is scaled, then its `up` axis becomes that of the scene. Then it is rotated about x, y and z, in this
+    order, and moved to `at`.
+    `group`: use only this group or object of an .obj file, or only this node of a glTF file and all nodes below it.
+    `weld`: merge vertices that are closer together than this distance."""
 
     names_file = True
 
@@ -82,13 +83,13 @@ class MeshThing(ThingModel):
 
 
 class HeightThing(ThingModel):
-    """A surface of heights: a 16-bit grey image (.png, .tif), or an array of an .npz file.
+    """A surface from heights: a grey image with 16 bits (.png, .tif), or an array of an .npz file.
 
-    `array`: the name of the array, if the file has several.
-    `layer`: the first index, if the array has three dimensions.
-    `extent`: the size along x and the other horizontal axis, centred at the surface's own origin.
-    `scale`: the height of a sample of 1.
-    `offset`: added to all heights."""
+    `array`: the name of the array, if the file contains several.
+    `layer`: the first index of the array, if it has three dimensions.
+    `extent`: the size along x and along the other horizontal axis. The origin of the surface is in its centre.
+    `scale`: the height that a value of 1 stands for.
+    `offset`: a height that is added everywhere."""
 
     names_file = True
 
@@ -105,8 +106,7 @@ class HeightThing(ThingModel):
 
 
 class UsdItemDefaults(ScenePart):
-    """Defaults for items from points of a USD file: a radius, and values of attributes. They apply where the file has no
-    value."""
+    """The radius and the attributes of items from a USD file, where the file has no values for them."""
 
     model_config = ConfigDict(extra="allow", frozen=True, arbitrary_types_allowed=True, hide_input_in_errors=True)
     __pydantic_extra__: dict[str, AnyQuantity] = Field(init=False)
@@ -115,12 +115,12 @@ class UsdItemDefaults(ScenePart):
 
 
 class UsdThing(ThingModel):
-    """The contents of a USD file at and below a prim: meshes, one curve, or points.
+    """The content of a USD file at and below a prim: meshes, one curve, or points.
 
-    Units, axes, positions and time come from the file. Then `scale`, `rotate`, `at` and `keys` are applied.
-    `prim`: by default, the complete file.
-    `kind`: items may be all empties of this kind below the prim; by default, the name of the items.
-    `turn`: the attributes that receive the direction of the empties."""
+    The file defines units, axes, positions and time. Then `scale`, `rotate`, `at` and `keys` are applied.
+    `prim`: the path of the prim; by default, the complete file is used.
+    `kind`: use all empties of this kind below the prim as items; by default, the kind is the name of the items.
+    `turn`: the attributes that get the direction of each empty."""
 
     names_file = True
 
@@ -149,7 +149,7 @@ PlacedThing = ScaledThing | HeightThing
 
 
 class CurveThing(ThingModel):
-    """A polyline from a JSON file of points. `####` in its name means one file per frame."""
+    """A line through the points of a JSON file. With `####` in the name of the file, there is one file for each frame."""
 
     names_file = True
 
@@ -165,17 +165,18 @@ FalloffWord = Annotated[str, BeforeValidator(parse_one_of("none", "linear", "smo
 
 
 class FlowThing(ThingModel):
-    """The fields of all flows.
+    """The keys of all flows.
 
-    `on`: the surface of the flow; by default, all surfaces.
-    `strength`: a factor; below 0 it reverses the flow."""
+    `on`: the surface of the flow; by default, all surfaces have it.
+    `strength`: a factor for the flow; a negative one reverses it."""
 
     on: SceneName | None = None
     strength: FlowStrength = 1.0
 
 
 class SpreadFlow(FlowThing):
-    """A flow that decreases with the distance from its target. It is 0 beyond `radius`; without a radius, it is constant."""
+    """A flow that is strongest at its target and 0 at the distance `radius`. Without a radius, it is equally strong
+    everywhere."""
 
     radius: PositiveLength | None = None
     falloff: FalloffWord = "smooth"
@@ -183,10 +184,11 @@ class SpreadFlow(FlowThing):
 
 
 class TangentFlow(SpreadFlow):
-    """A flow along a curve, in the direction in which the curve was drawn. The curve is in the world or in a JSON file of points.
+    """A flow along a curve, in the direction in which the curve was drawn. The curve is one of the world, or one from a JSON
+    file.
 
-    `gather`: above 0, the flow also leads onto the curve. At the radius, this is the ratio of the part onto the curve to the part
-        along it."""
+    `gather`: if greater than 0, the flow also leads towards the curve. At the distance `radius`, the part towards the curve
+    is this many times the part along it."""
 
     tangent: FilePath
     gather: Annotated[float, BeforeValidator(parse_number_between(0, 10))] = 0.0
@@ -202,19 +204,20 @@ FlowTargetValue = Annotated[
 
 
 class TowardFlow(SpreadFlow):
-    """A flow toward a curve, an item, the nearest of some items, or a point."""
+    """A flow towards a curve, an item, the nearest of several items, or a point."""
 
     toward: FlowTargetValue
 
 
 class AwayFlow(SpreadFlow):
-    """A flow away from a curve, an item, the nearest of some items, or a point."""
+    """A flow away from a curve, an item, the nearest of several items, or a point."""
 
     away: FlowTargetValue
 
 
 class BorderFlow(FlowThing):
-    """A flow inward from the open borders of a surface, within the distance `within` of a border."""
+    """A flow away from the open borders of a surface, into the surface. `within`: the distance from a border at which it
+    ends."""
 
     border: SceneName
     within: PositiveLength
@@ -223,12 +226,14 @@ class BorderFlow(FlowThing):
 
 
 class SolvedFlow(FlowThing):
-    """A flow along the cheapest path over the surfaces to a target. A millimetre costs 1, plus the following terms.
+    """A flow along the cheapest path over the surfaces to a target. Each millimetre costs 1, and more for the following
+    reasons.
 
-    `slope`: times the sine of the ground's slope.
-    `room`: a cost within this distance of an obstacle.
-    `maps`: the values of maps, each times its factor.
-    `crowding`: times the share of the ground covered by agents. The share is measured again after each interval `every`."""
+    `slope`: this cost, times the sine of the ground's slope.
+    `room`: up to this distance from an obstacle, a cost that increases towards the obstacle.
+    `maps`: the values of painted maps, each times the factor that you write here.
+    `crowding`: this cost, times the share of the ground that agents cover.
+    `every`: the time after which that share is measured again."""
 
     solved: FlowTargetValue
     slope: Annotated[float, BeforeValidator(parse_number_between(0, 1e6))] = 0.0
@@ -240,9 +245,10 @@ class SolvedFlow(FlowThing):
 
 
 class PaintedThing(ThingModel):
-    """Vectors of a flow or numbers of a map, painted on the vertices or faces of a surface.
+    """A flow or a map, painted on the vertices or faces of a surface. A flow consists of vectors, a map of numbers.
 
-    They are attributes of a .ply file, or an array of an .npz file. Their order is that of the surface's own file."""
+    The values are attributes of a .ply file, or an array of an .npz file. Their order is that of the vertices or faces in the
+    surface's own file."""
 
     names_file = True
 
@@ -253,9 +259,9 @@ class PaintedThing(ThingModel):
 
 
 class ItemThing(ScenePart):
-    """One item: its position, its size, and the values of its attributes (any further key).
+    """One item, with its position and its radius. Every further key is an attribute of the item, with its value.
 
-    `on`: a surface onto which the item is dropped along the scene's up."""
+    `on`: the surface onto which the item drops along the scene's up axis."""
 
     model_config = ConfigDict(extra="allow", frozen=True, arbitrary_types_allowed=True, hide_input_in_errors=True)
     __pydantic_extra__: dict[str, AnyQuantity] = Field(init=False)
@@ -268,10 +274,11 @@ class ItemThing(ScenePart):
 
 
 class LampThing(ThingModel):
-    """A lamp: a sphere that emits light, at a point.
+    """A lamp: a sphere that gives light.
 
-    `power`: its strength; at a distance of ten radii, 100 % is as bright as the sun. `colour`: of its light, as display values
-    from 0 to 1; it does not change the brightness. `keys`: its position at some frames."""
+    `power`: the strength. At a distance of ten times its radius, a lamp of 100 % is as bright as the sun.
+    `colour`: the colour of the light, as three numbers from 0 to 1. It does not change the brightness.
+    `keys`: the position of the lamp at some frames."""
 
     lamp: PointValue
     radius: PositiveLength | None = None

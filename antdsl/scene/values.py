@@ -323,8 +323,8 @@ class ScenePart(BaseModel):
 
 
 class PositionKey(ScenePart):
-    """The position of a thing at one frame. It changes linearly between keys, and is constant before the first and after the
-    last."""
+    """The position of a thing at one frame. The thing moves evenly from one key to the next, and does not move before the
+    first key and after the last."""
 
     at: PointValue | None = None
     rotate: tuple[Angle, Angle, Angle] | None = None

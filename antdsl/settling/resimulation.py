@@ -41,7 +41,9 @@ class SettlingResult:
     def describe_result(self) -> str:
         """Return a text for the user that states the number of agents, their frames, and the checkpoint."""
         others = (
-            f"; {self.left_out_count:,} others are unchanged: their body or species was edited" if self.left_out_count else ""
+            f"; {self.left_out_count:,} other agents stay unchanged, because an edit changed their body or species"
+            if self.left_out_count
+            else ""
         )
         return f"settled {self.frames.describe_agents()}, from the checkpoint of frame {self.checkpoint_frame}{others}"
 
@@ -70,8 +72,8 @@ def _open_history(cache: EditedCache, scene: Path | None, grants: Mapping[str, P
     """Return the history of a cache with checkpoints. Raises SettlingError or ExplainError."""
     if not cache.original.checkpoints():
         raise SettlingError(
-            f"`{cache.folder}` has no checkpoints, which settling needs",
-            "settle the cache of a run: caches from `antdsl edit --to` have no checkpoints",
+            f"`{cache.folder}` has no checkpoints, but settling starts from a checkpoint",
+            "settle the cache of a run instead: caches from `antdsl edit --to` have no checkpoints",
         )
     shot = open_shot(cache.original, scene, grants, "settling")
     return CacheHistory(cache.original, shot, threads, cache.original.read_state_hashes(), has_feet=True)
@@ -134,8 +136,8 @@ class EditSettling:
         chosen = _choose_agents(cache, shot, affected)
         if not chosen:
             raise SettlingError(
-                f"the {len(affected):,} affected agents cannot be settled: edits gave each another body or species",
-                "settle before `replace` and `merge`: write the cache with `--to`, or change their lines",
+                f"the {len(affected):,} affected agents cannot be settled: edits changed the body or species of each",
+                "settle before you apply `replace` and `merge`: write the cache with `--to`, or change these edits",
             )
         lead = round(_REACTION_LEAD_SECONDS / shot.setting.dt)
         start, earliest = cache.frames()[0], min(history.checkpoint_frames(), default=0)
@@ -187,7 +189,7 @@ def _step(history: History, world: World) -> None:
         step(world)
     except LimitStop as stop:
         why = f"frame {world.frame + 1} cannot be simulated again: {stop.fault.brief_text}"
-        raise SettlingError(why, "remove agents by edits") from None
+        raise SettlingError(why, "remove the agents that cause this with an edit, such as `kill`") from None
     except FaultStop:
         pass  # the run continued after the fault
 

@@ -61,8 +61,8 @@ class Destination:
         total = sum(path.stat().st_size for path in files)
         if total > MAX_TASK_OUTPUT_BYTES:
             raise TaskRejectedError(
-                f"it made {total:,} bytes, and more than {MAX_TASK_OUTPUT_BYTES:,} are not fetched; name a folder that "
-                f"workers see too"
+                f"the task made {total:,} bytes, but at most {MAX_TASK_OUTPUT_BYTES:,} can be fetched; name a folder that the "
+                "workers can also write to"
             )
         listed = [[path.relative_to(task_folder).as_posix(), path.stat().st_size, _hash_file(path)] for path in files]
         return {"worker": worker.name, "made": key, "files": listed}

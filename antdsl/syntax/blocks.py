@@ -138,8 +138,8 @@ def cut_lines(scan: TokenScan, tokens: list[ScannedToken]) -> list[SourceLine]:
                 if not token.inserted_text:
                     line_end = line.tokens[-1].end
                     scan.report.error(
-                        "brace-on-own-line", "`{` on a separate line", Span(scan.source, token.start, token.end),
-                        "put it at the end of the line above", fix=_make_brace_fix(scan, line_end, token),
+                        "brace-on-own-line", "`{` is on a separate line", Span(scan.source, token.start, token.end),
+                        "write `{` at the end of the line above", fix=_make_brace_fix(scan, line_end, token),
                     )  # fmt: skip
                     scan.replace_by_blanks(line_end, token.start)
             chooses = bool(line.tokens) and get_token_text(scan, line.tokens[-1]) == "choose"
@@ -159,7 +159,7 @@ def cut_lines(scan: TokenScan, tokens: list[ScannedToken]) -> list[SourceLine]:
                 word = get_token_text(scan, token)
                 scan.report_error(
                     "missing-line-end",
-                    f"`{word}` on the same line after `}}`",
+                    f"`{word}` is on the same line after `}}`",
                     token.start,
                     token.end,
                     "begin a new line, or write `;`",

@@ -23,8 +23,8 @@ def pair_brackets(scan: TokenScan) -> list[ScannedToken] | None:
     for token in scan.tokens:
         depth += (token.kind == "open") - (token.kind == "close" and depth > 0)
         if depth > limits.MAX_BRACKET_DEPTH:
-            message = f"brackets nested more than {limits.MAX_BRACKET_DEPTH} deep"
-            scan.report_error("nesting-too-deep", message, token.start, token.end, "name inner parts with `let`")
+            message = f"brackets are nested more than {limits.MAX_BRACKET_DEPTH} levels deep"
+            scan.report_error("nesting-too-deep", message, token.start, token.end, "give the inner parts names with `let`")
             return None
     scan.tokens = join_continued_lines(scan)
     return _BracePairer(scan, _ParenthesisPairer(scan).pair_tokens()).pair_tokens()
@@ -85,10 +85,10 @@ class _ParenthesisPairer:
                 opening = "(" if text == ")" else "["
                 self.scan.report_error(
                     "unopened-bracket",
-                    f"`{text}` without a `{opening}`",
+                    f"`{text}` has no opening `{opening}`",
                     token.start,
                     token.end,
-                    "delete it, or add the opening one",
+                    "delete this bracket, or write the one that opens it",
                     "",
                 )
                 self.scan.replace_by_blanks(token.start, token.end)
@@ -135,7 +135,7 @@ class _ParenthesisPairer:
                     f"`{text}` is never opened",
                     token.start,
                     token.end,
-                    "delete it, or add the opening one",
+                    "delete this bracket, or write the one that opens it",
                     "",
                 )
                 self.scan.replace_by_blanks(token.start, token.end)
@@ -297,7 +297,12 @@ class _BracePairer:
     def drop_brace(self, token: ScannedToken) -> bool:
         """Report a `}` without a `{`. Return False, because the caller must omit this token."""
         self.scan.report_error(
-            "unopened-brace", "`}` without a `{`", token.start, token.end, "delete it, or write the `{` that it closes", ""
+            "unopened-brace",
+            "`}` has no opening `{`",
+            token.start,
+            token.end,
+            "delete this brace, or write the `{` that it closes",
+            "",
         )
         self.scan.replace_by_blanks(token.start, token.end)
         return False
@@ -318,7 +323,7 @@ class _BracePairer:
             last = self.out[stop - 1]
             word = get_token_text(self.scan, candidate)
             help = "write `{` at the end of this line"
-            self.scan.report_error("missing-brace", f"`{word}` without a `{{`", candidate.start, last.end, help, " {", last.end)
+            self.scan.report_error("missing-brace", f"`{word}` has no `{{`", candidate.start, last.end, help, " {", last.end)
             self.out.insert(stop, ScannedToken("open", last.end, last.end, -1, "{"))
             return True
         return self.drop_brace(token)

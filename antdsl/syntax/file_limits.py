@@ -42,8 +42,8 @@ def report_too_many(scan: TokenScan, lines: list[SourceLine]) -> bool:
     counts = ((species, limits.MAX_FILE_SPECIES, "species"), (statements, limits.MAX_FILE_STATEMENTS, "statements"))
     for entries, limit, noun in (*counts, (scan.tokens, limits.MAX_FILE_TOKENS, "words, numbers and signs")):
         if len(entries) > limit:
-            words = f"{len(entries):,} {noun} in one file, at most {limit:,} are allowed"
-            help = "move some of them to another file, and write `use NAME`"
+            words = f"{len(entries):,} {noun} in one file are too many: at most {limit:,} are allowed"
+            help = "move some of these to another file, and write `use NAME`"
             scan.report_error("too-many", words, entries[limit].start, entries[limit].end, help)
             return True
     return False

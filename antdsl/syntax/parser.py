@@ -75,7 +75,7 @@ def parse(source: Source) -> tuple[n.File, Report]:
     other = _detect_other_language(source.text)
     if other is not None:
         advice = f"a `.ant` file begins with `{FIRST_LINE}`"
-        report.error("not-an-ant-file", f"text looks like {other}", Span(source, 0, 1), advice)
+        report.error("not-an-ant-file", f"this text looks like {other}", Span(source, 0, 1), advice)
         return n.File(source, None, None, (), has_errors=True), report
     scanned = scan_tokens(source, report)
     if all(token.kind == "end" for token in scanned.tokens):
@@ -191,7 +191,7 @@ class _FileParser:
         for node in nodes:
             if isinstance(node, FileHeader):
                 if node.edition.value not in EDITIONS:
-                    message = f"edition `{node.edition.span.text}` is not known to this antdsl"
+                    message = f"edition `{node.edition.span.text}` is unknown to this version of antdsl"
                     self.report.error("unknown-edition", message, node.edition.span, UNKNOWN_EDITION_ADVICE)
                 return node.edition, lines[1:]
         return None, lines[1:]
@@ -252,8 +252,8 @@ class _FileParser:
         properties."""
         if len(line.tokens) > limits.MAX_EXPRESSION_DEPTH:
             for span in find_too_deep_nodes(node):
-                message = f"expression more than {limits.MAX_EXPRESSION_DEPTH} operations deep"
-                self.report.error("expression-too-deep", message, span, "give parts of it a name with `let`")
+                message = f"this expression is more than {limits.MAX_EXPRESSION_DEPTH} operations deep"
+                self.report.error("expression-too-deep", message, span, "give parts of the expression names with `let`")
                 return []
         if isinstance(node, n.Behaviour):
             self.check_results(node, line)
@@ -270,10 +270,10 @@ class _FileParser:
         if any(self.scan.has_fault(group.opening.start, group.closing_brace.end) for group in line.groups):
             return  # an unparsed line may be the result
         if not results:
-            help = "end it with a line that is only a value, such as `direction(target)`"
+            help = "end the behaviour with a line that is only a value, such as `direction(target)`"
             self.report.error("missing-result", f"behaviour `{node.name.text}` has no result", node.name.span, help)
         for extra in results[:-1]:
-            help = "give it a name with `let`, or delete it"
+            help = "give this value a name with `let`, or delete the line"
             self.report.error("second-result", f"behaviour `{node.name.text}` has more than one result", extra.span, help)
 
     # --- lines that cannot be read ---

@@ -193,7 +193,7 @@ class _Scanner:
             self.token_scan.report_error("bad-number", f"`{piece}` is not a number here", start, end, help)
             return self.mark_unreadable(start, end)
         if len(piece) > limits.MAX_NAME_CHARACTERS:
-            message = f"name of {len(piece)} characters, at most {limits.MAX_NAME_CHARACTERS} are allowed"
+            message = f"this name has {len(piece)} characters, but at most {limits.MAX_NAME_CHARACTERS} are allowed"
             self.token_scan.report_error("name-too-long", message, start, end, "choose a shorter name")
             self.reported_texts.add(piece)
         hyphened = _HYPHENATED_NAME_PATTERN.match(self.characters, start)
@@ -359,12 +359,12 @@ class _Scanner:
         stop = next((index for index in range(start + 1, line_end) if self.characters[index] in quotes), -1)
         if stop < 0:
             message = f"`{piece}` is not a sign of the language"
-            self.token_scan.report_error("unknown-sign", message, start, start + 1, 'put text in `"` quotes')
+            self.token_scan.report_error("unknown-sign", message, start, start + 1, 'write text in `"` quotes')
             self.token_scan.replace_by_blanks(start, start + 1)
             return start + 1
         self.token_scan.report_error(
             "wrong-quotes",
-            f"text in `{piece}` quotes",
+            f"this text is in `{piece}` quotes",
             start,
             stop + 1,
             f'write `"{self.characters[start + 1 : stop][:60]}"`',
@@ -378,12 +378,12 @@ class _Scanner:
             return self.add_token("text", start, end)
         smart = next((index for index in range(start + 1, end) if self.characters[index] in DOUBLE_QUOTES), -1)
         if smart > 0:
-            message = f"text ends in a `{self.characters[smart]}` quote"
+            message = f"this text ends in a `{self.characters[smart]}` quote"
             self.token_scan.report_error("wrong-quotes", message, smart, smart + 1, 'write `"`', '"')
             self.token_scan.replace_characters(smart, '"')
             return self.add_token("text", start, smart + 1)
         stop = start + len(_SWALLOWED_TAIL_PATTERN.sub("", piece))
-        message = "text without a closing quote"
+        message = "this text has no closing quote"
         self.token_scan.report_error(
             "unclosed-text", message, start, start + 1, 'end the text with `"` on the same line', '"', stop
         )

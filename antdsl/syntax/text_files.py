@@ -83,13 +83,13 @@ def _read_file(name: str, handle: int | None, report: Report) -> bytes | None:
         report.error("cannot-read", f"`{name}` is {why.kind}", None, "name a `.ant` file")
     except OSError as error:
         reason = (error.strerror or "unknown reason").lower()
-        report.error("cannot-read", f"cannot read `{name}`: {reason}", None, "check the name and your permission to read it")
+        report.error("cannot-read", f"cannot read `{name}`: {reason}", None, "check the name, and whether you may read the file")
     return None
 
 
 def _report_too_large(name: str, report: Report) -> None:
     max_kib = limits.MAX_PROGRAM_BYTES // limits.KIB
-    help = 'split it, and bring the parts in with `use "./part.ant" as part`'
+    help = 'split the file, and bring in the parts with `use "./part.ant" as part`'
     report.error("file-too-large", f"`{name}` is larger than {max_kib} KiB", None, help)
 
 

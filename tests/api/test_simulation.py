@@ -97,8 +97,8 @@ MISTAKES = [
     (lambda s: s["forager"].__setitem__("lood", 0), "did you mean `load`?"),
     (lambda s: s["forager"].__setitem__("load", [1, 2]), "`load` needs numbers of the shape (500,)"),
     (lambda s: s["forager"].__setitem__("load", "much"), "`load` needs numbers"),
-    (lambda s: s["forager"].__setitem__("load", float("nan")), "`load` needs finite numbers"),
-    (lambda s: s["forager"].__setitem__("load", 1e300), "`load` needs finite numbers"),
+    (lambda s: s["forager"].__setitem__("load", float("nan")), "`load` needs finite numbers, without nan and inf"),
+    (lambda s: s["forager"].__setitem__("load", 1e300), "`load` needs finite numbers, without nan and inf"),
     (lambda s: s.items["food"]["lood"], "there is no array of the items `food` `lood`; did you mean `load`?"),
     (lambda s: s.set_param("forager.smel", 1), "there is no param `forager.smel`; did you mean `forager.smell`?"),
     (lambda s: s.set_param("forager.smell", "3 s"), "is a length, not a time"),
@@ -278,5 +278,5 @@ def test_a_sweep_checks_everything_before_it_runs() -> None:
         with pytest.raises(antdsl.AntdslError, match=message):
             antdsl.sweep(FORAGING, **wrong)  # type: ignore[arg-type]
     for empty in ({"seeds": []}, {"seeds": 0}, {"vary": {"forager.smell": []}}):
-        with pytest.raises(antdsl.AntdslError, match="nothing to run"):
+        with pytest.raises(antdsl.AntdslError, match="this sweep has no runs"):
             antdsl.sweep(FORAGING, **empty)  # type: ignore[arg-type]

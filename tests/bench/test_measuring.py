@@ -156,7 +156,7 @@ def test_code_that_no_folder_keeps_has_no_time_to_be_loaded_in(monkeypatch: pyte
     measurement = measure_job(BenchJob("node", 60, ("native",), turns=1, steps=1))
     assert measurement.set_up.code and measurement.set_up.kept is None
     (line,) = list_messages(BenchCaseResult((measurement,)))
-    assert line.startswith("native: compiled code is not stored in") and "there is none (Permission denied)" in line
+    assert line.startswith("native: compiled code is not stored in") and "no such key exists (Permission denied)" in line
 
 
 def test_missing_machine_code_is_reported_with_the_times(

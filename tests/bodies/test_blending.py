@@ -247,7 +247,7 @@ def test_agents_of_different_trees_are_each_as_alone() -> None:
         assert alone.world_transforms[0].tobytes() == poses.world_transforms[k].tobytes()
     with pytest.raises(ValueError, match=r"`weights` of 4 agents has the shape \(4, 1\); it must be \[4, 2 or more\]"):
         blend_poses(build_clip_table(BODY), GROUPS, replace(playing, weights=playing.weights[:, :1]))
-    with pytest.raises(IndexError, match="trees are numbered from 0 to 2"):
+    with pytest.raises(IndexError, match="blend trees are numbered from 0 to 2"):
         blend_poses(build_clip_table(BODY), GROUPS, replace(playing, tree_indices=np.array([0, 1, 2, 3], np.int32)))
 
 
@@ -278,14 +278,14 @@ def test_lists_that_do_not_fit_are_refused_by_the_agent() -> None:
         build_playback(table, two, names, np.zeros(3), zeros)
     with pytest.raises(ValueError, match="agent 1: 0 layers have the parent -1"):
         build_playback(table, two, names, zeros, zeros, None, None, two, np.zeros(2, int), zeros, np.array([-1, 0]))
-    with pytest.raises(ValueError, match="give all three or none"):
+    with pytest.raises(ValueError, match="pass all three or none of them"):
         build_playback(table, two, names, zeros, zeros, None, None, two, np.zeros(2, int))
 
 
 @pytest.mark.parametrize("tree, why", [
     (dict(layers=(0,), groups=("",), parents=(0,)), "0 layers have the parent -1"),
     (dict(layers=(0,), groups=("",), modes=(0, 0), parents=(-1, -1)), "2 layers have the parent -1"),
-    (dict(layers=(0,), groups=("",), modes=(0, 0, 0), parents=(-1, 2, 1)), "layer 1 is its own ancestor"),
+    (dict(layers=(0,), groups=("",), modes=(0, 0, 0), parents=(-1, 2, 1)), "layer 1 is above itself"),
     (dict(layers=(0,), groups=("",), modes=(0, 0), parents=(-1, 2)), "a number from 0 to 1"),
     (dict(layers=(1,), groups=("",)), "layer that does not exist"),
     (dict(layers=(0,), groups=("",), modes=(3,)), "1 \\(additive\\) or 2"),

@@ -115,8 +115,8 @@ RIGS = [
     (rig('{"a": "b"}'), "wrong-value", '"b"', "write `[ … ]`"),
     (rig('{"a": [1]}'), "wrong-value", "[", None),
     (rig('{"": []}'), "wrong-value", '""', None),
-    ('{"rig_version": 2, "transforms": {"a": []}}', "wrong-value", "2", "write `1` if the file has this form"),
-    ('{"rig_version": true, "transforms": {"a": []}}', "wrong-value", "true", "write `1` if the file has this form"),
+    ('{"rig_version": 2, "transforms": {"a": []}}', "wrong-value", "2", "write `1` if the file has this format"),
+    ('{"rig_version": true, "transforms": {"a": []}}', "wrong-value", "true", "write `1` if the file has this format"),
     ('{"rig_version": 1}', "missing-key", "{", 'add `"transforms": {}`'),
     ('{"rig_version": 1, "transform": {"a": []}}', "unknown-key", '"transform"', 'write `"transforms"`'),
     ("[]", "wrong-value", "[", "write `{ … }`"),
@@ -128,12 +128,12 @@ RIGS = [
     (rig('{"arm": []}', f', "antdsl_rest": {{"arms": {STILL}}}'), "unknown-key", '"arms"', 'write `"arm"`'),
 ]  # fmt: skip
 LAYERS = [
-    ('{"version": 1, "name": "x"}', "wrong-value", "1", "write `2` if the file has this form"),
+    ('{"version": 1, "name": "x"}', "wrong-value", "1", "write `2` if the file has this format"),
     ('{"version": 2, "name": 3}', "wrong-value", "3", 'write `"…"`'),
     ('{"version": 2, "name": "x", "static": [{"transform": "a"}]}', "missing-key", "{", 'add `"shape": "…"`'),
     ('{"version": 2, "name": "x", "static": [{"transform": "", "shape": "s"}]}', "wrong-value", '""', None),
     ('{"version": 2, "name": "x", "static": [{"transform": "a", "shape": "s", "deformer": "linearskinning"}]}',
-     "wrong-value", '"linearskinning"', 'move it to `deforming`, or write `""`'),
+     "wrong-value", '"linearskinning"', 'move the shape to `deforming`, or write `""` as its deformer'),
     ('{"version": 2, "name": "x", "deforming": [{"shape": "s", "deformer": ""}]}', "wrong-value", '""', None),
     ('{"version": 2, "name": "x", "static": [{"transform": "a", "shape": "s", "bounds_scale": [1, 1]}]}',
      "wrong-value", "[1, 1]", None),
@@ -141,7 +141,7 @@ LAYERS = [
      "out-of-range", "-1", "write `0`"),
     ('{"version": 2, "name": "x", "static": [{"transform": "a", "shape": "s", "bounds_scale": [1, true, 1]}]}',
      "wrong-value", "true", None),
-    ('{"version": 2, "name": null}', "wrong-value", "null", "leave the key out"),
+    ('{"version": 2, "name": null}', "wrong-value", "null", "delete the key"),
     ('{"version": 2, "name": "x", "static": [null]}', "wrong-value", "null", "delete it"),
     ('{"version": 2, "name": "x", "static": [1, 2]}', "wrong-value", "[", None),
 ]  # fmt: skip
@@ -153,12 +153,12 @@ GROUPS = [
     ('{"version": 2, "name": "x", "members": {}}', "wrong-value", "{", "write `[ … ]`"),
 ]
 METADATAS = [
-    ('{"a": {"type": "int", "value": 2.5}}', "wrong-value", "2.5", "write `2`, or the type `float`"),
+    ('{"a": {"type": "int", "value": 2.5}}', "wrong-value", "2.5", "write the whole number `2`, or change the type to `float`"),
     ('{"a": {"type": "vector3", "value": [1, 2]}}', "wrong-value", "[", None),
     ('{"a": {"type": "string", "value": 1}}', "wrong-value", "1", None),
     ('{"a": {"type": 1, "value": 1}}', "wrong-value", "1", 'write it in quotes, such as `"float"`'),
     ('{"a": true}', "wrong-value", "true", "write `1`"),
-    ('{"a": null}', "wrong-value", "null", "leave the key out"),
+    ('{"a": null}', "wrong-value", "null", "delete the key"),
     ("[1]", "wrong-value", "[", 'write `{"name": 1}`'),
 ]
 CASES = [

@@ -66,12 +66,13 @@ def test_a_clip_that_is_written_is_read_as_it_was() -> None:
 
 
 CASES = [
-    ('{"arm:tx": [0, 1], "arm:ty": [0, 1, 2]}', "", "wrong-value", '"arm:ty"', "give all the same number, or a single one"),
+    ('{"arm:tx": [0, 1], "arm:ty": [0, 1, 2]}', "", "wrong-value", '"arm:ty"', 
+         "give all channels the same number of samples, or a single sample"),
     ('{"arm:rx": [0, 1]}', "", "missing-key", '"arm:rx"', 'add `"rotation_order": "xyz"`'),
     ('{"arm:rx": [0, 1]}', '"rotation_order": "xyz",', "missing-key", '"arm:rx"', 'add `"angles": "degrees"`'),
     ('{"arm:rx": [0, 1]}', '"rotation_order": "xyx", "angles": "degrees",', "wrong-value", '"xyx"', 'write `"xyz"`'),
     ('{"arm:tq": [0, 1]}', "", "unknown-name", '"arm:tq"', 'write `"tz"`'),
-    ('{"arm:tx": []}', "", "wrong-value", "[]", "leave the channel out"),
+    ('{"arm:tx": []}', "", "wrong-value", "[]", "delete the channel"),
     ('{"arm:tx": [0, 1e39]}', "", "out-of-range", "1e39", None),
     ('{"arm:tx": [0, "1"]}', "", "wrong-value", '"1"', None),
     ("{}", "", "wrong-value", "{", 'write `{"JOINT:tx": [0, 1]}`'),

@@ -138,7 +138,9 @@ def test_a_library_name_is_a_body_with_clips_that_are_played(folder: Path) -> No
 def test_without_a_body_it_is_the_one_that_suits_the_name(folder: Path) -> None:
     (error,) = open_scene(written(folder, crowd=2 * CROWD.replace(", body: walker.json", "")))[1].errors
     assert (error.span.text if error.span else "") == "walker" and "`ant` has no clip `wave`" in error.message
-    assert error.help is not None and error.help.endswith("`walker` has this one, by its name: add `body: …` for another")
+    assert error.help is not None and error.help.endswith(
+        "`walker` has this body because of its name: write `body: …` in the crowd line to choose another one"
+    )
 
 
 def test_a_mark_is_one_of_the_clip_that_the_state_plays(folder: Path) -> None:
@@ -191,8 +193,8 @@ def test_names_in_files_are_converted_to_names_of_the_language(folder: Path) -> 
     assert shot.setting.clips["walker"]["armature_walk"].marks["left_foot"] == 0
     (error,) = open_scene(written(folder))[1].errors
     assert error.message == "`walker.json` has no clip `walk`, no clip `wave`, no transform group `arms`, no mark `left`"
-    assert "clip `wave`: did you mean `wave_01`? it has `armature_walk`, `idle`, `run`, `wave_01`; " in str(error.help)
-    assert "transform group `arms`: it has `right_arm`" in str(error.help)
+    assert "clip `wave`: did you mean `wave_01`? its clips are `armature_walk`, `idle`, `run`, `wave_01`; " in str(error.help)
+    assert "transform group `arms`: its transform groups are `right_arm`" in str(error.help)
     assert [label.text for label in error.labels] == ["played here", "played here", "named here", "requested here"]
 
 
@@ -209,12 +211,12 @@ def summarise_report(report: Report) -> list[tuple[str, str, str | None]]:
     "old, new, code, place, help",
     [
         ("play walk", "play wlak", "unknown-name", "walker.json", "did you mean `walk`?"),
-        ("play walk", "play swim", "unknown-name", "walker.json", "it has `idle`, `run`, `walk`, `wave`"),
-        ("on: arms", "on: wings", "unknown-name", "walker.json", "it has `arms`"),
+        ("play walk", "play swim", "unknown-name", "walker.json", "its clips are `idle`, `run`, `walk`, `wave`"),
+        ("on: arms", "on: wings", "unknown-name", "walker.json", "its transform groups are `arms`"),
         ("clip at left", "clip at lift", "unknown-name", "walker.json", "did you mean `left`?"),
         ("body: walker.json", "body: runner.json", "no-such-file", "runner.json", None),
         ("body: walker.json", "body: parson", "wrong-value", "parson", "did you mean `person`?"),
-        ("body: walker.json", "body: walker.fbx", "wrong-kind", "walker.fbx", "Blender reads it and writes both"),
+        ("body: walker.json", "body: walker.fbx", "wrong-kind", "walker.fbx", "for example with Blender, which reads this"),
         ("body: walker.json", "body: ../walker.json", "bad-path", "../walker.json", None),
         (CROWD, CROWD + CROWD.replace("walker.json", "person"), "wrong-value", "person", None),
     ],

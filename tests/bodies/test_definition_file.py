@@ -158,7 +158,7 @@ def test_one_finding_of_a_kind_is_reported_at_each_place(folder: Path) -> None:
     rig = {**RIG, "antdsl_rest": {"hand": [[1, 0, 0, 0]]}}
     _, diagnostics = read(folder, rig=rig, layers=[layer])
     assert sorted(each.message for each in diagnostics) == [
-        "`bounds_scale` has 1 value: too few", "`hand` has 1 value: too few", "a binding has no `transform`",
+        "`bounds_scale` has 1 value, which is too few", "`hand` has 1 value, which is too few", "a binding has no `transform`",
     ]  # fmt: skip
 
 
@@ -214,10 +214,10 @@ def test_a_library_is_found_by_its_condensed_path_or_where_a_root_grants_the_abs
         ({"rig": {"file": "../rig.json"}}, "bad-path", '"../rig.json"', None),
         ({"rig": {"file": "/etc/passwd"}}, "bad-path", '"/etc/passwd"', None),
         ({"rig": {"file": "rog.json"}}, "no-such-file", '"rog.json"', None),
-        ({"rig": RIG, "clips": [{"file": "walk.bclip"}]}, "wrong-kind", '"walk.bclip"', "its format is not pub"),
-        ({"rig": RIG, "shapes": [{"file": "skin.bgeo.sc"}]}, "wrong-kind", '"skin.bgeo.sc"', "it is compressed"),
-        ({"rig": RIG, "shapelib_includes": [["$HIP/lib.bgeo.sc", ""]]}, "wrong-kind", None, "it is compressed"),
-        ({"from": "body.fbx"}, "wrong-kind", '"body.fbx"', "its format is not published: export it as glTF or USD"),
+        ({"rig": RIG, "clips": [{"file": "walk.bclip"}]}, "wrong-kind", '"walk.bclip"', "the format is not pub"),
+        ({"rig": RIG, "shapes": [{"file": "skin.bgeo.sc"}]}, "wrong-kind", '"skin.bgeo.sc"', "the file is compressed"),
+        ({"rig": RIG, "shapelib_includes": [["$HIP/lib.bgeo.sc", ""]]}, "wrong-kind", None, "the file is compressed"),
+        ({"from": "body.fbx"}, "wrong-kind", '"body.fbx"', "the format is not published: export the body as glTF or USD"),
         ({"from": "sword.obj"}, "wrong-kind", '"sword.obj"', "use a file of one of these types: .glb"),
         ({}, "missing-key", "{", 'add `"rig": {"file": "rig.json"}`'),
         ({"rig": RIG, "clip": []}, "unknown-key", '"clip"', 'write `"clips"`'),
@@ -238,7 +238,7 @@ def test_a_library_is_found_by_its_condensed_path_or_where_a_root_grants_the_abs
         ({"rig": RIG, "shapes": [{"file": "sword.obj", "name": "s"}], "layers": [{"version": 2, "name": "x",
           "deforming": [{"transform": "", "shape": "s", "deformer": "linearskinning"}]}]},
          "bad-body", '"linearskinning"', "take the shape from"),
-        ({"rig": RIG, "shapes": [{"file": "arm.glb"}]}, "unknown-name", "{", "give the rig"),
+        ({"rig": RIG, "shapes": [{"file": "arm.glb"}]}, "unknown-name", "{", "add the missing joint to the rig"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_reported_at_its_place(
@@ -254,8 +254,12 @@ def test_a_part_alone_is_no_definition(folder: Path, part: dict[str, Any], what:
     (folder / "part.json").write_text(json.dumps(part))
     definition, report = read_definition(folder / "part.json")
     (error,) = report.errors
-    assert definition is None and error.code == "wrong-kind" and error.message.startswith(f"this is {what}, not a definition")
-    assert (error.help or "").startswith('write a file `{"antdsl_body": 1, "')
+    assert (
+        definition is None
+        and error.code == "wrong-kind"
+        and error.message.startswith(f"this file contains {what}, which is only a part")
+    )
+    assert (error.help or "").startswith('write a body definition that names this file: `{"antdsl_body": 1, "')
 
 
 def test_unknown_deformers_and_channels_of_other_rigs_are_only_reported(folder: Path) -> None:

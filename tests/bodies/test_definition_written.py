@@ -126,7 +126,7 @@ def test_walker_is_written_both_ways_and_poses_are_the_same(tmp_path: Path) -> N
     assert body is not None
     same(body, read_back(tmp_path / "own", build_definition_files(body, "w"), "w.json"), 2e-6)
     data, notes = write_gltf(body, find_base_layer(body), text=False)
-    assert notes == ["transform groups are left out: glTF has none"]
+    assert notes == ["transform groups are left out: glTF cannot store groups"]
     scene = Scene(data)
     scene.check()
     definition = read_back(tmp_path / "gltf", {"w.glb": data}, "w.glb", rate=30.0)

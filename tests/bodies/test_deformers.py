@@ -246,9 +246,9 @@ def test_what_a_blend_shape_cannot_be_is_refused() -> None:
     for blend, why in ((BlendTargets(("gone",), ("smile",)), "gone"), (BlendTargets(("smile",), ("tail",)), "tail")):
         with pytest.raises(KeyError, match=why):
             face(replace(FACE, blend=blend), [0], [0])
-    with pytest.raises(ValueError, match="names no blend shapes"):
+    with pytest.raises(ValueError, match="needs the names of its blend shapes"):
         face(replace(FACE, blend=None), [0], [0])
-    with pytest.raises(ValueError, match="2 blend shapes and 1 channels"):
+    with pytest.raises(ValueError, match="2 blend shapes, but 1 channels"):
         face(replace(FACE, blend=BlendTargets(("smile", "open"), ("jaw",))), [0], [0])
 
 
@@ -313,7 +313,7 @@ def test_a_deformer_of_ones_own_is_used_by_its_name_alone_and_after_others(monke
     for name in ("", "swell", "a+b"):
         with pytest.raises(ValueError, match="cannot be the name of a deformer"):
             register_deformer(name, swell)
-    with pytest.raises(KeyError, match="no deformer `melt`; there are linearskinning"):
+    with pytest.raises(KeyError, match="no deformer `melt`; use one of linearskinning"):
         find_deformers("blendshape+melt")
 
 
@@ -329,7 +329,7 @@ def test_shapes_without_what_a_deformer_needs_are_refused() -> None:
     astray = replace(body.capture, names=("tail", *body.capture.names[1:]))
     for odd, name, error, why in (
         (replace(body, capture=None), "linearskinning", ValueError, "capture"),
-        (replace(body, dual_quaternion_blend="soft"), "dualquatblendskinning", ValueError, "no point attribute `soft`"),
+        (replace(body, dual_quaternion_blend="soft"), "dualquatblendskinning", ValueError, "needs the point attribute `soft`"),
         (replace(body, capture=astray), "linearskinning", KeyError, "follows joint `tail`"),
     ):  # fmt: skip
         with pytest.raises(error, match=why):

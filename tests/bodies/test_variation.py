@@ -99,7 +99,7 @@ def test_a_cache_keeps_it_and_a_body_without_is_as_it_was(tmp_path: Path) -> Non
     [
         ({"scale": {"Heed": [0.5, 2]}}, "there is no transform group `Heed`"),
         ({"materials": {"fir": [[1, 0, 0], [0, 1, 0]]}}, "there is no material `fir`"),
-        ({"materials": {"fur": [[1, 0, 0]]}}, "a material varies between two colours at least, not 1"),
+        ({"materials": {"fur": [[1, 0, 0]]}}, "a material needs at least two colours to vary between, but this one has 1"),
         ({"scale": {"Head": [0, 2]}}, None),
         ({"scale": {"Head": [1]}}, None),
         ({"scale": [1, 2]}, None),

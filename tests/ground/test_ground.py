@@ -51,7 +51,7 @@ def test_place_is_the_first_surface_from_above_or_the_nearest_point():
     assert footing.mesh.tolist() == [0, 1, 0]
     footing, is_placed = ground.place_points(points, UP, surface_names=["ground"])
     assert np.allclose(ground.position(footing)[1], [20, 0, 0], atol=1e-5)
-    with pytest.raises(KeyError, match="no surface `moon`"):
+    with pytest.raises(KeyError, match="has no surface `moon`"):
         ground.place_points(points, UP, surface_names=["moon"])
     tilted = MeshGround({"z up": (grid(100, 4)[0][:, [0, 2, 1]], grid(100, 4)[1])})
     footing, is_placed = tilted.place_points(np.array([[3.0, 4.0, 50.0]]), np.array([0, 0, 1.0]))

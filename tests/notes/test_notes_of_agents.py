@@ -150,7 +150,7 @@ def test_an_agent_that_is_too_late_is_reported_with_the_missing_distance(tmp_pat
     place = world.populations["ant"].position[row_of(world, agent)]
     missing = np.linalg.norm(place - world.items["leaves"].position[0]) - 6 - 30 * 29 / 24
     assert early.code == "far-target" and f"`ant.{agent}` cannot reach the target in time" in early.message
-    assert f"{missing:.1f} mm are missing" in early.message and early.span is not None
+    assert f"which is {missing:.1f} mm too short" in early.message and early.span is not None
     track = Track(world, 31)
     (late,) = report_missed_targets(shot.scene, world).diagnostics
     distance = np.linalg.norm(track.at("position", 30, agent) - world.items["leaves"].position[0]) - 6

@@ -109,7 +109,7 @@ def test_check_warns_of_targets_that_are_too_far(tmp_path: Path) -> None:
     open_directed(tmp_path, "{path: guards.0, along: [[0, 0, 0], [100, 0, 0]], frames: 200..210}", last=210)
     _, report = check_path(tmp_path / "scene.yaml", RunChoices())
     (warning,) = [each for each in report.diagnostics if each.code == "far-target"]
-    assert "cannot walk along the path in time: it walks 12 mm at most in 0.417 s" in warning.message
+    assert "cannot walk along the path in time: it walks at most 12 mm in 0.417 s" in warning.message
     assert warning.span is not None and warning.span.text.startswith("{path: guards.0")
 
 

@@ -166,9 +166,10 @@ def test_a_run_goes_on_from_a_checkpoint_with_what_is_shown(cache: Cache) -> Non
 @pytest.mark.parametrize(
     ("wear", "program", "message", "help"),
     [
-        ("het", PROGRAM, "the body of `bug` has no layer `het`", "did you mean `hat`? it has `body`, `hat`, `cap_1`, `crumb`"),
+        ("het", PROGRAM, "the body of `bug` has no layer `het`",
+         "did you mean `hat`? its layers are `body`, `hat`, `cap_1`, `crumb`"),
         ("{any: [hat, cat]}", PROGRAM, "the body of `bug` has no layer `cat`", "did you mean `hat`?"),
-        ("hat", PROGRAM.replace("wear crumb", "wear load"), "`bug.json` has no layer `load`", "it has `body`"),
+        ("hat", PROGRAM.replace("wear crumb", "wear load"), "`bug.json` has no layer `load`", "its layers are `body`"),
         ("hat", PROGRAM.replace("mouth_open", "mouth_op"), "`bug.json` has no channel `mouth_op`", "did you mean `mouth_open`?"),
         ("hat", PROGRAM.replace("look head", "look heed"), "`bug.json` has no transform group `heed`", "did you mean `head`?"),
     ],

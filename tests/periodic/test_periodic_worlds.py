@@ -295,8 +295,10 @@ def test_a_step_of_half_a_width_stops_the_run(tmp_path: Path) -> None:
     shot = open_world(tmp_path, QUICK.replace("SPEED", "7 mm/step"), "count: 40, place: {on: ground}")
     run(shot, 3)
     shot = open_world(tmp_path, QUICK.replace("SPEED", "14 mm/step"), "count: 40, place: {on: ground}")
-    with pytest.raises(LimitStop, match=r"bird \d+ at frame \d+: `velocity` is half of the world's width") as stop:
+    with pytest.raises(
+        LimitStop, match=r"bird \d+ at frame \d+: `velocity` is so high that the agent crosses half of the world"
+    ) as stop:
         run(shot, 3)
     assert "`max_speed`" in str(stop.value) and "step = " in str(stop.value)
     result = CliRunner().invoke(app, ["run", str(tmp_path / "scene.yaml"), "--out", str(tmp_path / "out"), "-q"])
-    assert result.exit_code == 1 and "half of the world's width" in str(result.exception)
+    assert result.exit_code == 1 and "half of the world or more in one step" in str(result.exception)

@@ -165,11 +165,15 @@ def test_simultaneous_stops_are_reported_together(scene: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message", "help"),
     [
-        ("load > 0", "no `load` is known here", "write `each walker: load > 0` to test every agent, or use a `count` of all"),
+        (
+            "load > 0",
+            "no `load` is known here",
+            "write `each walker: load > 0` to test every agent, or use `count` to test all agents together",
+        ),
         ("coun(walker) > 1", "no behaviour `coun`", "did you mean `count`?"),
         ("each waker: load > 0", "no species `waker`", "did you mean `walker`?"),
         ("each walker: speed > 1 kg", "`speed` is a speed and `1 kg` is a mass", "write"),
-        ("count(walker) >", "line ends after `>`, expected a value", "write it like `share(state == carry) > 0.9`"),
+        ("count(walker) >", "line ends after `>`, expected a value", "write the line like `share(state == carry) > 0.9`"),
         ('true\n}\nspecies moth { start go; state go { } }\nspec "x" { never: true', "is not one condition", "write one"),
         ("true\n never: true", "is not one condition", "write one"),
         ("count(walker) > 1 held 2 s", "is not one condition", "write one"),

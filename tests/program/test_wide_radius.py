@@ -127,14 +127,14 @@ def test_the_nearest_one_is_found_however_many_are_within(tmp_path: Path, query:
             "count(neighbours(900 m)) > 5",
             "{on: ground}",
             "count(neighbours(900 m))",
-            "neighbours in its radius; only the 256 nearest",
+            "neighbours in its radius, of which it uses only the 256 nearest",
         ),
-        ("count(all(walker, within: 900 m)) > 5", "{on: ground}", "count(all(walker, within: 900 m))", "write a smaller one"),
+        ("count(all(walker, within: 900 m)) > 5", "{on: ground}", "count(all(walker, within: 900 m))", "write a smaller radius"),
         (
             "count(neighbours(30 mm)) > 5",
             "{on: ground, radius: 10 mm}",
             "count(neighbours(30 mm))",
-            "they overlap, so give them more space, or write a smaller radius",
+            "the agents overlap: place them farther apart, or write a smaller radius",
         ),
     ],
 )

@@ -188,7 +188,7 @@ def test_prims_of_a_heavy_file_are_rejected_immediately(
         read("/r0")
     used = reader._used_cpu_seconds
     for number in range(1, 10):
-        with pytest.raises(usd.UsdError, match=f"`/r{number}` of `heavy.usda` cannot be read: reading it takes too long"):
+        with pytest.raises(usd.UsdError, match=f"`/r{number}` of `heavy.usda` cannot be read: reading the file takes too long"):
             read(f"/r{number}")
     assert reader._used_cpu_seconds == used, "no more time is taken"
 

@@ -167,7 +167,7 @@ def test_an_edit_that_renumbers_clips_lets_them_go_on() -> None:
         ("channel jaw = 1; channel jaw = age / 1 s", "two-writers", "keep one of them; choose with `if … then … else …`"),
         ("look head(at: self); look head(at: self, over: 0 s)", "two-writers", None),
         ("play wave(on: arms, on: legs)", "duplicate-argument", "delete one of them"),
-        ("wear load when", "unfinished-line", "write it like `wear load when load > 0`"),
+        ("wear load when", "unfinished-line", "write the line like `wear load when load > 0`"),
         ("enter { play wave }", "misplaced", "write `play wave` as a line of the state itself"),
         ("play wave(on: 3)", "wrong-argument", "write `play wave(on: arms)`"),
         ("play wave(left: 3)", "wrong-argument", "write `play wave(left: wave_left)`"),

@@ -230,7 +230,7 @@ def test_a_cache_shows_what_was_dug_and_can_be_continued(scene, shot, tmp_path):
     [
         ("  hill: {mesh: hill.ply}", "missing-key", "voxel: 1 mm"),
         ("  hill: {mesh: hill.ply, voxel: 0.001 mm}", "too-large", "voxels of"),
-        ("  hill: {mesh: ground.ply, voxel: 1 mm}", "bad-mesh", "is not closed: 140 edges border on nothing"),
+        ("  hill: {mesh: ground.ply, voxel: 1 mm}", "bad-mesh", "is not closed: 140 edges belong to only one face"),
     ],
 )
 def test_solids_that_cannot_be(tmp_path, line, code, word):

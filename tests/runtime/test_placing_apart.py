@@ -205,7 +205,8 @@ def test_a_place_without_room_says_how_many_fit(folder: Path) -> None:  # noqa: 
     assert diagnostic.code == "no-room" and diagnostic.severity == "warning"
     assert diagnostic.span is not None and diagnostic.span.text == "{on: ground, around: apple, radius: 20 mm}"
     assert diagnostic.message == (
-        f"only {line.fitting_count} of 200 `ant` have space at the start: with a radius of 2 mm they cover 2,513 of 1,257 mm²"
+        f"only {line.fitting_count} of 200 `ant` have space at the start: with a radius of 2 mm "
+        "all of them would cover 2,513 of 1,257 mm²"
     )
     assert diagnostic.help == "write `radius: 44 mm`, a smaller `count`, or a smaller `radius` in the program"
     # as many as it says do not meet each other

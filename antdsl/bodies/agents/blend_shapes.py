@@ -32,9 +32,12 @@ def apply_blend_shapes(
     rig lacks."""
     blend = shape.blend
     if blend is None:
-        raise ValueError(f"shape `{shape.name}` names no blend shapes (blendshape_shapenames)")
+        raise ValueError(f"shape `{shape.name}` needs the names of its blend shapes, in `blendshape_shapenames`")
     if len(blend.shapes) != len(blend.channels):
-        raise ValueError(f"shape `{shape.name}` has {len(blend.shapes)} blend shapes and {len(blend.channels)} channels for them")
+        raise ValueError(
+            f"shape `{shape.name}` has {len(blend.shapes)} blend shapes, but {len(blend.channels)} channels; use one channel "
+            "for each blend shape"
+        )
     n = max(len(poses.channels), len(deformed_shape.points))
     names = [
         name
@@ -85,11 +88,14 @@ def list_blend_knots(definition: Definition, name: str) -> tuple[list[SkinShape]
     pairs = [(1.0, primary)]
     if between is not None:
         if len(between.shapes) != len(between.weights):
-            raise ValueError(f"shape `{name}` has {len(between.shapes)} in-betweens and {len(between.weights)} weights for them")
+            raise ValueError(
+                f"shape `{name}` has {len(between.shapes)} in-betweens, but {len(between.weights)} weights; use one weight for "
+                "each in-between"
+            )
         for each, weight in zip(between.shapes, between.weights, strict=True):
             if any(abs(weight - other) < _MIN_KNOT_SPACING for other in (0.0, *(known for known, _ in pairs))):
                 raise ValueError(
-                    f"in-between `{each}` of shape `{name}` has weight {weight:g}; use values other than 0 and 1, each once"
+                    f"in-between `{each}` of shape `{name}` has weight {weight:g}; use each weight once, and neither 0 nor 1"
                 )
             pairs.append((weight, definition.shapes[each]))
     pairs.sort(key=lambda pair: pair[0])

@@ -69,28 +69,29 @@ class ClipBlendTree:
     def __post_init__(self) -> None:
         count = len(self.modes)
         if len(self.groups) != len(self.layers) or len(self.parents) != count:
-            raise ValueError("each clip needs a layer and a transform group, and each layer a mode and a parent")
+            raise ValueError("each clip needs a layer and a transform group, and each layer needs a mode and a parent")
         if any(mode not in (INTERPOLATE_BLEND_MODE, ADDITIVE_BLEND_MODE, OVERRIDE_BLEND_MODE) for mode in self.modes):
             raise ValueError(
-                f"the mode of a layer is {INTERPOLATE_BLEND_MODE} (interpolate), {ADDITIVE_BLEND_MODE} (additive) "
-                f"or {OVERRIDE_BLEND_MODE} (over)"
+                f"the mode of a layer must be {INTERPOLATE_BLEND_MODE} (interpolate), {ADDITIVE_BLEND_MODE} (additive) or "
+                f"{OVERRIDE_BLEND_MODE} (over)"
             )
         if any(not 0 <= layer < count for layer in self.layers):
             raise ValueError(f"a clip is an input of a layer that does not exist: layers are numbered from 0 to {count - 1}")
         if any(not NO_PARENT_LAYER <= parent < count for parent in self.parents):
             raise ValueError(
-                f"the parent of a layer is a number from 0 to {count - 1}, or {NO_PARENT_LAYER} for the topmost layer"
+                f"the parent of a layer must be a number from 0 to {count - 1}, or {NO_PARENT_LAYER} for the topmost layer"
             )
         if self.parents.count(NO_PARENT_LAYER) != 1:
             raise ValueError(
-                f"{self.parents.count(NO_PARENT_LAYER)} layers have the parent {NO_PARENT_LAYER}; it is the topmost one alone"
+                f"{self.parents.count(NO_PARENT_LAYER)} layers have the parent {NO_PARENT_LAYER}, but exactly one layer must "
+                "have it: the topmost one"
             )
         for layer in range(count):
             above, depth = layer, 0
             while above != NO_PARENT_LAYER:
                 above, depth = self.parents[above], depth + 1
                 if depth > count:
-                    raise ValueError(f"layer {layer} is its own ancestor, with the parents {self.parents}")
+                    raise ValueError(f"layer {layer} is above itself: the parents {self.parents} form a circle")
 
     @property
     def root(self) -> int:
@@ -145,7 +146,7 @@ def blend_poses(
     _check_shapes(playback)
     n, joints = len(playback.tree_indices), len(table.joint_order)
     if n and not 0 <= int(playback.tree_indices.min()) <= int(playback.tree_indices.max()) < len(playback.trees):
-        raise IndexError(f"trees are numbered from 0 to {len(playback.trees) - 1}")
+        raise IndexError(f"blend trees are numbered from 0 to {len(playback.trees) - 1}")
     named = {name for tree in playback.trees for name in tree.groups if name}
     members = {name: table.compute_group_weights(groups[name]) for name in sorted(named)}
     world = np.empty((3, 4, joints, n), np.float32)

@@ -52,7 +52,7 @@ def build_playback(
         modes, layer_weights, parents = np.zeros(n, np.int32), np.ones(n, np.float32), np.full(n, NO_PARENT_LAYER, np.int32)
     layer_counts = np.asarray(layer_counts, np.int64)
     if modes is None or layer_weights is None or parents is None:
-        raise ValueError("layers need modes, weights and parents: give all three or none")
+        raise ValueError("layers need modes, weights and parents: pass all three or none of them")
     of_clips = {"clip names": names, "clip times": times, "clip weights": weights, "groups": groups, "layer ids": layer_ids}
     of_layers = {"layer modes": modes, "layer weights": layer_weights, "layer parents": parents}
     lists = [(what, values, counts) for what, values in of_clips.items()]

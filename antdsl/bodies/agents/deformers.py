@@ -67,7 +67,9 @@ def find_deformers(name: str) -> tuple[Deformer, ...]:
     unknown deformer; the message lists the existing names."""
     missing = [part for part in name.split("+") if part not in DEFORMER_BY_NAME]
     if missing:
-        raise KeyError(f"there is no deformer `{missing[0]}`; there are {', '.join(DEFORMER_BY_NAME)}, and these joined by `+`")
+        raise KeyError(
+            f"there is no deformer `{missing[0]}`; use one of {', '.join(DEFORMER_BY_NAME)}, or several of them joined by `+`"
+        )
     return tuple(DEFORMER_BY_NAME[part] for part in name.split("+"))
 
 

@@ -118,7 +118,7 @@ def unpack_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         definition = _read_definition(arrays)
         _check_bounds(definition)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError):
-        raise BodyError("is damaged: its data of a body is inconsistent") from None
+        raise BodyError("is damaged: the data of a body in it is inconsistent") from None
     return definition
 
 
@@ -232,7 +232,7 @@ def _read_capsule(sizes: Any) -> tuple[float, float, float, float] | None:
         return None
     length, width, height, ahead = (float(each) for each in sizes)
     if not all(abs(each) <= limits.MAX_NUMBER for each in (length, width, height, ahead)) or min(length, width) <= 0:
-        raise BodyError("has a capsule without size")
+        raise BodyError("has a capsule with no length or no width")
     return length, width, height, ahead
 
 

@@ -163,7 +163,7 @@ def _find_sample_rows(
     [n]."""
     clip = np.asarray(clips, np.int64) + 1
     if ((clip < 0) | (clip >= len(table.sample_counts))).any():
-        raise IndexError(f"clips are numbered from 0 to {len(table.names) - 1}, and -1 for none")
+        raise IndexError(f"clips are numbered from 0 to {len(table.names) - 1}; -1 stands for no clip")
     last = table.sample_counts[clip] - 1
     at = np.asarray(times, np.float64) * table.rates[clip]
     at = np.where(np.isfinite(at), at, 0.0)
@@ -268,7 +268,7 @@ def _order_by_depth(rig: Rig) -> tuple[NDArray[np.intp], tuple[tuple[int, int, N
         depth += above >= 0
         above = np.where(above >= 0, parents[above], -1)
         if depth.max(initial=0) > len(parents):
-            raise ValueError("joints of the rig are their own ancestors")
+            raise ValueError("some joints of the rig are above themselves: their parents form a circle")
     order = np.argsort(depth, kind="stable")
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
@@ -291,7 +291,7 @@ def _build_clip_rows(
     """Return the table rows of a clip, float32[F, W]. Joints that the clip does not animate have the rest pose."""
     count = clip.sample_count
     if count < 1 or not clip.rate > 0:
-        raise ValueError(f"clip `{clip.name}` has no samples, or its rate is not above 0")
+        raise ValueError(f"clip `{clip.name}` must have at least one sample, and a rate above 0")
     clip_parts = [clip.translation, clip.rotation, *([clip.scale] if has_scale else []), *([clip.shear] if has_shear else [])]
     expected_shapes = [(count, len(clip.joints), width) for width in (3, 4, 3, 3)]
     rig_parts = [np.repeat(part[None], count, 0) for part in rest]
@@ -305,7 +305,7 @@ def _build_clip_rows(
             rig_parts[place][:, :, rig_joints] = 0  # a clip without shear has shear 0
             continue
         if clip.joints and part.shape != expected_shapes[place]:
-            raise ValueError(f"clip `{clip.name}` has an array {part.shape} where {expected_shapes[place]} is needed")
+            raise ValueError(f"clip `{clip.name}` has an array {part.shape}, but needs {expected_shapes[place]}")
         if known:
             rig_parts[place][:, :, rig_joints] = np.moveaxis(part.astype(np.float64)[:, clip_joints], 2, 1)
     rig_parts[1] = _align_signs(normalise_quaternions(np.moveaxis(rig_parts[1], 1, 0)), rest[1])

@@ -99,7 +99,9 @@ def blend_skinning_methods(
     Raises the errors of `apply_linear_skinning`, and ValueError if the shape lacks the attribute."""
     name = shape.dual_quaternion_blend
     if name not in shape.attributes:
-        raise ValueError(f"shape `{shape.name}` has no point attribute `{name}` (deformDualQuaternionBlendAttrib) to blend by")
+        raise ValueError(
+            f"shape `{shape.name}` needs the point attribute `{name}`, which its `deformDualQuaternionBlendAttrib` names"
+        )
     share = shape.attributes[name].astype(np.float32).reshape(-1)[None, :, None]
     straight, turned_ = (
         apply_linear_skinning(deformed_shape, shape, definition, poses),
@@ -156,7 +158,7 @@ def _compute_joint_transforms(
     n]. A matrix transforms from the capture pose to the current pose."""
     capture = shape.capture
     if capture is None:
-        raise ValueError(f"shape `{shape.name}` does not state which joints its points follow (capture)")
+        raise ValueError(f"shape `{shape.name}` has no capture weights, so its points cannot follow joints")
     numbers = {name: number for number, name in enumerate(definition.rig.names)}
     missing = [name for name in capture.names if name not in numbers]
     if missing:

@@ -77,7 +77,7 @@ def _split_channels(form: ClipForm, root: JsonNode, report: Report, rig: Rig | N
             else:
                 report_unknown_name(report, place, "channel", channel, rig_channels, is_warning=True)
         elif part not in TRANSFORM_PARTS:
-            report_unknown_name(report, place, "part of a transform", part, TRANSFORM_PARTS)
+            report_unknown_name(report, place, "transform part", part, TRANSFORM_PARTS)
         elif names is not None and joint not in names:
             report_unknown_name(report, place, "joint", joint, names, is_warning=True)
         else:

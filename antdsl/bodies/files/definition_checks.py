@@ -115,14 +115,21 @@ def _check_binding(parts: LocatedDefinition, layer: str, binding: Binding, repor
     if binding.deformer not in DOCUMENTED_DEFORMERS:
         near = find_nearest_name(binding.deformer, DOCUMENTED_DEFORMERS)
         words = f"antdsl has no deformer `{binding.deformer[:60]}`"
-        report.warning("unknown-name", words, span, f'write `"{near}"`' if near else "register your own deformers first")
+        report.warning(
+            "unknown-name",
+            words,
+            span,
+            f'write `"{near}"`'
+            if near
+            else "write one of antdsl's deformers, or register your own deformer before you load the body",
+        )
     elif shape is not None:
         if binding.deformer.rpartition("+")[2] in SKINNING_DEFORMER_NAMES and shape.capture is None:
             words = f"no point of `{shape.name}` follows a joint, but `{binding.deformer}` needs joints"
             report.error("bad-body", words, span, "take the shape from a glTF or USD file with a skin, or bind it under `static`")
         if binding.deformer.startswith("blendshape") and shape.blend is None:
-            words = f"`{shape.name}` has no shapes to blend, but `{binding.deformer}` needs them"
-            help = "take it from a file with morph targets, or add `blendshape_shapenames` and `blendshape_channels`"
+            words = f"`{shape.name}` has no blend shapes, but `{binding.deformer}` needs them"
+            help = "use a shape from a file with morph targets, or add `blendshape_shapenames` and `blendshape_channels`"
             report.error("bad-body", words, span, help)
 
 
@@ -134,7 +141,10 @@ def _check_shape(definition: Definition, shape: SkinShape, place: Span | None, r
             near = find_nearest_name(missing[0], definition.rig.names)
             words = f"points of `{shape.name}` follow the joint `{missing[0][:60]}`, which the rig does not have"
             report.error(
-                "unknown-name", words, place, f"did you mean `{near}`?" if near else "give the rig the joints of the skin"
+                "unknown-name",
+                words,
+                place,
+                f"did you mean `{near}`?" if near else "add the missing joint to the rig, or export rig and skin together",
             )
     channels = [each.name for each in definition.rig.channels]
     blended = shape.blend.shapes if shape.blend else shape.in_betweens.shapes if shape.in_betweens else ()
@@ -146,7 +156,7 @@ def _check_shape(definition: Definition, shape: SkinShape, place: Span | None, r
     for name in shape.blend.channels if shape.blend else ():
         if name not in channels:
             near = find_nearest_name(name, channels)
-            words = f"`{shape.name}` blends by the channel `{name[:60]}`, which the rig does not have"
+            words = f"`{shape.name}` takes its blend weight from the channel `{name[:60]}`, which the rig does not have"
             report.error("unknown-name", words, place, f"did you mean `{near}`?" if near else "add it to the rig's `channels`")
 
 
@@ -159,7 +169,7 @@ def _check_legs(parts: LocatedDefinition, report: Report) -> None:
         if len(gait.phases) != len(definition.legs):
             count = len(definition.legs)
             words = f"`{gait.name}` has {len(gait.phases)} phases, but the body has {count} leg{'' if count == 1 else 's'}"
-            help = "give a phase for each leg, in the order of `legs`" if count else 'add `"legs": […]`'
+            help = "write one phase for each leg, in the order of `legs`" if count else 'add `"legs": […]`'
             report.error("wrong-value", words, parts.find_part_span("gaits", gait.name, ("phases",)), help)
     for slow, fast in pairwise(definition.gaits):
         if not slow.speed < fast.speed:
@@ -170,7 +180,9 @@ def _check_legs(parts: LocatedDefinition, report: Report) -> None:
                 if place is not None
             ]
             place = parts.find_part_span("gaits", fast.name, ("speed",))
-            report.error("wrong-value", words, place, "give them different speeds, or delete one", labels=tuple(labels))
+            report.error(
+                "wrong-value", words, place, "write a different speed for one of the gaits, or delete it", labels=tuple(labels)
+            )
     if definition.legs and not definition.gaits:
         line = 'add `"gaits": [{"name": "walk", "speed": …, "stride": …, "duty": 0.6, "lift": …, "phases": […]}]`'
         report.warning(
@@ -200,7 +212,7 @@ def _check_leg(parts: LocatedDefinition, leg: Leg, report: Report) -> None:
                 f"`{below[:60]}` is not below `{above[:60]}` in the rig",
                 parts.find_part_span("legs", leg.name, (key,)),
             )
-            report.error("bad-rig", words, place, "name joints from the hip down: upper, lower, ankle, foot")
+            report.error("bad-rig", words, place, "name the joints of the leg from the hip down: upper, lower, ankle, foot")
 
 
 def _measure_length(definition: Definition, parts: LocatedDefinition, report: Report) -> Definition | None:
@@ -213,6 +225,6 @@ def _measure_length(definition: Definition, parts: LocatedDefinition, report: Re
         length = float((np.abs(most - least) * np.abs(np.array(definition.front))).sum())
     if not np.isfinite(length) or length <= 1e-9:
         words = "the length of the body along its front cannot be measured"
-        report.warning("missing-key", words, parts.span, 'add `"length": 1` to its definition')
+        report.warning("missing-key", words, parts.span, 'add `"length": 1` to the definition of the body')
         return replace(definition, length=1.0)
     return replace(definition, length=length)

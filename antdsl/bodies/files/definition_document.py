@@ -49,7 +49,7 @@ def read_document(root: JsonNode, files: BodyFiles, name: str) -> LocatedDefinit
         rig = build_rig(form.rig, find_node(tree, ("rig",)), report)
     if rig is None:
         if form.base is None and form.rig is None:
-            words = "a definition needs joints: a `rig`, or a file for the whole body under `from`"
+            words = "this definition has no joints: add a `rig`, or the file of a body under `from`"
             report.error("missing-key", words, root.marked_span, 'add `"rig": {"file": "rig.json"}`')
         return None
     base = replace(base or Definition(name, rig), rig=rig)
@@ -143,8 +143,13 @@ def _report_part_file(root: JsonNode, report: Report) -> bool:
         return False
     for key, what, line in _PART_FILE_KEYS:
         if key in root.value:
-            words = f"this is {what}, not a definition; a definition refers to it as a part"
-            report.error("wrong-kind", words, find_span(root, (key,), key=True), f'write a file `{{"antdsl_body": 1, {line}}}`')
+            words = f"this file contains {what}, which is only a part of a body definition"
+            report.error(
+                "wrong-kind",
+                words,
+                find_span(root, (key,), key=True),
+                f'write a body definition that names this file: `{{"antdsl_body": 1, {line}}}`',
+            )
             return True
     return False
 
@@ -172,7 +177,7 @@ def _read_axes(form: BodyForm, root: JsonNode, base: Definition, report: Report)
     front, up = form.front or base.front, form.up or base.up
     if any(a and b for a, b in zip(front, up, strict=True)):
         node = root.get_inner("up") or root.get_inner("front")
-        words = "the front and the up axis of the body are parallel"
+        words = "the front axis and the up axis of the body are parallel"
         report.error("wrong-value", words, node.span if node is not None else None, 'write `"up": "+y"`')
     return {"front": front, "up": up}
 
@@ -224,7 +229,10 @@ def _resolve_clip_reference(
         if entry.file is None:
             base_clips.pop(entry.clip)
     if entry.name is not None and len(clips) > 1:
-        words, help = f"`name` is given, but the file has {len(clips)} clips", f'add `"clip": "{next(iter(clips))}"`'
+        words, help = (
+            f"`name` can name only one clip, but the file has {len(clips)} clips",
+            f'add `"clip": "{next(iter(clips))}"`',
+        )
         report.error("wrong-value", words, find_span(node, ("name",)), help)
         return []
     settings = {key: getattr(entry, key) for key in ("name", "loop", "stride", "marks", "feet") if key in entry.model_fields_set}

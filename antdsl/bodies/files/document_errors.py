@@ -100,7 +100,7 @@ def _convert_error(form: type[Form], root: JsonNode, error: Any) -> Diagnostic:
     if kind in _EXPECTED_BY_ERROR_TYPE:
         expectation, help = _EXPECTED_BY_ERROR_TYPE[kind]
         if node.value is None:
-            help = "delete it" if isinstance(last, int) else "leave the key out"
+            help = "delete it" if isinstance(last, int) else "delete the key"
         elif kind in _CONTAINER_ERROR_TYPES and example:
             help = f"write `{example}`"
         actual = "a number" if path and find_node(root, path[:-1]).has_plain_numbers else node.kind
@@ -110,7 +110,7 @@ def _convert_error(form: type[Form], root: JsonNode, error: Any) -> Diagnostic:
     node = find_node(root, path)
     count = len(node.value) if isinstance(node.value, list) else 0
     amount = "few" if kind == "missing" else "many"
-    words = f"{_describe_subject(path, owner)} has {count} value{'' if count == 1 else 's'}: too {amount}"
+    words = f"{_describe_subject(path, owner)} has {count} value{'' if count == 1 else 's'}, which is too {amount}"
     return Diagnostic("wrong-value", words, node.span if node.has_plain_numbers else node.marked_span)
 
 

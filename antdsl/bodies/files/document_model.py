@@ -145,7 +145,7 @@ class ClipForm(ClipSettings):
         rotation = next((name for name in self.channels if ":r" in name), None)
         if rotation is not None and (self.rotation_order is None or self.angles is None):
             missing = '"rotation_order": "xyz"' if self.rotation_order is None else '"angles": "degrees"'
-            words, path = "a clip with rotations must state their order and unit", ("channels", rotation)
+            words, path = "a clip with rotations must also have the order and the unit of the rotations", ("channels", rotation)
             raise make_value_error(words, f"add `{missing}`", code="missing-key", at=path, key=True)
         return self
 

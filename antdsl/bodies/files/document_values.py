@@ -35,7 +35,7 @@ def _check_text(value: str) -> str:
 def _check_nonempty(value: str) -> str:
     """Return the text. Raises an error if it is empty, too long, or contains a null character."""
     if not value:
-        raise make_value_error("expected a text here, but it is empty")
+        raise make_value_error("this text is empty")
     return _check_text(value)
 
 
@@ -56,7 +56,7 @@ def require_version(number: int) -> BeforeValidator:
     def check_version(value: Any) -> int:
         if value != number or isinstance(value, bool):
             raise make_value_error(
-                f"only version {number} of this form is supported", f"write `{number}` if the file has this form"
+                f"antdsl reads only version {number} of this file format", f"write `{number}` if the file has this format"
             )
         return number
 
@@ -88,7 +88,7 @@ def _check_names(entries: tuple[Any, ...]) -> tuple[Any, ...]:
     first: dict[str, int] = {}
     for number, entry in enumerate(entries):
         if entry.name in first:
-            words, place = f"`{entry.name}` is given twice", (number, "name")
+            words, place = f"there are two entries called `{entry.name}`", (number, "name")
             raise make_value_error(words, "keep one of them", code="duplicate-name", at=place, first=(first[entry.name], "name"))
         first[entry.name] = number
     return entries
@@ -105,7 +105,9 @@ def _read_unit(value: Any) -> float:
     unit = parse_unit_mm(value)
     if not unit:
         known = ", ".join(f"`{word}`" for word in UNIT_MM)
-        raise make_value_error(f"the unit of length must be one of {known}, or a multiple of one", 'write `"mm"`, or `"6 mm"`')
+        raise make_value_error(
+            f"the unit of length must be one of {known}, or a number of such units", 'write `"mm"`, or `"6 mm"`'
+        )
     return unit
 
 
@@ -157,7 +159,7 @@ def _check_matrix(rows: tuple[MatrixRow, MatrixRow, MatrixRow, MatrixRow]) -> tu
 def _check_joints(joints: dict[str, Texts]) -> dict[str, Texts]:
     """Return the joints of a rig. Raises an error if there are none."""
     if not joints:
-        raise make_value_error("a rig has at least one joint", 'write `{"root": []}`', code="bad-rig")
+        raise make_value_error("a rig needs at least one joint", 'write `{"root": []}`', code="bad-rig")
     return joints
 
 
@@ -169,15 +171,15 @@ def _reject_deformer(value: str) -> str:
     """Return the deformer of a static shape. Raises an error if it is not empty."""
     if value:
         words = f"a static shape cannot have a deformer, but this one has `{value[:60]}`"
-        raise make_value_error(words, 'move it to `deforming`, or write `""`')
+        raise make_value_error(words, 'move the shape to `deforming`, or write `""` as its deformer')
     return value
 
 
 def _check_colours(colours: tuple[RgbColour, ...]) -> tuple[RgbColour, ...]:
     """Return the colours of a varied material. Raises an error if there are fewer than two, or too many."""
     if not 2 <= len(colours) <= limits.MAX_BODY_PARTS:
-        words = f"a material varies between two colours at least, not {len(colours)}"
-        raise make_value_error(words, "write two colours, or more", code="wrong-count")
+        words = f"a material needs at least two colours to vary between, but this one has {len(colours)}"
+        raise make_value_error(words, "write at least two colours", code="wrong-count")
     return colours
 
 
@@ -204,14 +206,16 @@ Samples = Annotated[Any, PlainValidator(_read_samples)]
 def _check_channels(channels: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
     """Return the channels of a clip. Raises an error if there are no channels or samples, or if the numbers of samples differ."""
     if not channels:
-        raise make_value_error("a clip has at least one channel", f"write `{CHANNELS_EXAMPLE}`")
+        raise make_value_error("a clip needs at least one channel", f"write `{CHANNELS_EXAMPLE}`")
     longest, first = 1, ""
     for name, samples in channels.items():
         if not len(samples):
-            raise make_value_error(f"`{name[:60]}` has no samples", "leave the channel out", at=(name,), complete=True)
+            raise make_value_error(f"`{name[:60]}` has no samples", "delete the channel", at=(name,), complete=True)
         if len(samples) > 1 and longest > 1 and len(samples) != longest:
             words = f"`{name[:60]}` has {len(samples):,} samples, but `{first[:60]}` has {longest:,}"
-            raise make_value_error(words, "give all the same number, or a single one", at=(name,), key=True)
+            raise make_value_error(
+                words, "give all channels the same number of samples, or a single sample", at=(name,), key=True
+            )
         if len(samples) > longest:
             longest, first = len(samples), name
     return channels

@@ -93,7 +93,7 @@ def _report_missing_child(report: Report, place: Span, name: str, child: str, fr
     """Report a `child` of the joint `name` that is not a joint of the rig. `free_joints`: possible corrections."""
     near = find_nearest_name(child, free_joints)
     help = f'write `"{near}"`' if near else f'add `"{child}": []` to the transforms'
-    report.error("bad-rig", f"`{name}` has a child `{child}` that is not among the transforms", place, help)
+    report.error("bad-rig", f"`{name}` has the child `{child}`, which is missing from the transforms", place, help)
 
 
 def _report_cycles(report: Report, parent: Mapping[str, tuple[str, Span]]) -> bool:
@@ -107,7 +107,7 @@ def _report_cycles(report: Report, parent: Mapping[str, tuple[str, Span]]) -> bo
             if name in chain:
                 circle = list(chain)[list(chain).index(name) :]
                 circle_text = " below ".join(f"`{each}`" for each in [*circle[:4], *(["…"] if len(circle) > 4 else []), name])
-                words = f"the joints {circle_text} hang below each other in a circle"
+                words = f"the joints {circle_text} are children of each other in a circle"
                 report.error("bad-rig", words, parent[name][1], f"delete `{name}` here, so that one of them is a root")
                 has_circle = True
                 break
@@ -206,7 +206,10 @@ def read_metadata(root: JsonNode, report: Report) -> dict[str, Any]:
     """Return the entries of a metadata document. Report wrong entries and omit them."""
     if not isinstance(root.value, dict):
         report.error(
-            "wrong-value", f"metadata must be names with values, not {root.kind}", root.marked_span, 'write `{"name": 1}`'
+            "wrong-value",
+            f"metadata must consist of names with values, not of {root.kind}",
+            root.marked_span,
+            'write `{"name": 1}`',
         )
         return {}
     return {key: _read_value(each, report) for key, each in root.value.items()}
@@ -215,7 +218,7 @@ def read_metadata(root: JsonNode, report: Report) -> dict[str, Any]:
 def _read_value(node: JsonNode, report: Report) -> Any:
     """Return a metadata value; None after an error."""
     if isinstance(node.value, bool) or node.value is None:
-        help = f"write `{int(node.value)}`" if node.value is not None else "leave the key out"
+        help = f"write `{int(node.value)}`" if node.value is not None else "delete the key"
         words = f"expected a text, a number, a list or `{{ … }}` here, not {node.kind}"
         report.error("wrong-value", words, node.marked_span, help)
         return 0
@@ -244,7 +247,11 @@ def _read_typed_value(kind: JsonNode, inner: JsonNode, report: Report) -> TypedV
     elif not _matches_type(name, value):
         count = _COMPONENTS_BY_TYPE[name]
         expectation = f"a list of {count} numbers" if count else f"a value of the type `{name}`"
-        help = f"write `{round(value)}`, or the type `float`" if isinstance(value, float) and name == "int" else None
+        help = (
+            f"write the whole number `{round(value)}`, or change the type to `float`"
+            if isinstance(value, float) and name == "int"
+            else None
+        )
         report.error("wrong-value", f"expected {expectation} here", inner.marked_span, help)
     return TypedValue(name, value)
 

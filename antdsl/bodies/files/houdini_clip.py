@@ -148,7 +148,11 @@ class _ClipReader:
         number = min(numbers)
         if len(numbers) > 1 or number not in range(len(ROTATION_ORDERS)):
             place = next(place for name, (_, place) in tracks.items() if name.endswith(":rOrd"))
-            self._fail("the joints have no single order of rotations", place, "give all joints one constant `rOrd`, 0 to 5")
+            self._fail(
+                "the joints do not share one constant order of rotations",
+                place,
+                "write the same constant `rOrd` for all joints, a number from 0 to 5",
+            )
         return ROTATION_ORDERS[int(number)]
 
     def _make_node(self, value: list[float] | str | float, place: int) -> JsonNode:
@@ -166,7 +170,7 @@ class _ClipReader:
         """Return the number that the clip has under `key`."""
         words, place = entries.get(key, ([], self._place))
         if len(words) != 1:
-            self._fail(f"the clip does not state `{key}` as one number", place)
+            self._fail(f"the clip needs one number for `{key}`", place)
         return self._read_number(words[0], place)
 
     def _read_length(self, entries: dict[str, tuple[list[str], int]]) -> int:
@@ -202,7 +206,9 @@ class _ClipReader:
         samples: list[float] = []
         self._value_count += length
         if self._value_count > _MAX_VALUES:
-            self._fail(f"the clip has more than {_MAX_VALUES:,} samples", self._place, "use fewer samples per second")
+            self._fail(
+                f"the tracks of the clip have more than {_MAX_VALUES:,} samples", self._place, "use fewer samples per second"
+            )
         while self._peek() not in ("", "{", "}") and not self._is_key():
             place, word, count = self._place, self._take_word(), 1
             if word.startswith("@"):

@@ -180,14 +180,14 @@ class _JsonReader:
         assert match is not None
         offset = match.end()
         if self.text.startswith("/*", offset):
-            raise self.report_error(offset, offset + 2, "this comment is not closed", "write `*/` where it ends")
+            raise self.report_error(offset, offset + 2, "this comment has no end", "write `*/` at the end of the comment")
         return offset
 
     def read_document(self) -> JsonNode:
         """Return the node of the complete text, which must be a single value."""
         at = self.skip_whitespace(0)
         if at == len(self.text):
-            raise self.report_error(0, 0, f"the file is empty: expected {self.expected_part}", "write `{ … }`")
+            raise self.report_error(0, 0, f"the file is empty, but must contain {self.expected_part}", "write `{ … }`")
         node = self.read_value(at, 0)
         at = self.skip_whitespace(node.end)
         if at < len(self.text):
@@ -220,7 +220,7 @@ class _JsonReader:
         value = float(match[0])
         if not isfinite(value):
             words = f"`{match[0][:40]}` is too large for a number"
-            raise self.report_error(match.start(), match.end(), words, "write a smaller one", code="out-of-range")
+            raise self.report_error(match.start(), match.end(), words, "write a smaller number", code="out-of-range")
         return value if match[1] or match[2] else int(match[0])
 
     def read_number_array(self, offset: int) -> JsonNode | None:
@@ -263,7 +263,7 @@ class _JsonReader:
             name = str(key.value)
             if name in entries:
                 first = Label(Span(self.source, *keys[name]), "here first")
-                words = f"`{name[:60]}` is given twice"
+                words = f"the key `{name[:60]}` occurs twice"
                 raise self.report_error(key.start, key.end, words, "keep one of them", first, code="duplicate-key")
             place = self.skip_whitespace(key.end)
             if self.text[place : place + 1] != ":":
@@ -288,7 +288,7 @@ class _JsonReader:
     def require_text(self, offset: int, opening_offset: int, closing_bracket: str) -> int:
         """Return `offset` if the text continues there. Raises an error if it ends, although a bracket is open."""
         if offset >= len(self.text):
-            opening = Label(Span(self.source, opening_offset, opening_offset + 1), "this is still open")
+            opening = Label(Span(self.source, opening_offset, opening_offset + 1), "this bracket is still open")
             raise self.report_error(
                 offset, offset, f"the text ends before `{closing_bracket}`", f"write the missing `{closing_bracket}`", opening
             )
@@ -301,7 +301,7 @@ class _JsonReader:
         if self.text[at] == ",":
             return self.require_text(self.skip_whitespace(at + 1), opening_offset, closing_bracket)
         if self.text[at] != closing_bracket:
-            opening = Label(Span(self.source, opening_offset, opening_offset + 1), "this is still open")
+            opening = Label(Span(self.source, opening_offset, opening_offset + 1), "this bracket is still open")
             help = f"write `,` between two values, or `{closing_bracket}` at the end"
             raise self.report_error(end, end + 1, f"`,` or `{closing_bracket}` is missing here", help, opening)
         return at
@@ -318,11 +318,14 @@ class _JsonReader:
             text = str(json.loads(match[0]))
         except ValueError:
             raise self.report_error(
-                offset, match.end(), "this text has a `\\` without a meaning", "write `\\\\` for a backslash"
+                offset, match.end(), "a `\\` in this text has no meaning", "write `\\\\` if you mean a backslash"
             ) from None
         if _LONE_SURROGATE_PATTERN.search(text):
             raise self.report_error(
-                offset, match.end(), "this text has half of a character (a lone surrogate)", "write the character itself"
+                offset,
+                match.end(),
+                "this text contains only half of a character (a lone surrogate)",
+                "write the complete character",
             )
         return JsonNode(self.source, text, offset, match.end())
 

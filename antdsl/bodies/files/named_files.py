@@ -29,13 +29,15 @@ _ROOT_PREFIX_PATTERN = re.compile("[A-Za-z][A-Za-z0-9_]{1,31}:")
 _VARIABLE_PATTERN = re.compile(r"\$(?:\{([A-Za-z][A-Za-z0-9_]*)\}|([A-Za-z][A-Za-z0-9_]*))/(.*)", re.DOTALL)
 # Formats of other programs that cannot be read, with alternatives.
 _HELP_BY_CLOSED_FORMAT = {
-    "bclip": "its format is not published: write it as text by Houdini's `clcp walk.bclip walk.clip`, or export glTF or USD",
-    "sc": "it is compressed: save it as .bgeo, .geo or .clip",
-    "fbx": "its format is not published: export it as glTF or USD; Blender reads it and writes both",
+    "bclip": (
+        "the format is not published: convert the clip to text with Houdini's `clcp walk.bclip walk.clip`, or export glTF or USD"
+    ),
+    "sc": "the file is compressed: save it as .bgeo, .geo or .clip",
+    "fbx": "the format is not published: export the body as glTF or USD, for example with Blender, which reads this format",
     "abc": "Alembic has no joints: export the body as glTF or USD",
-    "blend": "export it from Blender as glTF: File, Export, glTF 2.0",
-    "dae": "export it as glTF",
-    "bvh": "import it into the program that made the body, and export both as glTF",
+    "blend": "export the body from Blender as glTF: File, Export, glTF 2.0",
+    "dae": "export the body as glTF",
+    "bvh": "import the file into the program that made the body, and export both together as glTF",
 }
 
 
@@ -76,7 +78,9 @@ class BodyFiles:
         kind = get_file_ending(path)
         if kind not in _HELP_BY_CLOSED_FORMAT:
             return False
-        self.report.error("wrong-kind", f"`{path[-80:]}` cannot be read here", place, _HELP_BY_CLOSED_FORMAT[kind])
+        self.report.error(
+            "wrong-kind", f"`{path[-80:]}` has a format that antdsl cannot read", place, _HELP_BY_CLOSED_FORMAT[kind]
+        )
         return True
 
     def read_part(self, path: str, expected_part: str, place: Span | None) -> JsonNode | None:

@@ -35,7 +35,7 @@ def read_shapes(
         new_shapes = _resolve_shape_reference(reference, node, files, shapes, materials)
         if reference.name is not None and len(new_shapes) != 1:
             if new_shapes:
-                words = f"`name` is given, but the file has {len(new_shapes)} shapes"
+                words = f"`name` can name only one shape, but the file has {len(new_shapes)} shapes"
                 help = f'add `"shape": "{new_shapes[0].name}"`'
                 files.report.error("wrong-value", words, find_span(node, ("name",)), help)
             continue
@@ -121,7 +121,7 @@ def load_shapes(
         return {}
     if sum(len(mesh.vertices) for mesh in meshes.values()) > limits.MAX_BODY_POINTS:
         words = f"`{path[-80:]}` has more than {limits.MAX_BODY_POINTS:,} points"
-        files.report.error("too-large", words, place, "use a lighter mesh")
+        files.report.error("too-large", words, place, "use a mesh with fewer points")
         return {}
     if kind in HOUDINI_ENDINGS:
         for sentence in dict.fromkeys(each for mesh in meshes.values() for each in mesh.notes.describe_skipped()):
@@ -179,14 +179,14 @@ def _add_blend_attributes(reference: ShapeReference, node: JsonNode, files: Body
         reference.blendshape_shapenames, reference.blendshape_channels, reference.blendshape_inbetweenweights,
     )  # fmt: skip
     if "blendshape_shapenames" not in keys:
-        words = f"the shape `{shape.name}` does not state the shapes that it blends"
+        words = f"the shape `{shape.name}` has no list of the shapes that it blends"
         files.report.error("missing-key", words, node.marked_span, 'add `"blendshape_shapenames": ["…"]`')
         return shape
     if "blendshape_inbetweenweights" in keys:
         place = find_node(node, ("blendshape_inbetweenweights",)).span
         if len(weights) != len(names):
             words = f"there are {len(names)} in-between shapes, but {len(weights)} weights"
-            files.report.error("wrong-value", words, place, "give a weight for each shape")
+            files.report.error("wrong-value", words, place, "write one weight for each shape")
             return shape
         for name, weight in zip(names, weights, strict=True):
             if weight in (0, 1):
@@ -196,7 +196,7 @@ def _add_blend_attributes(reference: ShapeReference, node: JsonNode, files: Body
     if len(channels) != len(names):
         words = f"there are {len(names)} shapes to blend, but {len(channels)} channels"
         place = find_node(node, ("blendshape_channels" if "blendshape_channels" in keys else "blendshape_shapenames",)).span
-        files.report.error("wrong-value", words, place, "name a channel for each shape")
+        files.report.error("wrong-value", words, place, "write one channel for each shape")
         return shape
     attributes = tuple(reference.blendshape_attribs.split())
     blend = BlendTargets(names, channels, attributes, reference.blendshape_ptidattr, reference.blendshape_primidattr)

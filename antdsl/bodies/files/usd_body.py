@@ -92,7 +92,7 @@ def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tup
             Binding("", shape.name, deformer="linearskinning" if shape.blend is None else "blendshape+linearskinning")
         )
     if not body.joint_names:
-        raise BodyError(f"has no skeleton and no mesh at or below `{prim}`", "name the prim of the body")
+        raise BodyError(f"has no skeleton and no mesh at or below `{prim}`", "write the path of the body's prim")
     rig = Rig(
         tuple(body.joint_names),
         np.array(body.joint_parents, np.int32),
@@ -240,7 +240,7 @@ def _read_clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float,
         raise BodyError(f"has a clip `{name}` of {seconds:,.0f} seconds, longer than the limit", code="too-large")
     times, rate = compute_even_times(seconds, rate or per_second)
     if len(times) * (len(columns) * 13 + len(shares)) * 8 > left:
-        raise BodyError(f"has clips of more than {limits.MAX_CLIP_BYTES:,} bytes when they are sampled", code="too-large")
+        raise BodyError(f"has clips of more than {limits.MAX_CLIP_BYTES:,} bytes after sampling", code="too-large")
     joints = tuple(skeleton.names[number[paths[count]]] for count in columns)
     translation, scale = (np.empty((len(times), len(joints), 3)) for _ in range(2))
     rotation = np.empty((len(times), len(joints), 4))

@@ -106,7 +106,7 @@ def _to_rows(raw_values: Any, width: int) -> Floats:
     """Return the values as an array float64[n, width]. Raises BodyError if their number is not a multiple of `width`."""
     values = np.array([] if raw_values is None else raw_values, np.float64)
     if values.size % width:
-        raise BodyError(f"has values that are not {width} numbers each", _EXPORT_HELP)
+        raise BodyError(f"has a list of numbers that is not a multiple of {width} long", _EXPORT_HELP)
     return values.reshape(-1, width)
 
 
@@ -119,11 +119,11 @@ def _triangulate_faces(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple
         raise BodyError(f"has a mesh `{prim.GetPath()}` of more than {limits.MAX_MESH_FACES:,} faces", code="too-large")
     right = counts.sum() == len(corners) and (not len(counts) or counts.min() >= 0)
     if not right or (len(corners) and (corners.min() < 0 or corners.max() >= len(points))):
-        raise BodyError(f"has a mesh `{prim.GetPath()}` with faces that use missing points", _EXPORT_HELP)
+        raise BodyError(f"has a mesh `{prim.GetPath()}` with faces that refer to missing points", _EXPORT_HELP)
     try:
         cut = triangulate_polygons(points, counts, corners)
     except TooManyCornersError as error:
-        raise BodyError(f"has a mesh `{prim.GetPath()}` that {error}", "cut it into smaller faces", "too-large") from None
+        raise BodyError(f"has a mesh `{prim.GetPath()}` that {error}", "cut the face into smaller faces", "too-large") from None
     triangles, face = cut.corners, cut.polygon_indices
     if str(mesh.GetOrientationAttr().Get(time)) == "leftHanded":
         triangles = triangles[:, ::-1]
@@ -189,7 +189,7 @@ def _read_capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Int
         raise BodyError(f"has a mesh `{prim.GetPath()}` with a weight that is not finite", _EXPORT_HELP)
     point_joints, shares, lone = normalise_capture(joints, np.maximum(weights, 0.0), len(skin.names))
     if lone:
-        body.omissions[f"{lone:,} points of `{prim.GetPath()}` follow no joint, and were given to `{skin.names[0]}`"] = None
+        body.omissions[f"{lone:,} points of `{prim.GetPath()}` follow no joint; they now follow `{skin.names[0]}`"] = None
     return SkinWeights(skin.names, point_joints[source], shares[source], skin.inverse_matrices)
 
 
@@ -214,9 +214,9 @@ def _read_blend_shapes(body: UsdBody, shape: SkinShape, prim: Any, points: Float
         for each in blend_shape.GetInbetweens():
             weight = each.GetWeight()
             if weight is None or not np.isfinite(weight) or weight in (0.0, 1.0):
-                body.omissions[f"an in-between of `{path}` has no weight, or a weight that is reserved for complete shapes"] = (
-                    None
-                )
+                body.omissions[
+                    f"an in-between of `{path}` is not read: it has no weight, or a weight that is reserved for complete shapes"
+                ] = None
                 continue
             own = make_unused_name(f"{name}.{each.GetAttr().GetName().rpartition(':')[2]}", body.shapes)
             inner.append(

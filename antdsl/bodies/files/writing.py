@@ -187,16 +187,16 @@ def _list_omissions(body: Definition, layer: Layer) -> list[str]:
     drawn = {binding.shape for binding in (*layer.static, *layer.deforming)}
     inputs = {s for shape in body.shapes.values() for s in (shape.blend.shapes if shape.blend else ())}
     others = [name for name in body.shapes if name not in drawn | inputs]
-    notes = [f"the layer `{name}` is left out: glTF has one" for name in body.layers if name != layer.name]
+    notes = [f"the layer `{name}` is left out: glTF stores only one layer" for name in body.layers if name != layer.name]
     notes += [f"the shape `{name}` is left out: no exported layer uses it" for name in others[:4]]
     if body.groups:
-        notes.append("transform groups are left out: glTF has none")
+        notes.append("transform groups are left out: glTF cannot store groups")
     if body.metadata:
-        notes.append("metadata is left out")
+        notes.append("the metadata of the body is left out")
     if any("dualquat" in binding.deformer for binding in layer.deforming):
         notes.append("dual quaternion skinning becomes linear: glTF has only linear skinning")
     if any(shape.in_betweens for shape in body.shapes.values()):
-        notes.append("in-betweens become separate morph targets, with the weight that they have at each sample")
+        notes.append("in-betweens become separate morph targets, with their weight at each sample")
     return notes
 
 
@@ -286,7 +286,7 @@ class _GltfParts:
                 for path, part in (("translation", clip.translation), ("rotation", clip.rotation), ("scale", clip.scale)):
                     add_sampler(self.nodes[joint], path, part[:, number])
         if clip.shear is not None and np.abs(clip.shear).max() > 1e-6:
-            self.omissions.append(f"the shear of the clip `{clip.name}` is left out: glTF has none")
+            self.omissions.append(f"the shear of the clip `{clip.name}` is left out: glTF cannot store shear")
         values = np.tile(self.body.rig.channel_defaults, (clip.sample_count, 1))
         known = [each.name for each in self.body.rig.channels]
         for number, channel in enumerate(clip.channels):

@@ -80,7 +80,7 @@ def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Flo
             reasons.append(f"`{name}` touches the ground, but has no hip and knee above it, so it is not a leg")
             continue
         if rise < _MIN_LEG_HEIGHT * height:
-            reasons.append(f"`{name}` touches the ground, but its chain lies on it, so it is not a leg")
+            reasons.append(f"`{name}` touches the ground, but its chain of joints lies on the ground, so it is not a leg")
             continue
         upper, lower = _find_hip_and_knee(path, positions)
         below = path[path.index(lower) + 1 :]

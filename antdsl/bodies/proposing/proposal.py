@@ -90,7 +90,7 @@ def _explain_idle_clip(study: BodyMeasurements) -> str:
     """Return the reason for the choice of the idle clip."""
     if any(word in study.idle_clip.lower() for word in IDLE_WORDS):
         return "its name suggests this"
-    return f"has feet on the ground for {study.planted_shares.get(study.idle_clip, 0.0):.0%} of its time, and moves least"
+    return f"keeps its feet on the ground for {study.planted_shares.get(study.idle_clip, 0.0):.0%} of the time, and moves least"
 
 
 # ---- axes, units and length
@@ -101,10 +101,13 @@ def _add_axes(proposal: BodyFileProposal, study: BodyMeasurements) -> Floats:
     body, up = study.body, study.up
     word = format_axis(_round_axis(up))
     if word == format_axis(body.up):
-        up_reason = "up: that of the file; feet are at its lower end" if study.leg_search.feet else "up: that of the file"
+        up_reason = (
+            "up: as in the file; feet are at the lower end of this axis" if study.leg_search.feet else "up: as in the file"
+        )
     else:
         up_reason = (
-            f"up: along the file's {format_axis(body.up)} no legs reach the ground, along {word} {len(study.leg_search.legs)} do"
+            f"up: with the file's {format_axis(body.up)}, no legs reach the ground; with {word}, {len(study.leg_search.legs)} "
+            "legs do"
         )
     front, front_reason = _find_front(study)
     proposal.add_entry("front", format_axis(_round_axis(front)), f"front: {front_reason}")
@@ -121,12 +124,12 @@ def _find_front(study: BodyMeasurements) -> tuple[Floats, str]:
         ), f"in `{gait.clip}`, feet on the ground move in the opposite direction"
     toes = _measure_toe_direction(study)
     if toes is not None:
-        return _find_nearest_axis(toes, study.up), "feet point this way; no clip walks"
+        return _find_nearest_axis(toes, study.up), "the feet point in this direction; no clip walks"
     default = np.array(study.body.front, np.float64)
     if abs(float(default @ study.up)) > 0.5:
         return _find_nearest_axis(
             np.cross(study.up, [0.36, 0.48, 0.8]), study.up
-        ), "a guess: no clip walks, and feet have no clear direction"
+        ), "this is a guess: no clip walks, and the feet have no clear direction"
     return default, "as in the file; no clip walks"
 
 
@@ -166,7 +169,7 @@ def _add_unit(proposal: BodyFileProposal, study: BodyMeasurements) -> float:
     word = fitting[0] if fitting else own
     unit = UNIT_MM.get(word, body.unit)
     high_words, fitting_words = _format_metres(height * body.unit), _format_metres(height * unit)
-    reason = f"units: in the file's {own} the body would be {high_words} high; so they are {fitting_words}"
+    reason = f"units: with the file's unit, {own}, the body would be {high_words} high; with this unit it is {fitting_words} high"
     proposal.add_entry("units", word, reason)
     return unit
 
@@ -183,11 +186,15 @@ def _add_length(proposal: BodyFileProposal, study: BodyMeasurements, front: Floa
     along, height = float(np.ptp(study.points.positions @ front)), study.leg_search.body_height
     if height > _MIN_UPRIGHT_RATIO * along:
         proposal.add_entry(
-            "length", _round_digits(height), "length: its height, since it stands upright: `size` of an agent is its height"
+            "length",
+            _round_digits(height),
+            "length: the height, because the body stands upright; the `size` of an agent is this height",
         )
     else:
         proposal.add_entry(
-            "length", _round_digits(along), "length: along its front in the standing pose; `size` of an agent is this length"
+            "length",
+            _round_digits(along),
+            "length: along the front axis in the standing pose; the `size` of an agent is this length",
         )
     if abs(study.leg_search.ground_height) > 0.05 * height:
         proposal.reasons["length"].append(
@@ -237,22 +244,23 @@ def _add_clips(proposal: BodyFileProposal, study: BodyMeasurements, names: Mappi
         if gait is not None:
             entry["stride"] = _round_digits(gait.speed * gait.seconds)
             reasons.append(
-                f"`{names[name]}`: feet on the ground move {gait.speed:.3g} units a second, for {gait.seconds:.3g} s a cycle"
+                f"`{names[name]}`: feet on the ground move {gait.speed:.3g} units per second, in a cycle of {gait.seconds:.3g} s"
             )
         elif study.leg_search.feet and study.planted_shares[name] < MIN_STILL_SHARE:
             entry["feet"] = False
             reasons.append(
-                f"`{names[name]}`: feet leave the ground ({study.planted_shares[name]:.0%} stand), so the clip moves the legs"
+                f"`{names[name]}`: the feet leave the ground (on average, {study.planted_shares[name]:.0%} stand), so the clip "
+                "moves the legs"
             )
         if gait is None and name != study.idle_clip and not study.motions[name].is_cyclic:
             entry["loop"] = False
-            reasons.append(f"`{names[name]}`: its last pose does not lead to its first, so it plays once")
+            reasons.append(f"`{names[name]}`: the last pose of the clip does not lead to its first pose, so the clip plays once")
         entries.append(entry)
     if entries:
         proposal.add_entry("clips", entries, *reasons)
     proposal.reasons.setdefault("clips", [])
     if not study.gaits and study.body.clips:
-        proposal.reasons["clips"].append("no clip walks in place: legs walk by the gait below")
+        proposal.reasons["clips"].append("no clip walks in place, so the legs walk with the gait below")
 
 
 # ---- legs and gaits
@@ -275,26 +283,26 @@ def _add_legs(
     reasons = [f"legs: {len(legs)} chains of joints end within 5 % of the height above the lowest point", *search.reasons]
     if any(leg.ankle >= 0 for leg in ordered_legs):
         reasons.append(
-            "ankle: the foot has a sole, which lies flat on the ground; without `ankle` it keeps its angle to the body"
+            "ankle: the foot has a sole, which lies flat on the ground; without `ankle` the foot keeps its angle to the body"
         )
     proposal.add_entry("legs", legs, *reasons)
     feet = [search.feet.index(search.legs[k]) for k in order]
     gaits, gait_reasons, speeds = [], [], list[float]()
     for name, gait in sorted(study.gaits.items(), key=lambda entry: entry[1].speed):
         if any(abs(gait.speed - speed) < 0.1 * speed for speed in speeds):
-            gait_reasons.append(f"`{clip_names[name]}` is as fast as another clip, so it defines no gait")
+            gait_reasons.append(f"`{clip_names[name]}` is as fast as another clip, so this clip defines no gait")
             continue
         speeds.append(gait.speed)
         phases = [round((gait.phases[k] - gait.phases[feet[0]]) % 1.0, 2) % 1.0 for k in feet]
         gaits.append(_make_gait(clip_names[name], gait.speed, gait.stride, gait.duty, gait.lift, phases))
-        gait_reasons.append(f"`{clip_names[name]}`: from the clip `{name}`, each foot stands {gait.duty:.0%} of a cycle")
+        gait_reasons.append(f"`{clip_names[name]}`: from the clip `{name}`, each foot stands for {gait.duty:.0%} of a cycle")
     if not gaits:
         speed = (_WALK_FROUDE * _GRAVITY_MM * study.length * unit) ** 0.5 / unit
         leg = study.length
         gaits.append(
             _make_gait("walk", speed, _WALK_STRIDE * leg, _WALK_DUTY, _WALK_LIFT * leg, _build_usual_phases(names, len(legs)))
         )
-        gait_reasons.append(f"no clip walks: a typical walk for legs of {_format_metres(leg * unit)}")
+        gait_reasons.append(f"no clip walks, so this is a typical walk for legs of {_format_metres(leg * unit)}")
     proposal.add_entry("gaits", gaits, *gait_reasons)
 
 
@@ -367,7 +375,7 @@ def _add_capsule(proposal: BodyFileProposal, study: BodyMeasurements, front: Flo
         worlds = study.motions[slow.clip].worlds[0]
         points = find_posed_points(study.body, worlds)
         trunk = points.positions[own] if own.sum() > 8 else points.positions
-        pose = f"of the clip `{slow.clip}`: no clip stands still, and arms may be spread in the rest pose"
+        pose = f"of the clip `{slow.clip}`, because no clip stands still, and arms may be spread in the rest pose"
     low, high = (np.quantile(trunk @ np.stack([front, study.up, side], axis=1), end, axis=0) for end in (tail, 1 - tail))
     size, middle = np.maximum(high - low, 1e-3 * search.body_height), (high + low) / 2
     proposal.add_entry(
@@ -383,7 +391,7 @@ def _add_capsule(proposal: BodyFileProposal, study: BodyMeasurements, front: Flo
 
 def _describe_rest_pose(study: BodyMeasurements) -> str:
     """Return a description of the rest pose for the text that explains the capsule."""
-    return "of the file: no clip stands or walks, so check the width if arms are spread"
+    return "of the file, because no clip stands or walks; check the width if the arms are spread"
 
 
 def _round_digits(number: float) -> float:

@@ -337,7 +337,7 @@ class MeshGround:
         names = self.names if surface_names is None else tuple(surface_names)
         for name in names:
             if name not in self.names:
-                raise KeyError(f"no surface `{name}` on this ground, which has {', '.join(self.names) or 'none'}")
+                raise KeyError(f"this ground has no surface `{name}`; its surfaces are: {', '.join(self.names) or 'none'}")
         return tuple(sorted(self.names.index(name) for name in names))
 
     @staticmethod

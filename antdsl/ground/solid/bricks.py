@@ -147,7 +147,7 @@ class BrickGrid:
         """Restore a stored state. Same as `Volume.restore_changes`."""
         bricks, values, start = (np.asarray(arrays[name]) for name in ("bricks", "values", "start"))
         if start.tobytes() != self.start_digest:
-            raise ValueError("the solid is not made from the same mesh")
+            raise ValueError("the stored solid was made from another mesh")
         if values.shape != (len(bricks), NODES_PER_BRICK) or values.dtype != np.float32 or not np.isfinite(values).all():
             raise ValueError("the bricks of the solid are damaged")
         if len(bricks) and not (bricks.min() >= 0 and bricks.max() < self.table.size and (np.diff(bricks) > 0).all()):

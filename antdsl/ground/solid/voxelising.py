@@ -55,8 +55,10 @@ def voxelise_mesh(vertices: Floats, faces: Index, voxel: float, cap: int) -> Bri
     corners = (corners - origin) / voxel
     shell = TriangleShell(corners)
     if shell.open_edges:
-        edges = "1 edge borders" if shell.open_edges == 1 else f"{shell.open_edges:,} edges border"
-        return UnusableMeshReason(f"the mesh is not closed: {edges} on nothing", "close its holes, so that it has an inside")
+        edges = "1 edge belongs" if shell.open_edges == 1 else f"{shell.open_edges:,} edges belong"
+        return UnusableMeshReason(
+            f"the mesh is not closed: {edges} to only one face", "close the holes of the mesh, so that it has an inside"
+        )
     bricks = BrickGrid(
         origin=origin,
         voxel=voxel,
@@ -81,7 +83,8 @@ def _describe_too_many_voxels(voxel_count: float, cap: float, voxel: float) -> U
     digits = 1 - math.floor(math.log10(least))
     size = math.ceil(least * 10**digits) / 10**digits
     return UnusableMeshReason(
-        f"{voxel_count:,.0f} voxels of {voxel:g} mm are more than {cap:,.0f}", f"take larger ones: `voxel: {size:g} mm`"
+        f"{voxel_count:,.0f} voxels of {voxel:g} mm are more than the limit of {cap:,.0f}",
+        f"write larger voxels: `voxel: {size:g} mm`",
     )
 
 

@@ -145,7 +145,7 @@ class HashTable:
             size = column.itemsize
             step = size if column.ndim == 1 and column.flags.c_contiguous else column.strides[0]
             if size < 4 and step != size:
-                raise ValueError("a column of fewer than four bytes per value must be contiguous")
+                raise ValueError("a column with fewer than four bytes per value must be contiguous in memory")
             for offset in (0,) if column.ndim == 1 else [column.strides[1] * part for part in range(column.shape[1])]:
                 if size == 8:
                     words.append((CONTIGUOUS_WORD_KIND if step == size else STRIDED_WORD_KIND, [(k, offset, step)]))

@@ -87,7 +87,7 @@ def _lower_assign(w: PlanWriter, s: model.Assign, site: str) -> None:
             value = values.add_vectors(b, old, change) if s.op == "+=" else values.subtract_vectors(b, old, change)
         else:
             if not isinstance(value, PlanNode) or not isinstance(old, PlanNode):
-                raise PlanError(f"`{s.op}` on a value that is not a number: {s.span.text!r}")
+                raise PlanError(f"`{s.op}` expects a number, but gets another value: {s.span.text!r}")
             value = b("add" if s.op == "+=" else "sub", old, _scale_by_step(w, value, s.per_second))
     if s.attribute == "heading" and isinstance(value, VectorNodes):
         size = values.compute_length(b, value)
@@ -106,7 +106,7 @@ def _lower_give(w: PlanWriter, s: model.Give, site: str) -> None:
         every = w.b("set.items", w.b.add_number(float("inf")), attrs=(to.name,))
         to = EntityRef(model.TypeKind.ITEM, to.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
     if not isinstance(to, EntityRef) or to.kind is not model.TypeKind.ITEM:
-        raise PlanError(f"a gift to a {type(to).__name__}")
+        raise PlanError(f"a `give` statement cannot have the target {type(to).__name__}")
     amount = None if s.amount is None else _scale_by_step(w, lower_scalar(w, s.amount), s.per_second)
     w.add_statement(ir.Give(to.owner, s.attribute, to.node, amount, s.attribute, s.span))
     w.mark_written(s.attribute)

@@ -48,14 +48,14 @@ def convert_to_node(w: PlanWriter, expr: model.Expr, value: LoweredValue) -> Pla
     if isinstance(value, SetElement):
         return w.b("other.row") if value.kind is model.TypeKind.ITEM else w.b("other.id")
     if not isinstance(value, PlanNode):
-        raise PlanError(f"a {type(value).__name__} where one value was due: {expr.span.text!r}")
+        raise PlanError(f"expected one value, not a {type(value).__name__}: {expr.span.text!r}")
     return value
 
 
 def lower_vector(w: PlanWriter, expr: model.Expr) -> VectorNodes:
     value = lower_expression(w, expr)
     if not isinstance(value, VectorNodes):
-        raise PlanError(f"a {type(value).__name__} where a vector was due: {expr.span.text!r}")
+        raise PlanError(f"expected a vector, not a {type(value).__name__}: {expr.span.text!r}")
     return value
 
 
@@ -148,13 +148,13 @@ def _lower_binding(w: PlanWriter, e: model.BindingRef) -> LoweredValue:
     if binding in w.environment:
         value = w.environment[binding]
         if isinstance(value, SetElement) and binding is not w.set_elements[-1]:
-            raise UnsupportedConstruct(f"`{binding.name}` inside a second set", e.span, "let each set read its own elements only")
+            raise UnsupportedConstruct(f"`{binding.name}` inside another set", e.span, "use only elements of the inner set there")
         return value
     if binding.role == "latch":
         return w.read_current(binding.key or binding.name)
     if binding.role == "let":
         return _lower_let(w, binding)
-    raise PlanError(f"{binding.role} `{binding.name}` is used outside of its place")
+    raise PlanError(f"{binding.role} `{binding.name}` is used outside of the expression that defines it")
 
 
 def _lower_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
@@ -278,14 +278,14 @@ def _lower_attribute(w: PlanWriter, e: model.AttributeRef) -> LoweredValue:
     owner = None if e.owner is None else lower_expression(w, e.owner)
     e = replace(e, name="position") if e.name == "unwrapped" and w.period is None else e
     if e.name == "moved" and "moved" not in w.registers and getattr(owner, "kind", None) is not model.TypeKind.ITEM:
-        words = "`moved`, which the program does not use elsewhere,"
+        words = "`moved` without another use in the program"
         raise UnsupportedConstruct(words, e.span, "add `let pushed = moved` to a species")
     if owner is None or isinstance(owner, OwnPosition):
         return read_own_attribute(w, e.name, e.type)
     if isinstance(owner, RayHit):
         return _read_hit_attribute(w, owner, e)
     if not isinstance(owner, SetElement | EntityRef):
-        raise PlanError(f"`{e.name}` of a {type(owner).__name__}")
+        raise PlanError(f"`{e.name}` is not a value of a {type(owner).__name__}")
     if e.name == "speed":
         return values.compute_length(
             w.b, VectorNodes(*(_read_other_register(w, owner, f"velocity.{axis}", ValueKind.F32) for axis in AXES))
@@ -368,7 +368,7 @@ def _read_hit_attribute(w: PlanWriter, hit: RayHit, e: model.AttributeRef) -> Lo
 def _lower_operation(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     rule = w.rules.operation_rules.get(e.name)
     if rule is None:
-        raise UnsupportedConstruct(f"`{e.name}`", e.span, "leave the line out")
+        raise UnsupportedConstruct(f"`{e.name}`", e.span, "delete this line")
     return rule(w, e)
 
 

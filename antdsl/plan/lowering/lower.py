@@ -234,7 +234,7 @@ def _lower_field(
         thing = program.world.get(surface)
         if thing is not None and not KIND_BY_WORD[thing.kind].is_ground:
             message = f"a field on the {thing.kind} `{surface}` is not supported yet"
-            report.error("not-yet", message, declared_field.span, "name surfaces or solids")
+            report.error("not-yet", message, declared_field.span, "write the name of a surface or a solid after `on`")
     cell = lower_optional(declared_field.cell)
     assert cell is not None
     keep, diffuse, limit = (

@@ -70,7 +70,7 @@ def write_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeD
         _write_set_assignment(w, s, attribute)
         return
     if s.pair_agent is None:
-        raise PlanError(f"a value per pair without another agent: {s.span.text!r}")
+        raise PlanError(f"this value compares two agents, but there is no other agent: {s.span.text!r}")
     other_id = _lower_agent_id(w, lower_expression(w, s.pair_agent))
     value = _compute_changed_value(w, s, read_pair_attribute(w, attribute, s.pair_agent), lower_scalar(w, s.value))
     with w.open_region(w.b("ne", other_id, w.b.add_agent_id(-1)), s.span):
@@ -87,7 +87,7 @@ def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.Attri
     assert s.other_agents is not None and s.element is not None
     over = lower_set(w, s.other_agents)
     if not isinstance(over, ElementGroup):
-        raise PlanError(f"a value per pair about hits: {s.span.text!r}")
+        raise PlanError(f"this value compares two agents, but the set contains hits: {s.span.text!r}")
     rest, zero = lower_rest_value(w, attribute), b.add_number(0)
     amount = lower_with_binding(w, s.element, over.element, lambda: _compute_changed_value(w, s, zero, lower_scalar(w, s.value)))
     strength = b("abs", b("sub", amount, rest if s.op == "=" else zero))

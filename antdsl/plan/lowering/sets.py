@@ -91,11 +91,11 @@ def _is_item_group(w: PlanWriter, name: str) -> bool:
 def lower_agent_scalar(w: PlanWriter, e: model.Expr | None, set_expr: model.SetExpr) -> PlanNode:
     """Return the node of a parameter of a set. It may depend on the agent, but not on an element of another set."""
     if e is None:
-        raise PlanError(f"a set without its size: {set_expr.span.text!r}")
+        raise PlanError(f"this set has no size: {set_expr.span.text!r}")
     node = lower_scalar(w, e)
     if node.rate > UpdateRate.AGENT:
-        words = "a set with a size that depends on an element of another set"
-        raise UnsupportedConstruct(words, e.span, "use a size that depends only on the agent")
+        words = "a set inside another set, with a size that depends on an element of the outer one,"
+        raise UnsupportedConstruct(words, e.span, "write a size that depends only on the agent itself")
     return node
 
 
@@ -142,7 +142,7 @@ def lower_reduction(w: PlanWriter, e: model.ReduceExpr) -> LoweredValue:
         return b(f"reduce.{e.reducer}", over.nodes, over.condition)
     body_expr = e.body
     if body_expr is None:
-        raise PlanError(f"{e.reducer} without a body: {e.span.text!r}")
+        raise PlanError(f"`{e.reducer}` has no expression to evaluate: {e.span.text!r}")
     if e.reducer in ("count", "any", "every"):
         holds = lower_with_binding(w, e.element, over.element, lambda: lower_condition(w, body_expr))
         if e.reducer == "every":
@@ -151,7 +151,7 @@ def lower_reduction(w: PlanWriter, e: model.ReduceExpr) -> LoweredValue:
     body = lower_with_binding(w, e.element, over.element, lambda: lower_expression(w, body_expr))
     if e.reducer == "best":
         if not isinstance(body, PlanNode):
-            raise PlanError("best of a value that is not a number")
+            raise PlanError("`best` needs a number to compare")
         return _select_least_element(w, over, b("neg", body))
     parts = list(body) if isinstance(body, VectorNodes) else [body]
     results = [_reduce_numbers(w, e.reducer, over, part, choose_quantum_exponent(body_expr.type.dimension)) for part in parts]  # type: ignore[arg-type]
@@ -166,7 +166,7 @@ def _reduce_numbers(w: PlanWriter, reducer: str, elements: ElementGroup, body: P
     if reducer == "sum":
         return total
     if reducer != "mean":
-        raise PlanError(f"no such reduction: {reducer}")
+        raise PlanError(f"there is no reduction `{reducer}`")
     count = b("reduce.count", elements.nodes, elements.condition)
     return b("where", b("gt", count, b.add_number(0)), b("div", total, count), b.add_number(0))
 
@@ -186,7 +186,7 @@ def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
     count_expr, spread_expr, reach_expr = e.args
     count = get_constant_value(lower_agent_scalar(w, count_expr, e))
     if count is None:
-        raise UnsupportedConstruct("a number of feelers that is not a literal number", e.span, "write a number: `feelers: 3`")
+        raise UnsupportedConstruct("a computed number of feelers", e.span, "write the number itself: `feelers: 3`")
     n = max(1, min(16, int(count)))
     spread, reach = lower_agent_scalar(w, spread_expr, e), lower_agent_scalar(w, reach_expr, e)
     heading, up = w.read_vector("heading"), w.read_vector("up")

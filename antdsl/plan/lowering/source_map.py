@@ -158,7 +158,7 @@ class NotingWriter(PlanWriter):
         )
         timers = tuple(self._make_timer_notes(machine, state, transition))
         if len(self.statements) != statement_count:
-            raise PlanError(f"a note wrote a statement: {transition.span.text!r}")
+            raise PlanError(f"the statement comes from a note, not from the program: {transition.span.text!r}")
         self.notes.changes.append(ChangeNote(machine, number, state, transition, is_taken, condition, holds, timers, take))
 
     def _make_timer_notes(self, machine: str, state: model.State, t: model.Transition) -> Iterator[TimerNote]:
@@ -187,7 +187,7 @@ class NotingWriter(PlanWriter):
             None if layer.condition is None else self._make_part_note(layer.condition, _find_written_units(layer.condition.span))
         )
         if len(self.statements) != statement_count:
-            raise PlanError(f"a note wrote a statement: {layer.text!r}")
+            raise PlanError(f"the statement comes from a note, not from the program: {layer.text!r}")
         self.notes.layers.append(LayerNote(layer, budget_left, has_budget, condition, condition_value, (push.x, push.y, push.z)))
 
     def note_steering(

@@ -39,7 +39,7 @@ from antdsl.program.traverse import iterate_parts
 from antdsl.source import Span
 
 _TRUTH_AGGREGATES = ("share", "count", "any", "every")
-_ITEM_VALUES_HELP = "items have a position, a radius and their own values"
+_ITEM_VALUES_HELP = "use the position or the radius of the item, or one of its declared values"
 
 
 class _SpecWriter(PlanWriter):
@@ -53,7 +53,9 @@ class _SpecWriter(PlanWriter):
 
     def _read_register(self, name: str, snapshot: bool) -> PlanNode:
         if name not in self.registers:
-            raise UnsupportedConstruct("a sense of an item", self.b.span or self.species.span, _ITEM_VALUES_HELP)
+            raise UnsupportedConstruct(
+                "reading a sense of an item in a spec", self.b.span or self.species.span, _ITEM_VALUES_HELP
+            )
         return super()._read_register(name, snapshot)
 
     def lower_spec_expression(self, e: model.Expr) -> LoweredValue:
@@ -117,7 +119,7 @@ class _SpecLowering:
         """Return the writer for a species. Raise UnsupportedConstruct if the scene does not contain this species."""
         if species not in self.program_plan.species:
             assert span is not None
-            words = f"a spec on `{species}`, which the scene does not contain,"
+            words = f"a spec about `{species}`, which is not in the scene,"
             raise UnsupportedConstruct(words, span, f"add `{species}` to the scene's `crowd`")
         if species not in self.writers:
             self.writers[species] = _SpecWriter(self, self.program.species[species], self.program_plan.species[species].registers)
@@ -231,15 +233,17 @@ class _SpecLowering:
         not have."""
         if w.statements:
             w.statements.clear()
-            words = "a value with memory in a spec"
-            raise UnsupportedConstruct(words, e.span, "use what it causes: an attribute, a state, a speed")
+            words = "a value that remembers earlier steps, inside a spec,"
+            raise UnsupportedConstruct(words, e.span, "test something that the value changes: an attribute, a state or a speed")
         name = w.species.name
         if name in (*self.program_plan.items, *self.program.fields) and any(
             _is_agent_only(n) for n in collect_required_nodes([node])
         ):
             if name in self.program_plan.items:
-                raise UnsupportedConstruct("a sense of an item", e.span, _ITEM_VALUES_HELP)
-            raise UnsupportedConstruct("a sense of a cell", e.span, "a cell of a field has only a `value`")
+                raise UnsupportedConstruct("reading a sense of an item in a spec", e.span, _ITEM_VALUES_HELP)
+            raise UnsupportedConstruct(
+                "reading a sense of a cell in a spec", e.span, "use the `value` of the cell: a cell of a field has nothing else"
+            )
         return node
 
     def collect_queries(self) -> dict[str, Any]:

@@ -168,7 +168,7 @@ class PlanWriter:
 
     def lower_spec_expression(self, e: model.Expr) -> values.LoweredValue:
         """Lower an expression that only specs can use. In a program, such an expression is an error."""
-        raise PlanError(f"only specs can use this: {e.span.text!r}")
+        raise PlanError(f"only a spec can contain this expression: {e.span.text!r}")
 
     # --- notes -------------------------------------------------------------------------------------------------------
 

@@ -52,13 +52,13 @@ def bind_fields(
                 keep_all = binding_cache.get_deep_copy if kind is GrowingCells else binding_cache.get_or_make
                 cells[key] = keep_all(kind.__name__, inputs, make_cells)
             except CellsDoNotFit as error:
-                words = f"the world is {error.width:g} mm wide, which is no whole number of cells of {size:g} mm"
-                advice = f"write `cell {error.fitting_cell:g} mm`, or a width that is at least three cells"
-                report.error("field-setting", f"field `{plan.name}` does not fit: {words}", plan.span, advice)
+                words = f"the world is {error.width:g} mm wide, which is not a multiple of the cell size of {size:g} mm"
+                advice = f"write `cell {error.fitting_cell:g} mm`, or make the world at least three cells wide"
+                report.error("field-setting", f"field `{plan.name}` does not fit the world: {words}", plan.span, advice)
                 continue
             except FieldTooFineError as error:
                 row = " in a row" if error.is_axis_limit else ""
-                words = f"about {error.needed:,} cells of {size:g} mm{row}; {error.cap:,} are allowed"
+                words = f"about {error.needed:,} cells of {size:g} mm{row}; at most {error.cap:,} are allowed"
                 report.error("field-too-fine", f"field `{plan.name}` needs {words}", plan.span, "write a larger `cell`")
                 continue
         field = PheromoneField(

@@ -71,9 +71,9 @@ def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
     except LatticeTooFineError as error:
         report.error(
             "flow-too-fine",
-            f"flow `{name}` would have about {error.needed:,} points; {limits.MAX_FLOW_POINTS:,} are allowed",
+            f"flow `{name}` would have about {error.needed:,} points; at most {limits.MAX_FLOW_POINTS:,} are allowed",
             world.setting.spans.get(name),
-            "give it a larger `cell`, or a smaller `radius`",
+            "write a larger `cell` or a smaller `radius` for the flow",
         )
 
 

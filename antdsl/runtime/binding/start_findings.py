@@ -93,7 +93,9 @@ def find_crowding_warnings(scene: Scene, world: World) -> Report:
         )
         words = f"only {line.fitting_count:,} of {line.count:,} `{line.species}` have space at the start"
         place = scene.model.crowd[line.group].place
-        words += f": with a radius of {wide} {'or half of `apart` ' if place.apart is not None else ''}they cover {cover}"
+        words += (
+            f": with a radius of {wide} {'or half of `apart` ' if place.apart is not None else ''}all of them would cover {cover}"
+        )
         help = "write a smaller `count`, or a smaller `radius` in the program"
         if place.apart is not None:
             help = "write a smaller `count`, a larger place, or a smaller `apart`"

@@ -196,7 +196,7 @@ def restore_feet(arrays: Mapping[str, Array], feet: FeetState, ids: NDArray[np.i
     for name, column in columns.items():
         array = arrays.get(name, column if "S" in _SHAPE_BY_COLUMN[name] and not feet.soles else None)
         if array is None or array.dtype != column.dtype or array.shape != column.shape:
-            raise ValueError(f"`{name}` is missing or of another shape")
+            raise ValueError(f"`{name}` is missing or has another shape")
         column[...] = array
     if not np.array_equal(columns["ids"], ids):
         raise ValueError("the `ids` differ")

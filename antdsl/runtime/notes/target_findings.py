@@ -77,7 +77,7 @@ def report_missed_targets(scene: Scene, world: World) -> Report:
                 f"{subject} were still {side} the region in frame {miss.note.first_frame:.0f}: {first} by {miss.distance:.1f} mm"
             )
             ease = miss.note.ease_frames + _EASE_STEP
-            help = f"let the note begin earlier, `ease: {ease:.0f}`, or slow what comes in"
+            help = f"begin the note earlier, write `ease: {ease:.0f}`, or slow down the agents that cross the border"
         report.warning("far-target", words, scene.find_span("notes", scene.model.notes.index(miss.note)), help)
     return report
 
@@ -97,8 +97,8 @@ def find_far_targets(scene: Scene, world: World) -> Report:
                 worst = int((goal.distance - most).argmax())
                 missing = goal.distance[worst] - most[worst]
                 if missing > 0:
-                    text = f"`{name}.{p.ids[rows[worst]]}` cannot {goal.words} in time: it walks {most[worst]:.0f} mm at most in "
-                    text += f"{goal.seconds[worst]:.3g} s, and {missing:.1f} mm are missing"
+                    text = f"`{name}.{p.ids[rows[worst]]}` cannot {goal.words} in time: it walks at most {most[worst]:.0f} mm in "
+                    text += f"{goal.seconds[worst]:.3g} s, which is {missing:.1f} mm too short"
                     report.warning("far-target", text, scene.find_span("notes", number), _HELP)
     return report
 

@@ -92,8 +92,8 @@ def find_pairs(
         span = _find_set_use(species, node)
         what = "neighbours" if span is None else " ".join(span.text.split())
         why = (
-            f"has more than {limits.MAX_CANDIDATES_IN_RADIUS:,} neighbours in its radius; only the {limits.MAX_QUERY_NEIGHBOURS} "
-            f"nearest count"
+            f"has more than {limits.MAX_CANDIDATES_IN_RADIUS:,} neighbours in its radius, of which it uses only "
+            f"the {limits.MAX_QUERY_NEIGHBOURS} nearest"
         )
         fault = Fault(world.frame, population.name, -1, what, span, (), f"{why}: {_advise_on_radius(other, radius)}")
         raise LimitStop(fault) from None
@@ -104,8 +104,8 @@ def _advise_on_radius(other: Population, radius: Any) -> str:
     is to separate them."""
     widest, body = float(np.max(radius)), float(np.median(other.start["radius"]))
     if 0 < widest < body * np.sqrt(limits.MAX_CANDIDATES_IN_RADIUS):
-        return "they overlap, so give them more space, or write a smaller radius"
-    return "write a smaller one"
+        return "the agents overlap: place them farther apart, or write a smaller radius"
+    return "write a smaller radius"
 
 
 def is_nearest_only(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:

@@ -75,25 +75,28 @@ TimeRangeValue = Annotated[TimeRange, BeforeValidator(_parse_seconds)]
 
 
 class UniformRandomValue(ScenePart):
-    """A number between two bounds; all are equally likely."""
+    """A random number between two bounds. All numbers between them are equally likely."""
 
     uniform: tuple[AnyQuantity, AnyQuantity]
 
 
 class NormalRandomValue(ScenePart):
-    """A number around a mean with a standard deviation. Draws farther than three deviations from the mean are cut off there."""
+    """A random number from a normal distribution with this mean and standard deviation, cut off at three deviations from the
+    mean."""
 
     normal: tuple[AnyQuantity, AnyQuantity]
 
 
 class WeightedChoice(ScenePart):
-    """One of several values, with their weights: `{choice: {0: 3, 5: 1}}`."""
+    """One of several values, drawn at random. A value of weight 3 is three times as likely as one of weight 1: `{choice: {0:
+    3, 5: 1}}`."""
 
     choice: Annotated[dict[str, ChoiceWeight], Field(min_length=1, max_length=64)]
 
 
 class PaintedMapValue(ScenePart):
-    """A value from a painted map at the agent's position: `from` where the map is 0, `to` where it is 1."""
+    """A value that depends on a painted map at the position of the agent. It is `from` where the map is 0, and `to` where the
+    map is 1."""
 
     painted: SceneName
     low: AnyQuantity | None = Field(None, alias="from")
@@ -136,24 +139,25 @@ InitialValues = dict[Annotated[str, BeforeValidator(_check_initial_value_key)], 
 
 
 class RankFormation(ScenePart):
-    """Ranks of agents around `around`, in the order of creation; the first rank is ahead.
+    """Agents in ranks, one rank behind the other, around the point `around`. The first agents are in the front rank.
 
     `columns`: the number of agents in each rank.
-    `spacing`: the distance between neighbours. Two lengths are the distances within a rank and between ranks."""
+    `spacing`: the distance between neighbours. Write two lengths for different distances within a rank and between ranks."""
 
     columns: AgentCount
     spacing: PositiveLength | tuple[PositiveLength, PositiveLength]
 
 
 class ClumpFormation(ScenePart):
-    """Agents in `number` discs of a radius, each around a random position of the place."""
+    """Agents in groups. `number`: how many groups. `radius`: the radius of the disc of each group. The discs have random
+    positions."""
 
     number: Annotated[int, BeforeValidator(parse_integer_between(1, 100_000))]
     radius: PositiveLength
 
 
 class FacingDirection(ScenePart):
-    """A direction in the scene's axes."""
+    """A direction along the axes of the scene."""
 
     direction: tuple[
         Annotated[float, BeforeValidator(parse_number_between(-1e6, 1e6))],

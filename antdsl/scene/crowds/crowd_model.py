@@ -52,9 +52,9 @@ PlacementMethod = Annotated[str, BeforeValidator(parse_one_of("above", "area"))]
 
 
 class UsdPositions(ScenePart):
-    """Positions from a USD file: the points or empties below a prim, or all empties of a kind.
+    """Positions from a USD file: the points or empties below a prim, or all empties of one kind.
 
-    The default kind is the name of the species."""
+    By default, the kind is the name of the species."""
 
     usd: FilePath
     prim: SceneWord | None = None
@@ -66,21 +66,21 @@ def _find_points_type_tag(value: Any) -> str:
 
 
 class Placement(ScenePart):
-    """The starting positions of a crowd.
+    """Where the agents of a crowd start. By default, they are spread over all surfaces at random.
 
-    By default, agents are scattered over the surfaces.
-    `on`: the surface to use.
-    `radius`, `around`: scatter only within a radius of a point or an item (default: the scene's origin).
-    `density`: a map that paints the density of agents.
-    `points`: given positions.
-    `inside`: a point or an item; agents start at the first hits of lines from there with a surface.
-    `by`: `above` drops agents onto surfaces, `area` spreads them over the area, undersides included.
-    `apart`: the least distance between agents, or `even`: as large as space allows.
-    `seed`: replaces the scene's seed.
-    `along`: on a curve of the world. `edge`: on the open borders of a surface. `radius`: within this distance of them.
-    `in`: at the surface points nearest to a box or a ball.
-    `ranks`: in ranks around `around`. `clumps`: in discs around positions of the place.
-    `facing`: `out`, `in`, `along`, a point or item, or a direction."""
+    `on`: the surface on which they start.
+    `radius`, `around`: only within this distance of a point or an item (default: the scene's origin).
+    `density`: a painted map; where its value is greater, agents start closer together.
+    `points`: positions from a file, one for each agent.
+    `inside`: a point or an item in a hollow. Agents start where random rays from there hit a surface first.
+    `by`: `above` drops agents onto surfaces from above. `area` spreads them over all sides, including undersides.
+    `apart`: the smallest distance between agents, or `even` for the largest distance for which all agents have space.
+    `seed`: another seed than that of the scene.
+    `along`: a curve on which agents start. `edge`: a surface with open borders on which they start.
+    `radius`: with these two, the largest distance from the line.
+    `in`: a box or a ball. Agents start at the surface points that are nearest to it.
+    `ranks`: agents start in ranks around `around`. `clumps`: agents start in groups.
+    `facing`: the direction in which agents look: `out`, `in`, `along`, towards a point or an item, or a direction."""
 
     on: SceneName | None = None
     inside: PointOrName | None = None
@@ -106,9 +106,9 @@ class Placement(ScenePart):
 
 
 class ScriptedWalk(ScenePart):
-    """A walk that replaces the decisions of agents: a direction in the scene's axes, a speed, and a length.
+    """A straight walk that replaces the decisions of the agents: a direction along the scene's axes, a speed, and a length.
 
-    Agents stand still at the end of the walk."""
+    At the end of the walk, the agents stand still."""
 
     direction: tuple[DirectionComponent, DirectionComponent, DirectionComponent]
     speed: PositiveSpeed
@@ -116,7 +116,7 @@ class ScriptedWalk(ScenePart):
 
 
 class LayerChoice(ScenePart):
-    """A choice of one layer, or `none`, drawn for each agent. Listing a layer twice doubles its probability."""
+    """A random choice of one layer, or of `none`, for each agent. A layer that you list twice is twice as likely."""
 
     any: Annotated[tuple[SceneName, ...], Field(min_length=1, max_length=limits.MAX_WORN_LAYERS)]
 
@@ -142,14 +142,15 @@ BodyValue = Annotated[
 
 
 class CrowdLine(ScenePart):
-    """Agents of one species.
+    """A group of agents of one species.
 
-    `count`: how many. `rate`: how many per second, in these `frames` or in these `seconds` from the first frame on.
-    `each`: the values of attributes at birth, and the initial `state`.
-    `name`: the name of the line, by which selectors name its agents.
-    `body`: the body in pictures, a word or the file of an agent definition. The default depends on the species' name. Several
-    bodies have weights: each agent gets one of them, with a probability in proportion.
-    `wear`: additional layers of the body that the agents show."""
+    `count`: the number of agents.
+    `rate`: the number of agents that appear per second, in these `frames`, or in these `seconds` after the first frame.
+    `each`: the values of attributes at birth, and the first `state`.
+    `name`: a name for these agents, by which notes, selectors and edits can refer to them.
+    `body`: what pictures show: the name of a body, or the file of a body. By default, it depends on the name of the species.
+    If you list several bodies with weights, each agent gets a random one of them.
+    `wear`: the layers of the body that the agents show in addition to the usual ones."""
 
     name: SceneName | None = None
     species: SceneName

@@ -57,15 +57,16 @@ _RegionCentre = Annotated[
 
 
 class NoteBall(ScenePart):
-    """All points within `radius` of a point, an item, the nearest of some items, a camera, a mesh, or of agents,
-    which it follows."""
+    """All points within the distance `radius` of a point, an item, the nearest of several items, a camera, a mesh, or agents.
+    The ball moves with what it surrounds."""
 
     around: _RegionCentre
     radius: PositiveLength
 
 
 class Band(ScenePart):
-    """All points within half of `width` of a curve, or of the line through points, items, agents, cameras and meshes."""
+    """All points that are at most half of `width` away from a curve, or from a line through points, items, agents, cameras
+    and meshes."""
 
     along: _CurveOrTargets
     width: PositiveLength

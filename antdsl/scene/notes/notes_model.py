@@ -41,7 +41,7 @@ Target = PointValue | AgentName | FacingDirection
 
 
 class Note(ScenePart):
-    """What all notes have. `agents`: written after the verb. `off`: the note has no effect."""
+    """The keys of all notes. The verb is the first key, and its value names the agents. `off`: `yes` switches the note off."""
 
     verb: ClassVar[str]
 
@@ -85,7 +85,7 @@ class Note(ScenePart):
 
 
 class StaggeredNote(Note):
-    """A note with frames. `stagger`: they are later for some agents than for others."""
+    """A note that holds in certain frames. `stagger`: delays these frames for some agents more than for others."""
 
     stagger: StaggerValue | None = None
 
@@ -101,7 +101,8 @@ class StaggeredNote(Note):
 
 
 class EasedNote(StaggeredNote):
-    """A note that begins and ends smoothly, within `ease` frames."""
+    """A note that begins and ends smoothly. `ease`: the number of frames in which the note fades in, and in which it fades
+    out."""
 
     ease: FrameCount = DEFAULT_EASE_FRAMES
 
@@ -111,7 +112,7 @@ class EasedNote(StaggeredNote):
 
 
 class TimedNote(EasedNote):
-    """A note with `frames` in which it holds completely; by default in all."""
+    """A note that holds for a time. `frames`: the frames in which the note has its full effect; by default all."""
 
     frames: FrameRangeValue | None = None
 
@@ -125,17 +126,16 @@ class TimedNote(EasedNote):
 
 
 class PassingNote(TimedNote):
-    """A note that holds for each agent only while it is in a region.
-
-    `inside`: the region; by default the note holds everywhere."""
+    """A note that can apply to a part of the world only. `inside`: the region in which the note has an effect; by default
+    everywhere."""
 
     inside: NoteRegion | None = None
 
 
 class HoldNote(TimedNote, SelectorKeys):
-    """Agents stand still: their feet stay where they are, and neither walk nor contacts move them.
+    """The agents stand still, with their feet in place. Contacts do not push them.
 
-    `look_at`: what parts of their bodies look at. `play`: the clip that they play."""
+    `look_at`: for each part of the body, what it looks at. `play`: the clip that the agents play meanwhile."""
 
     verb = "hold"
     agents: Selector = Field(alias="hold")
@@ -152,7 +152,7 @@ class HoldNote(TimedNote, SelectorKeys):
 
 
 class LookNote(PassingNote, SelectorKeys):
-    """Parts of bodies look at points, items, agents, cameras or meshes, or in a direction."""
+    """The agents turn parts of their bodies towards points, items, agents, cameras or meshes, or in a direction."""
 
     verb = "look"
     agents: Selector = Field(alias="look")
@@ -164,7 +164,7 @@ class LookNote(PassingNote, SelectorKeys):
 
 
 class PlayNote(PassingNote, SelectorKeys):
-    """Agents play a clip instead of those of their states."""
+    """The agents play this clip instead of the clips of their states."""
 
     verb = "play"
     agents: Selector = Field(alias="play")
@@ -176,8 +176,7 @@ class PlayNote(PassingNote, SelectorKeys):
 
 
 class SetNote(PassingNote, SelectorKeys):
-    """Attributes of agents have these values. Numbers reach them smoothly; afterwards they keep them until the program changes
-    them."""
+    """Attributes of the agents change to these values, numbers smoothly. They then stay until the program changes them."""
 
     verb = "set"
     agents: Selector = Field(alias="set")
@@ -185,7 +184,7 @@ class SetNote(PassingNote, SelectorKeys):
 
 
 class ChangeNote(StaggeredNote, SelectorKeys):
-    """Agents are in a state in `frame`, as by a transition to it. They leave it as their program says."""
+    """The agents change to this state in the frame `frame`. Their program decides when they leave it."""
 
     verb = "change"
     agents: Selector = Field(alias="change")
@@ -202,7 +201,7 @@ class ChangeNote(StaggeredNote, SelectorKeys):
 
 
 class RetimeNote(TimedNote, SelectorKeys):
-    """Agents move at a share of their speed."""
+    """The agents move at this percentage of their speed."""
 
     verb = "retime"
     agents: Selector = Field(alias="retime")
@@ -210,7 +209,7 @@ class RetimeNote(TimedNote, SelectorKeys):
 
 
 class ReleaseNote(EasedNote, SelectorKeys):
-    """Agents stand still until `frame`."""
+    """The agents stand still until the frame `frame`, and then begin to move."""
 
     verb = "release"
     agents: Selector = Field(alias="release")
@@ -222,9 +221,10 @@ class ReleaseNote(EasedNote, SelectorKeys):
 
 
 class ReachNote(EasedNote, SelectorKeys):
-    """Agents are at the target in this frame; at an item or agent they touch it. Each leaves as late as it can without haste.
+    """The agents arrive at the target in this frame; they touch an item or agent. Each leaves as late as it can without
+    haste.
 
-    `along`: instead of `target`, a curve over which they are evenly distributed, in the order in which they are along it."""
+    `along`: a curve instead of a `target`. The agents spread evenly over it, in their order along the curve."""
 
     verb = "reach"
     agents: Selector = Field(alias="reach")
@@ -244,9 +244,10 @@ class ReachNote(EasedNote, SelectorKeys):
 
 
 class PathNote(EasedNote, SelectorKeys):
-    """Agents walk along a curve, or through points: from its beginning in the first frame to its end in the last one.
+    """The agents walk along a curve or through points. They are at the beginning in the first frame, and at the end in the
+    last.
 
-    `spacing`: each is so far behind the one before, in the order of ids."""
+    `apart`: the distance from each agent to the one before it, in the order of their ids."""
 
     verb = "path"
     agents: Selector = Field(alias="path")
@@ -262,9 +263,10 @@ class PathNote(EasedNote, SelectorKeys):
 class RegionNote(TimedNote):
     """A note about a part of the world.
 
-    `in`: a box, a ball, a band along a curve or a view; a ball follows agents. `falloff`: outside it, the effect decreases over
-    this distance. `strength`: the share of the agents' wish that the note replaces. `painted`: a map with values from 0 to 1 that
-    multiply the strength."""
+    `in`: the region, which is a box, a ball, a band along a curve, or a view. A ball around an agent moves with it.
+    `falloff`: the distance outside of the region over which the effect decreases to 0.
+    `strength`: how much of what the agents want to do the note replaces, from 0 to 100 %.
+    `painted`: a map with values from 0 to 1, by which the strength is multiplied."""
 
     region: NoteRegion | None = Field(None, alias="in")
     falloff: PositiveLength | None = None
@@ -279,7 +281,7 @@ class RegionNote(TimedNote):
 
 
 class SlowNote(RegionNote):
-    """Agents move at a share of their speed in a region."""
+    """The agents move at this percentage of their speed while they are in a region."""
 
     verb = "slow"
     agents: Selector = Field(alias="slow")
@@ -287,7 +289,7 @@ class SlowNote(RegionNote):
 
 
 class ForbidNote(RegionNote):
-    """Agents do not enter a region. Those inside leave it."""
+    """The agents do not enter a region. Agents inside the region leave it."""
 
     verb = "forbid"
     agents: Selector = Field(alias="forbid")
@@ -295,7 +297,7 @@ class ForbidNote(RegionNote):
 
 
 class ConfineNote(RegionNote):
-    """Agents do not leave a region. Those outside go to it."""
+    """The agents do not leave a region. Agents outside the region walk into it."""
 
     verb = "confine"
     agents: Selector = Field(alias="confine")
@@ -303,8 +305,7 @@ class ConfineNote(RegionNote):
 
 
 class AttractNote(RegionNote):
-    """Agents go to a point, an item, a camera, a mesh or other agents: fully
-    within half of `radius`, weaker farther out, not at all beyond `radius`."""
+    """The agents walk towards points, items, cameras, meshes or other agents. Beyond half of `radius`, the effect fades out."""
 
     verb = "attract"
     agents: Selector = Field(alias="attract")
@@ -313,8 +314,8 @@ class AttractNote(RegionNote):
 
 
 class RepelNote(RegionNote):
-    """Agents go away from a point, an item, a camera, a mesh or other agents: fully
-    within half of `radius`, weaker farther out, not at all beyond `radius`."""
+    """The agents walk away from points, items, cameras, meshes or other agents. Beyond half of `radius`, the effect fades
+    out."""
 
     verb = "repel"
     agents: Selector = Field(alias="repel")
@@ -323,7 +324,7 @@ class RepelNote(RegionNote):
 
 
 class LaneNote(RegionNote):
-    """Agents walk along a curve, within a lane of this width. `falloff`: the width of its soft border."""
+    """The agents walk along a curve, in a lane of this `width`. `falloff`: the width of the soft border outside of the lane."""
 
     verb = "lane"
     agents: Selector = Field(alias="lane")
@@ -332,8 +333,8 @@ class LaneNote(RegionNote):
 
 
 class PartNote(TimedNote, SelectorKeys):
-    """Agents make way for a mesh, an item, a camera or other agents: from `distance` around their outline seen from above, and
-    where they are going."""
+    """The agents make way for a mesh, an item, a camera or other agents. They keep this `distance` from its outline, seen
+    from above, and from its path."""
 
     verb = "part"
     agents: Selector = Field(alias="part")
@@ -342,7 +343,7 @@ class PartNote(TimedNote, SelectorKeys):
 
 
 class WithoutNote(Note, SelectorKeys):
-    """Agents never appear. Conditions of positions are about the start of each agent."""
+    """These agents do not exist in the run. Conditions about positions apply to the start of each agent."""
 
     verb = "without"
     without: ClassVar[None] = None  # type: ignore[misc]  # the key is the verb
@@ -350,7 +351,7 @@ class WithoutNote(Note, SelectorKeys):
 
 
 class ThinNote(Note, SelectorKeys):
-    """Only a share of the selected agents is there at the start."""
+    """Only a percentage of the selected agents exists in the run."""
 
     verb = "thin"
     agents: Selector = Field(alias="thin")

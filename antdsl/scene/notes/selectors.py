@@ -69,7 +69,7 @@ def parse_agent_name(value: Any) -> AgentName:
 
 
 class Box(ScenePart):
-    """A box along the scene's axes, by two opposite corners."""
+    """A box along the axes of the scene. `from`, `to`: two opposite corners."""
 
     corner: PointValue = Field(alias="from")
     opposite: PointValue = Field(alias="to")
@@ -87,16 +87,17 @@ def _reject_agents(value: Any) -> Any:
 
 
 class Ball(ScenePart):
-    """All points within `radius` of a point or an item."""
+    """All points within the distance `radius` of a point or an item."""
 
     around: Annotated[PointOrName, BeforeValidator(_reject_agents)]
     radius: PositiveLength
 
 
 class View(ScenePart):
-    """All points that a camera sees, without regard to what hides them.
+    """All points within the picture of a camera, including points that something hides.
 
-    `across`, `up`: only this part of the picture, as shares of its width from the left, and of its height from the bottom."""
+    `across`, `up`: limit the view to a part of the picture, in percent of its width from the left and of its height from the
+    bottom."""
 
     in_view: SceneName
     across: ShareRange = (0.0, 1.0)
@@ -175,16 +176,18 @@ Selector = Annotated[_ConditionsSelector | _ListSelector | _NameSelector, Discri
 
 
 class SelectorKeys(ScenePart):
-    """Conditions that narrow a selection. Lines of notes and edits have them as their own keys.
+    """Conditions that select fewer agents. You can write them as keys of a selector, a note or an edit.
 
-    `state`: agents in this state now, `rest` or `MACHINE.rest`.
-    `near`, `within`: agents within this distance of a point, an item, the nearest of some items, a camera, or of other agents.
-    `most`: of the agents that meet all other conditions, so many that are nearest to `near`.
-    `farthest`: of these agents, so many that are farthest from `near`.
+    `state`: agents that are in this state, such as `rest` or `MACHINE.rest`.
+    `near`, `within`: agents within this distance of a point, an item, the nearest of several items, a camera, or other
+    agents.
+    `most`: the number of agents to select; the ones nearest to `near`, of those that meet all other conditions.
+    `farthest`: the number of agents to select; the ones farthest from `near`, of those that meet all other conditions.
     `in`: agents in a box, a ball or a view.
-    `share`: each agent with this probability, drawn from `seed` (default: the scene's seed), its species and its id.
-    `in_view`: agents in view of this camera.
-    `across`, `up`: of these, agents in this part of the picture, in shares from the left and from the bottom.
+    `share`: each agent with this probability. The draw depends on `seed` (default: the scene's seed), the species and the id.
+    `in_view`: agents within the picture of this camera.
+    `across`, `up`: agents in this part of the picture, in percent of its width from the left and of its height from the
+    bottom.
     `without`: all agents except these."""
 
     state: SceneWord | None = None

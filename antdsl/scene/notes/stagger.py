@@ -14,10 +14,13 @@ _STAGGER_FORMS = "write `{from: [0, 0, 0], speed: 40 mm/s}`, `{each: 2}` or `{ra
 
 
 class Stagger(ScenePart):
-    """How much later the frames of a note are for each agent.
+    """The delay of a note for each agent.
 
-    `from`, `speed`: like a wave that starts at a target. `each`: so many frames after the agent before, in the order of ids, or
-    of the distance `from` a target. `random`: up to so many frames. `ends`: `later` too, or at once for all, `together`."""
+    `from`, `speed`: a wave that starts at a target and spreads at this speed. Each agent begins when the wave arrives.
+    `each`: the number of frames between one agent and the next, in the order of ids, or of the distance from the target
+    `from`.
+    `random`: the largest delay in frames; each agent gets a random one.
+    `ends`: `later`, so that the note ends later by the same delay, or `together`, so that it ends for all agents at once."""
 
     origin: NearTarget | None = Field(None, alias="from")
     speed: PositiveSpeed | None = None

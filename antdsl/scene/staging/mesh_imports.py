@@ -173,8 +173,8 @@ def close_solid(
             if not count_open_solid_edges(closed):
                 _record_welding(staging, name, welding)
                 return closed
-    edges = "1 edge borders" if loose == 1 else f"{loose:,} edges border"
-    words = f"the mesh of the solid `{name}` is not closed: {edges} on nothing"
+    edges = "1 edge belongs" if loose == 1 else f"{loose:,} edges belong"
+    words = f"the mesh of the solid `{name}` is not closed: {edges} to only one face"
     gaps = measure_openings(solid.mesh.vertices, solid.mesh.faces, solid.voxel)
     if gaps.closing_tolerance:
         help = f"its gaps are up to {gaps.width:.2g} mm wide: write `weld: {gaps.closing_tolerance:g} mm`"

@@ -46,10 +46,15 @@ def report_too_long(source: Source, text: str, report: Report) -> bool:
     line = max(text.split("\n"), key=len).strip()
     if len(line) > limits.MAX_LINE_CHARACTERS:
         message = f"line that begins with `{line[:40]}` would have more than {limits.MAX_LINE_CHARACTERS} characters"
-        report.error("line-too-long", message, Span(source, 0, 0), "shorten its text, or give parts of it a name with `let`")
+        report.error(
+            "line-too-long",
+            message,
+            Span(source, 0, 0),
+            "shorten the text of this line, or give parts of the line a name with `let`",
+        )
     if len(text.encode("utf-8", "surrogatepass")) > limits.MAX_PROGRAM_BYTES:
-        message = f"formatted, the file would be larger than {limits.MAX_PROGRAM_BYTES // limits.KIB} KiB"
-        report.error("file-too-large", message, Span(source, 0, 0), "split it, and bring the parts in with `use`")
+        message = f"after formatting, the file would be larger than {limits.MAX_PROGRAM_BYTES // limits.KIB} KiB"
+        report.error("file-too-large", message, Span(source, 0, 0), "split the file, and bring in the parts with `use`")
     return not report.ok
 
 

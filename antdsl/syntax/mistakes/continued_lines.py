@@ -95,7 +95,7 @@ def _report_continuations(scan: TokenScan, tokens: list[ScannedToken], line_end_
     comment = any(start <= each.span.start < end for each in scan.comments)
     reason = f"`{word}` cannot begin a line" if word in _CONTINUING_WORDS else "the previous line is incomplete"
     span = Span(scan.source, following.start, following.end)
-    help = "write it on one line, or put a part with several lines in round brackets"
+    help = "write everything on one line, or put a part with several lines in round brackets"
     fix = None if comment else Fix(Span(scan.source, start, end), joined_text)
     scan.report.error("continued-line", f"this line continues the line above: {reason}", span, help, fix=fix)
     scan.fault_offsets.append(following.start)

@@ -43,7 +43,7 @@ def make_comma_diagnostic(span: Span, *, is_single_number: bool = True) -> Diagn
     elif thousands:
         help, fix = f"write `{plain_number}`", plain_number
     else:
-        help = "write it with digits and at most one dot, as in `1200` or `1.25`"
+        help = "write the number with digits and at most one dot, as in `1200` or `1.25`"
     message = (
         f"number `{text if len(text) <= _MAX_QUOTED_CHARACTERS else text[: _MAX_QUOTED_CHARACTERS - 1] + '…'}` has a comma in it"
     )
@@ -62,11 +62,15 @@ def find_number_problem(piece: str, characters: str, end: int) -> tuple[str, int
     if rest == ".":
         return f"number `{complete_text}` ends in a dot", stop, f"write `{piece}`"
     if rest[:1] == "_" or (piece == "0" and rest[:1] in ("x", "X", "o", "O", "b", "B")):
-        return f"`{complete_text}` is not a number", stop, "write it with digits and at most one dot, as in `1200` or `1.25`"
+        return (
+            f"`{complete_text}` is not a number",
+            stop,
+            "write the number with digits and at most one dot, as in `1200` or `1.25`",
+        )
     if len(piece) > 1 and piece[0] == "0" and piece[1].isdigit():
         return f"number `{piece[:80]}` has a needless leading 0", end, f"write `{piece.lstrip('0') or '0'}`"[:80]
     if sum(character.isdigit() for character in piece) > limits.MAX_NUMBER_DIGITS:
-        return f"number of {len(piece)} digits", end, f"write at most {limits.MAX_NUMBER_DIGITS} digits"
+        return f"number has {len(piece)} digits", end, f"write at most {limits.MAX_NUMBER_DIGITS} digits"
     value = float(piece)
     if value > 1e38 or (value < 1e-38 and re.search(r"[1-9]", re.split("[eE]", piece)[0])):
         return f"number `{piece[:80]}` cannot be represented", end, "write a number between 1e-38 and 1e38"

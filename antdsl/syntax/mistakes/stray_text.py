@@ -78,10 +78,20 @@ def _report_forbidden(scan: TokenScan) -> None:
         character = match.group()
         name = f"U+{ord(character):04X}"
         if "\u202a" <= character <= "\u2069" and character not in "\u2028\u2029":
-            message, help = f"hidden text direction mark {name}", "delete it: it can make text look like something else"
+            message, help = (
+                f"the file contains a hidden text direction mark, {name}",
+                "delete this character: it can make text look like something else",
+            )
             scan.report_error("hidden-direction", message, match.start(), match.end(), help, "")
         else:
-            scan.report_error("control-character", f"control character {name}", match.start(), match.end(), "delete it", "")
+            scan.report_error(
+                "control-character",
+                f"the file contains the control character {name}",
+                match.start(),
+                match.end(),
+                "delete it",
+                "",
+            )
         scan.replace_by_blanks(match.start(), match.end())
 
 
@@ -92,7 +102,7 @@ def _report_invisible(scan: TokenScan) -> None:
     for passage in _TEXT_OR_COMMENT_PATTERN.finditer(text) if not text.isascii() else ():
         for match in _INVISIBLE_CHARACTERS.finditer(text, passage.start(), passage.end()):
             name = unicodedata.name(match.group(), "character").lower()
-            message = f"{name} (U+{ord(match.group()):04X}), which is invisible"
+            message = f"the file contains an invisible character, {name} (U+{ord(match.group()):04X})"
             scan.report_error("control-character", message, match.start(), match.end(), "delete it", "")
 
 
@@ -106,7 +116,9 @@ def _report_conflicts_and_fences(scan: TokenScan) -> None:
             sign = match.group()[0]
             if sign in "<" or (sign == ">" and drop_from < 0):
                 help = "keep one of the two versions and delete the lines with `<<<<<<<`, `=======` and `>>>>>>>`"
-                scan.report_error("merge-conflict", "merge conflict left in the file", match.start(), match.end(), help)
+                scan.report_error(
+                    "merge-conflict", "the file contains a merge conflict that is not resolved", match.start(), match.end(), help
+                )
             elif sign in "|=" and drop_from < 0:
                 drop_from = match.start()
             elif sign == ">":
@@ -116,7 +128,7 @@ def _report_conflicts_and_fences(scan: TokenScan) -> None:
     for index, match in enumerate(_CODE_FENCE_PATTERN.finditer(scan.source.text)):
         if index == 0:
             scan.report_error(
-                "markdown-fence", "markdown code fence in the file", match.start(), match.end(), "delete this line", ""
+                "markdown-fence", "the file contains a Markdown code fence", match.start(), match.end(), "delete this line", ""
             )
         replace_text_by_blanks(scan, match.start(), match.end())
 
@@ -134,7 +146,7 @@ def _report_long_lines(scan: TokenScan) -> None:
     start = 0
     for line in scan.source.text.split("\n"):
         if len(line) > limits.MAX_LINE_CHARACTERS:
-            message = f"line of {len(line)} characters, at most {limits.MAX_LINE_CHARACTERS} are allowed"
+            message = f"this line has {len(line)} characters, but at most {limits.MAX_LINE_CHARACTERS} are allowed"
             end = start + len(line)
             scan.report_error("line-too-long", message, end - 1, end, "break the line inside parentheses, or at `;`")
             return

@@ -109,7 +109,7 @@ def _explain_inner_after(unexpected: UnexpectedToken) -> Diagnostic | None:
     start = source.text.rindex("after", 0, unexpected.span.start)
     span, text = Span(source, start, start + len("after")), "time_in_state >="
     message = f"`after {unexpected.token_text}` cannot be joined with a condition"
-    help = f"write `{text} {unexpected.token_text}` for it"
+    help = f"write `{text} {unexpected.token_text}` instead"
     return Diagnostic("unexpected-text", message, span, help=help, fix=Fix(span, text))
 
 
@@ -308,7 +308,7 @@ def _explain_second_line(unexpected: UnexpectedToken) -> Diagnostic | None:
 
 
 def _explain_line_end(unexpected: UnexpectedToken) -> Diagnostic:
-    message = f"`{unexpected.token_text}` in the middle of a line"
+    message = f"`{unexpected.token_text}` is in the middle of a line"
     fix = _make_fix_before_token(unexpected, "; ")
     return Diagnostic(
         "missing-line-end", message, unexpected.span, help="begin a new line with it, or write `;` before it", fix=fix
@@ -376,7 +376,7 @@ def _format_form(unexpected: UnexpectedToken) -> str:
     if {"RPAR", "_COMMA"} <= unexpected.expected_terminals and unexpected.rule != "top":
         return "arguments are written like `seek(meal)` or `wander(swing: 40 deg)`"
     if unexpected.expected_terminals == {"FROM"}:
-        return "write it like `take 1 load from meal`"
+        return "write the line like `take 1 load from meal`"
     if (
         unexpected.rule == "statement"
         and unexpected.token_text == "("
@@ -390,7 +390,7 @@ def _format_form(unexpected: UnexpectedToken) -> str:
     )
     if form is None:
         return f"a line here begins with one of {' '.join(LINE_WORDS_BY_RULE[unexpected.rule])}"
-    return f"write it like `{form}`"
+    return f"write the line like `{form}`"
 
 
 def _quote_text(text: str) -> str:

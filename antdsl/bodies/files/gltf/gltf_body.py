@@ -24,7 +24,7 @@ from antdsl.scene.geometry.gltf_file import GltfDocument, GltfError, find_node_p
 
 Floats = NDArray[np.float64]
 BASE_LAYER = "body"
-_EXPORT_HELP = "export it again, as glTF 2.0"
+_EXPORT_HELP = "export the body again, as glTF 2.0"
 
 
 def read_gltf(

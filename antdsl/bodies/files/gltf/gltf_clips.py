@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from antdsl.bodies.files.document_model import AnimationSettings
 
 Floats = NDArray[np.float64]
-_EXPORT_HELP = "export it again, as glTF 2.0"
+_EXPORT_HELP = "export the body again, as glTF 2.0"
 EXTRAS_KEY = "antdsl"  # the key in `extras` of settings that glTF cannot express
 _RATE_TOLERANCE = 1e-6  # relative tolerance of a rate, because key times are rounded to float32
 _WIDTH_BY_PATH = {"translation": 3, "rotation": 4, "scale": 3}
@@ -37,7 +37,7 @@ def read_clips(
     """
     animations = file.get_top_list("animations")
     if len(animations) > limits.MAX_BODY_PARTS:
-        raise BodyError(f"has {len(animations):,} animations, more than the limit", code="too-large")
+        raise BodyError(f"has {len(animations):,} animations, more than the limit of {limits.MAX_BODY_PARTS:,}", code="too-large")
     clips: dict[str, Clip] = {}
     left = limits.MAX_CLIP_BYTES
     for number, animation in enumerate(animations):
@@ -97,7 +97,7 @@ def _read_clip(
         times = np.arange(len(times)) / rate
     size = len(times) * (len(moved) * 13 + len(shares)) * 8
     if size > remaining_bytes:
-        raise BodyError(f"has clips of more than {limits.MAX_CLIP_BYTES:,} bytes when they are sampled", code="too-large")
+        raise BodyError(f"has clips of more than {limits.MAX_CLIP_BYTES:,} bytes after sampling", code="too-large")
     joints = tuple(each for each in rig.names if each in moved)
     rest = decompose_matrix(rig.rest_matrices[[rig.names.index(each) for each in joints]].reshape(-1, 4, 4))
     translation, rotation, scale, shear = (np.broadcast_to(part, (len(times), *part.shape)).copy() for part in rest)
@@ -145,7 +145,7 @@ def read_settings(settings: Any, holder: str, name: str) -> AnimationSettings:
     except ValidationError as problem:
         error = problem.errors(include_url=False, include_input=False)[0]
         path = "".join(f" at `{str(key)[:60]}`" for key in error["loc"])
-        hint = f"the {holder} may have the keys rate, stride, loop, feet and marks: delete or correct it"
+        hint = f"the {holder} may have the keys rate, stride, loop, feet and marks; delete or correct the others"
         raise BodyError(f"has unknown {holder} `{EXTRAS_KEY}` in the clip `{name}`{path}", hint) from None
 
 
@@ -160,14 +160,18 @@ class _SamplerKeys:
     def __init__(self, file: GltfDocument, sampler: dict[str, Any], width: int) -> None:
         self.kind = sampler.get("interpolation", "LINEAR")
         if self.kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
-            raise BodyError(f"has keys of the unknown kind `{str(self.kind)[:20]}`", _EXPORT_HELP)
+            raise BodyError(f"has an animation with the unknown interpolation `{str(self.kind)[:20]}`", _EXPORT_HELP)
         self.times = file.read_accessor(sampler.get("input"), 1)[:, 0].astype(np.float64)
         values = file.read_accessor(sampler.get("output")).astype(np.float64)
         count, each = len(self.times), 3 if self.kind == "CUBICSPLINE" else 1
         if not count or not np.isfinite(self.times).all() or (np.diff(self.times) < 0).any() or self.times[0] < 0:
-            raise BodyError("has key times that do not increase from 0", _EXPORT_HELP)
+            raise BodyError("has an animation with key times that do not increase from 0", _EXPORT_HELP)
         if values.size != count * each * width or not np.isfinite(values).all():
-            raise BodyError(f"has {values.size:,} values for {count:,} keys of {width}, or one that is not finite", _EXPORT_HELP)
+            raise BodyError(
+                f"has an animation with {values.size:,} values for {count:,} keys of {width} numbers each, or with a value that "
+                "is not finite",
+                _EXPORT_HELP,
+            )
         self.values = values.reshape(count, each, width)
 
     def sample(self, times: Floats, rotation: bool = False) -> Floats:

@@ -42,7 +42,7 @@ def apply_body_extras(body: Definition, extras: Any) -> Definition:
     except ValidationError as problem:
         error = problem.errors(include_url=False, include_input=False)[0]
         path = "".join(f" at `{str(key)[:60]}`" for key in error["loc"])
-        advice = "the extras may have the keys length, legs, gaits, idle and capsule: delete or correct them"
+        advice = "the extras may have the keys length, legs, gaits, idle and capsule; delete or correct the others"
         raise BodyError(f"has unknown extras `{EXTRAS_KEY}`{path}", advice) from None
     return replace(
         body, length=form.length or 0.0, legs=build_legs(form.legs), gaits=build_gaits(form.gaits), idle=form.idle or "",

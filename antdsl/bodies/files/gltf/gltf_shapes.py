@@ -25,7 +25,7 @@ from antdsl.scene.geometry.gltf_file import (
 
 Floats = NDArray[np.float64]
 _UNIT_LENGTH_TOLERANCE = 1e-6  # tolerance of the length 1 of normals; normals stored as integers deviate slightly
-_EXPORT_HELP = "export it again, as glTF 2.0"
+_EXPORT_HELP = "export the body again, as glTF 2.0"
 
 
 @dataclass(slots=True)
@@ -112,7 +112,7 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
     body.shapes[name] = shape
     number = len(pieces.targets[0])
     if any(len(each) != number for each in pieces.targets):
-        raise BodyError(f"has a mesh `{name}` with different numbers of morph targets in its primitives", _EXPORT_HELP)
+        raise BodyError(f"has a mesh `{name}` in which primitives have different numbers of morph targets", _EXPORT_HELP)
     if number:
         body.shapes[name] = replace(shape, blend=_read_targets(body, shape, pieces, mesh, node))
     return True
@@ -133,7 +133,7 @@ def _read_piece(body: GltfBody, pieces: _MeshPrimitives, primitive: dict[str, An
         return
     attributes = file.get_object(primitive, "attributes")
     if "POSITION" not in attributes:
-        body.omissions["a primitive of a mesh has no positions"] = None
+        body.omissions["a primitive of a mesh has no positions, so it is not read"] = None
         return
     shared = repr((sorted(map(str, attributes.items())), file.get_list(primitive, "targets")))
     points = file.read_accessor(attributes["POSITION"], 3).astype(np.float64)
@@ -159,7 +159,9 @@ def _read_piece(body: GltfBody, pieces: _MeshPrimitives, primitive: dict[str, An
         array = file.read_accessor(attributes[key], width)
         if len(array) != len(points) or not np.isfinite(array).all():
             raise BodyError(
-                f"has `{key}` of {len(array):,} values for {len(points):,} points, or one that is not finite", _EXPORT_HELP
+                f"has the attribute `{key}` with {len(array):,} values for {len(points):,} points, or with a "
+                "value that is not finite",
+                _EXPORT_HELP,
             )
         return array.astype(np.float64)
 
@@ -209,7 +211,7 @@ def _compute_point_colours(body: GltfBody, pieces: _MeshPrimitives, counts: list
             name = file.get_name(known[material], f"material{material}")
             try:
                 if uvs is None:
-                    raise TextureError("its mesh has no texture coordinates")
+                    raise TextureError("the mesh has no texture coordinates")
                 own = own * body.textures.sample_colours(file.get_object(pbr, "baseColorTexture"), uvs)
                 is_coloured = True
             except (TextureError, GltfError) as error:
@@ -238,7 +240,8 @@ def _read_target(file: GltfDocument, target: dict[str, Any], key: str, count: in
     offsets = file.read_accessor(target[key], 3)
     if len(offsets) != count or not np.isfinite(offsets).all():
         raise BodyError(
-            f"has a morph target of {len(offsets):,} values for {count:,} points, or one that is not finite", _EXPORT_HELP
+            f"has a morph target with {len(offsets):,} values for {count:,} points, or with a value that is not finite",
+            _EXPORT_HELP,
         )
     return offsets.astype(np.float64)
 
@@ -268,14 +271,16 @@ def _read_capture(body: GltfBody, pieces: _MeshPrimitives, skin: dict[str, Any],
     if "inverseBindMatrices" in skin:
         matrices = file.read_accessor(skin["inverseBindMatrices"], 16)
         if len(matrices) < len(names) or not np.isfinite(matrices).all():
-            raise BodyError(f"has {len(matrices)} inverse bind matrices for {len(names)} joints, or one not finite", _EXPORT_HELP)
+            raise BodyError(
+                f"has {len(matrices)} inverse bind matrices for {len(names)} joints, or a matrix that is not finite", _EXPORT_HELP
+            )
         inverse = np.ascontiguousarray(matrices[: len(names)].astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1))
     columns = max(each.shape[1] for each in pieces.joints)
     joints = np.concatenate([np.pad(each, ((0, 0), (0, columns - each.shape[1]))) for each in pieces.joints])
     weights = np.concatenate([np.pad(each, ((0, 0), (0, columns - each.shape[1]))) for each in pieces.weights])
     joints, weights, lone = normalise_capture(joints, weights, len(names))
     if lone:
-        body.omissions[f"{lone:,} points of `{name}` follow no joint, and were given to `{names[0]}`"] = None
+        body.omissions[f"{lone:,} points of `{name}` follow no joint; they now follow `{names[0]}`"] = None
     return SkinWeights(names, joints, weights, inverse)
 
 
@@ -289,7 +294,7 @@ def normalise_capture(
     a joint number out of range."""
     used = weights > 0
     if len(joints) and used.any() and (joints[used].min() < 0 or joints[used].max() >= count):
-        raise BodyError(f"has a point that follows a joint which is not among the {count} of its skin", _EXPORT_HELP)
+        raise BodyError(f"has a point that follows a joint outside of its skin, which has {count} joints", _EXPORT_HELP)
     joints = np.where(used, joints, 0)
     total = weights.sum(axis=1, keepdims=True)
     lone = np.asarray(total[:, 0] <= 0)

@@ -40,7 +40,7 @@ class Textures:
         `info`: the reference to the texture in a material. Raises TextureError if the texture cannot be read."""
         file = self.file
         if info.get("texCoord", 0) != 0:
-            raise TextureError("it uses other texture coordinates than the first")
+            raise TextureError("the texture does not use the first set of texture coordinates")
         textures = file.get_top_list("textures")
         texture = textures[file.check_index(info.get("index"), "texture", len(textures))]
         image = self._read_image(file.get_index(texture, "source", len(file.get_top_list("images"))))
@@ -63,7 +63,7 @@ class Textures:
     def _read_image(self, number: int | None) -> NDArray[np.uint8]:
         """Return the decoded image with this number. Raises TextureError if it cannot be read."""
         if number is None:
-            raise TextureError("it has no PNG or JPEG image")
+            raise TextureError("the texture has no PNG or JPEG image")
         if number not in self._images:
             try:
                 data = self.file.read_image_bytes(number)
@@ -71,13 +71,13 @@ class Textures:
                 raise TextureError(f"the file {error}") from None
             format = next((name for magic, name in _IMAGE_SIGNATURES if data.startswith(magic)), "")
             if not format:
-                raise TextureError("its image is neither PNG nor JPEG")
+                raise TextureError("the image is neither PNG nor JPEG")
             try:
                 image = read_image_file(data, format, ("RGB",), self._remaining_pixels, convert="RGB")
             except ImageError as error:
                 raise TextureError(f"its image {error}") from None
             if image.samples is None:
-                raise TextureError(f"its image has {image.rows * image.columns:,} pixels, more than the limit")
+                raise TextureError(f"the image has {image.rows * image.columns:,} pixels, which is too many")
             self._remaining_pixels -= image.rows * image.columns
             self._images[number] = image.samples
         return self._images[number]

@@ -16,7 +16,7 @@ from antdsl.program import model
 def lower_draw(w: PlanWriter, e: model.OperationExpr, index: int = 0) -> PlanNode:
     """Return a uniform random number in [0, 1)."""
     if not e.site:
-        raise PlanError(f"a draw without a site: {e.span.text!r}")
+        raise PlanError(f"this random draw has no site: {e.span.text!r}")
     return w.b("draw", attrs=(e.site, index))
 
 
@@ -48,7 +48,7 @@ def _lower_random_agent(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
     assert e.args[0] is not None
     of = lower_expression(w, e.args[0])
     if not isinstance(of, NamedThing) or not e.site:
-        raise PlanError(f"random without a species: {e.span.text!r}")
+        raise PlanError(f"this random draw belongs to no species: {e.span.text!r}")
     return EntityRef(model.TypeKind.AGENT, of.name, w.b("draw.agent", attrs=(e.site, of.name)))
 
 

@@ -117,7 +117,7 @@ def _lower_mix(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         return values.apply_by_component(lambda p, q: _lower_interpolation(w, p, q, t), first, second)
     if isinstance(first, PlanNode) and isinstance(second, PlanNode):
         return _lower_interpolation(w, first, second, t)
-    raise PlanError("mix of two values of different types")
+    raise PlanError("`mix` needs two values of the same type")
 
 
 def _lower_rising(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:

@@ -23,7 +23,7 @@ def _get_thing_name(w: PlanWriter, e: model.OperationExpr, index: int = 0) -> st
     assert expr is not None
     thing = lower_expression(w, expr)
     if not isinstance(thing, NamedThing):
-        raise PlanError(f"a {type(thing).__name__} where a thing of the world was due: {e.span.text!r}")
+        raise PlanError(f"expected a thing of the world, not a {type(thing).__name__}: {e.span.text!r}")
     return thing.name
 
 
@@ -49,7 +49,7 @@ def _list_operands(value: LoweredValue, e: model.Expr) -> tuple[PlanNode, ...]:
         return (value,)
     if isinstance(value, VectorNodes):
         return (value.x, value.y, value.z)
-    raise PlanError(f"a {type(value).__name__} where a number or a vector was due: {e.span.text!r}")
+    raise PlanError(f"expected a number or a vector, not a {type(value).__name__}: {e.span.text!r}")
 
 
 def _lower_nearest_cells(w: PlanWriter, e: model.OperationExpr) -> list[PlanNode]:
@@ -57,7 +57,7 @@ def _lower_nearest_cells(w: PlanWriter, e: model.OperationExpr) -> list[PlanNode
     assert count_expr is not None
     count = get_constant_value(lower_scalar(w, count_expr))
     if count is None:
-        raise UnsupportedConstruct("a number of cells that is not a literal number", e.span, "write a number: `nearest: 16`")
+        raise UnsupportedConstruct("a computed number of cells", e.span, "write the number itself: `nearest: 16`")
     cells = w.b("field.strongest", attrs=(_get_thing_name(w, e), max(1, min(27, int(count)))))
     return [w.b("get", cells, attrs=(i,)) for i in range(4)]
 

@@ -176,17 +176,18 @@ def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray
     frames = len(stage.times)
     if not any(shape.is_deformed or shape.placed_mesh.transforms.shape[1] > 1 for shape in shapes):
         return None
-    free = [_find_undeformed_vertices(shape) for shape in shapes]
+    separate_copies = [_find_separate_copies(shape) for shape in shapes]
     sizes = [
-        len(shape.points) * frames * 24 * int(alone.sum()) + shape.placed_mesh.transforms.shape[1] * 96 * int((~alone).sum())
-        for shape, alone in zip(shapes, free, strict=True)
+        len(shape.points) * frames * 24 * int(separate.sum())
+        + shape.placed_mesh.transforms.shape[1] * 96 * int((~separate).sum())
+        for shape, separate in zip(shapes, separate_copies, strict=True)
     ]
     check_motion_bytes(sum(sizes), "what moves")
     tracks, group, deformed, vertex_count, count = [make_identity_transforms(1, frames)], [], [], 0, 1
-    for shape, alone in zip(shapes, free, strict=True):
+    for shape, separate in zip(shapes, separate_copies, strict=True):
         transforms, points = shape.placed_mesh.transforms, len(shape.points)
         is_first = (transforms == transforms[:, :1]).all(axis=(2, 3))
-        moved = ~alone & ~is_first.all(axis=1)
+        moved = ~separate & ~is_first.all(axis=1)
         number = np.where(moved, count + np.cumsum(moved) - 1, 0)
         group.append(np.repeat(number.astype(np.int32), points))
         if moved.any():
@@ -194,18 +195,24 @@ def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray
             track[is_first[moved]] = make_identity_transforms()  # so that vertices at rest are exact
             tracks.append(track)
             count += len(track)
-        deformed.append((vertex_count + points * np.flatnonzero(alone)[:, None] + np.arange(points)).ravel())
+        deformed.append((vertex_count + points * np.flatnonzero(separate)[:, None] + np.arange(points)).ravel())
         vertex_count += points * len(transforms)
     numbers = np.concatenate(deformed)
     offsets = np.empty((frames if len(numbers) else 0, len(numbers), 3))
     for k in range(len(offsets)):
-        offsets[k] = np.concatenate([_compute_free_offsets(stage, s, f, k) for s, f in zip(shapes, free, strict=True) if f.any()])
+        offsets[k] = np.concatenate(
+            [
+                _compute_separate_offsets(stage, shape, separate, k)
+                for shape, separate in zip(shapes, separate_copies, strict=True)
+                if separate.any()
+            ]
+        )
     if count == 1 and not len(numbers):
         return None
     return {"group": np.concatenate(group), "tracks": np.concatenate(tracks), "bent": numbers, "offsets": offsets}
 
 
-def _find_undeformed_vertices(shape: _MeshShape) -> NDArray[np.bool_]:
+def _find_separate_copies(shape: _MeshShape) -> NDArray[np.bool_]:
     """Return, for each copy of a shape, whether its vertices move separately."""
     transforms = shape.placed_mesh.transforms
     if shape.is_deformed:
@@ -213,8 +220,8 @@ def _find_undeformed_vertices(shape: _MeshShape) -> NDArray[np.bool_]:
     return ~find_invertible(transforms[:, 0]) if transforms.shape[1] > 1 else np.zeros(len(transforms), np.bool_)
 
 
-def _compute_free_offsets(stage: OpenStage, shape: _MeshShape, is_free: NDArray[np.bool_], k: int) -> Floats:
-    """Return the offsets of vertices from their rest positions at frame `k`, for the copies in `is_free`."""
+def _compute_separate_offsets(stage: OpenStage, shape: _MeshShape, is_separate: NDArray[np.bool_], k: int) -> Floats:
+    """Return the offsets of vertices from their rest positions at frame `k`, for the copies in `is_separate`."""
     points = (
         _read_points(import_pxr_module("UsdGeom").Mesh(shape.placed_mesh.prim), stage.times[k])
         if shape.is_deformed
@@ -223,7 +230,7 @@ def _compute_free_offsets(stage: OpenStage, shape: _MeshShape, is_free: NDArray[
     if len(points) != len(shape.points):
         path = shape.placed_mesh.prim.GetPath()
         raise UsdError("moving-topology", f"the mesh `{path}` has other points at other frames", BAKE_HELP)
-    transforms = shape.placed_mesh.transforms[is_free]
+    transforms = shape.placed_mesh.transforms[is_separate]
     shift = apply_transforms(transforms[:, min(k, transforms.shape[1] - 1), None], points) - apply_transforms(
         transforms[:, 0, None], shape.points
     )
