@@ -1,6 +1,6 @@
-"""Paths of agents in a cache: their positions in the frames around a given frame.
+"""Paths of agents in a cache: the positions of each agent in the frames around a given frame.
 
-This module also finds the rows of agents in the next frame, for motion blur."""
+Also finds the same agents in the next frame, for motion blur."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ _READ_ARRAYS = frozenset(("P", "orient", "pscale", *IDENTITY_ARRAYS))
 
 @dataclass(frozen=True, slots=True)
 class PathWindow:
-    """The time span of a path before and after a frame, in seconds."""
+    """The time span that a path covers before and after a frame, in seconds."""
 
     seconds_before: float = 1.0
     seconds_after: float = 2.0
 
     @staticmethod
     def parse(text: str) -> PathWindow | None:
-        """Return the window that a text such as `1..2` (seconds) describes.
+        """Return the window that a text such as `1..2` (seconds before and after) describes.
 
-        Return None for other text, or for more than MAX_WINDOW_SECONDS on one side."""
+        None for any other text, or if one side exceeds MAX_WINDOW_SECONDS."""
         try:
             seconds = parse_number_range(text)
         except QuantityError:
@@ -44,8 +44,8 @@ class PathWindow:
 
 
 class AgentPaths:
-    """Reads the paths of agents in the frames around a picture. Each frame is read only once if frames are requested in ascending
-    order."""
+    """Reader of the paths of agents around the frame of a picture. If frames are requested in ascending order, each file is read
+    only once."""
 
     def __init__(self, cache: Cache, dt: float, window: PathWindow) -> None:
         self._cache = cache
@@ -54,7 +54,7 @@ class AgentPaths:
         self._cached_frames: OrderedDict[int, dict[str, NDArray[Any]] | None] = OrderedDict()
 
     def get_paths(self, frame: int, species: int, ids: NDArray[np.int64]) -> AgentPathLines:
-        """Return the paths of the agents with `ids` of one species. Positions are NaN in frames that do not exist or lack the
+        """Return the paths of the agents `ids` of a species. Positions are NaN in frames that do not exist or do not contain the
         agent."""
         positions = np.full((len(ids), self._frames_before + 1 + self._frames_after, 3), np.nan)
         for k in range(positions.shape[1]):
@@ -67,7 +67,7 @@ class AgentPaths:
         return AgentPathLines(positions, self._frames_before)
 
     def _get_agents(self, frame: int) -> dict[str, NDArray[Any]] | None:
-        """Return the agents of a frame, as `_read_agents` does. Recently read frames are cached."""
+        """Return the agents of a frame in the form of `_read_agents`. Recently read frames are cached."""
         if frame not in self._existing_frames:
             return None
         if frame not in self._cached_frames:
@@ -78,9 +78,9 @@ class AgentPaths:
         return self._cached_frames[frame]
 
     def _read_agents(self, frame: int) -> dict[str, NDArray[Any]] | None:
-        """Return the agents of a frame, in ascending order of species and id, or None if the frame cannot be read.
+        """Return the agents of a frame, sorted by species and id. None if the frame cannot be read.
 
-        The arrays are `ids`, `species` (the species number), and `place` float32[n, 3], positions slightly above the ground."""
+        The arrays are `ids`, `species` (species numbers), and `place` float32[n, 3] (positions slightly above the ground)."""
         try:
             arrays = self._cache.frame(frame, _READ_ARRAYS)
         except CacheError:  # a damaged frame leaves a gap in the lines
@@ -94,9 +94,9 @@ class AgentPaths:
 
 
 def match_agents(crowd: Crowd, next_crowd: Crowd) -> Crowd:
-    """Return the agents of `crowd`, in the same order, with their values from `next_crowd`. Both crowds must have ids.
+    """Return `crowd` with the values that its agents have in `next_crowd`, in the order of `crowd`. Both crowds must have ids.
 
-    The order of `next_crowd` may differ. Agents missing in `next_crowd` keep the values of `crowd`."""
+    The agents of `next_crowd` may be in any order. Agents missing there keep the values of `crowd`."""
     own, ids = np.asarray(crowd.ids), np.asarray(next_crowd.ids)
     order = np.argsort(ids, kind="stable")
     at, is_present = match_ids(own, ids[order])

@@ -1,4 +1,4 @@
-"""The bodies of a cache's species: each is built once, from the cache or from the library."""
+"""The bodies of a cache's species. Each is built only once, from data in the cache or from the library."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from antdsl.scene.library_bodies import BODY_WORDS, find_body_for_species
 class CacheBodies:
     """The bodies of a cache's species.
 
-    A body is identified by the number of its species (an index of the manifest's list), its index among the bodies of the
-    species, and the mask of worn layers. `static`: the arrays of the cache's `static.npz`."""
+    A body is identified by three numbers: its species (an index of the manifest's list), its index among the bodies of this
+    species, and the mask of its layers. `static`: the arrays of the cache's `static.npz`."""
 
     def __init__(self, manifest: Manifest, static: Mapping[str, NDArray[Any]]) -> None:
         self._manifest, self._static = manifest, static
@@ -31,16 +31,17 @@ class CacheBodies:
         self._worn: dict[tuple[int, int, int], PosedBody] = {}
 
     def keys(self, number: int) -> tuple[str, ...]:
-        """Return the keys of the bodies of a species. Frames use them in the names of feet arrays."""
+        """Return the keys of the bodies of species `number`. Arrays of feet in frames have these keys in their names."""
         species, count = self._manifest.species[number], len(_list_entries(self._manifest.species[number]))
         return tuple(make_body_key(species.name, which, count) for which in range(count))
 
     def numbers(self, number: int, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """Return each agent's body index, uint8[n]."""
+        """Return, for each agent of species `number`, the index of its body, uint8[n]."""
         return find_body_numbers(self._manifest, number, ids)
 
     def body(self, number: int, mask: int = 0, body_index: int = 0) -> PosedBody:
-        """Return a body of a species with the layers of a mask. Raises BodyError if its definition in the cache is damaged."""
+        """Return a body of species `number`, with the layers of a mask. Raises BodyError if its definition in the cache is
+        damaged."""
         key = number, body_index, mask
         if key not in self._worn:
             species = self._manifest.species[number]
@@ -49,7 +50,7 @@ class CacheBodies:
         return self._worn[key]
 
     def definition(self, number: int, body_index: int = 0) -> Definition:
-        """Return the agent definition of a body of a species. Raises BodyError if its definition in the cache is damaged."""
+        """Return the agent definition of a body of species `number`. Raises BodyError if it is damaged."""
         if (number, body_index) not in self._definitions:
             species = self._manifest.species[number]
             entry = _list_entries(species)[body_index]
@@ -61,16 +62,16 @@ class CacheBodies:
         return self._definitions[number, body_index]
 
     def reach(self, number: int) -> float:
-        """Return the largest distance from a position to a point of the bodies of a species, in body lengths.
+        """Return the greatest distance of a point of the species' bodies from the agent's position, in body lengths.
 
-        It is at least 1, and more only for bodies from files."""
+        It is 1, or more if bodies from files extend farther."""
         entries = _list_entries(self._manifest.species[number])
         own = [self.body(number, 0, which).reach for which, each in enumerate(entries) if each.definition is not None]
         return max([1.0, *own])
 
 
 def find_body_numbers(manifest: Manifest, number: int, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return the index of each agent's body among the bodies of the species, uint8[n]."""
+    """Return, for each agent, the index of its body among the bodies of the species, uint8[n]."""
     species = manifest.species[number]
     own, merged = np.asarray(ids, np.int64), np.full(len(ids), -1)  # `own` is -1 below the level of the other cache
     levels = [own]
@@ -91,5 +92,5 @@ def find_body_numbers(manifest: Manifest, number: int, ids: NDArray[np.int64]) -
 
 
 def _list_entries(species: SpeciesEntry) -> tuple[WornBodyEntry, ...]:
-    """Return the manifest's entries for the bodies of a species; at least one."""
+    """Return the manifest's entries for the bodies of a species, at least one."""
     return species.bodies or (WornBodyEntry(body=species.body, definition=species.definition),)

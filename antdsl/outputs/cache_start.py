@@ -1,4 +1,4 @@
-"""Starts a run from another cache: from the agents, items and fields of one of its frames."""
+"""Starts a run from one frame of another cache, with the agents, items and fields of this frame."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _COINCIDENT_DISTANCE_MM = 1e-6  # mm
 
 
 class StartError(Exception):
-    """Error if a run cannot start from the other cache. `report`: the reason, at its location in the scene."""
+    """Error if a run cannot start from the other cache. `report`: the reason, located in the scene."""
 
     def __init__(self, report: Report) -> None:
         super().__init__("; ".join(d.message for d in report.errors))
@@ -33,7 +33,8 @@ class StartError(Exception):
 
 
 def find_start_cache(shot: Shot) -> Path | None:
-    """Return the folder of the cache that the scene starts from, or None. Raises StartError if the path is rejected."""
+    """Return the folder of the cache from which the scene starts; None if it starts with its own crowd. Raises StartError if the
+    path is not allowed."""
     start = shot.scene.model.start
     if start is None:
         return None
@@ -44,7 +45,7 @@ def find_start_cache(shot: Shot) -> Path | None:
 
 
 def hash_start_frame(shot: Shot) -> dict[str, str]:
-    """Return a hash of the frame that the scene starts from, as an input of the new cache.
+    """Return a hash of the frame from which the scene starts, as an entry for the inputs of the new cache.
 
     Empty if the scene starts with its own crowd."""
     folder, start = find_start_cache(shot), shot.scene.model.start
@@ -68,7 +69,7 @@ def hash_start_frame(shot: Shot) -> dict[str, str]:
 
 
 def start_from_cache(shot: Shot, world: World) -> None:
-    """Restore the world from a frame of the other cache, as the first frame of this scene. Raises StartError if that is not
+    """Restore the world from a frame of the other cache, as the first frame of this scene. Raises StartError if this is not
     possible."""
     folder, start = find_start_cache(shot), shot.scene.model.start
     if folder is None or start is None:
@@ -110,7 +111,7 @@ def start_from_cache(shot: Shot, world: World) -> None:
 
 
 def _make_missing_error(shot: Shot, folder: Path) -> StartError:
-    """Return the error for a folder without a cache, or for a frame without an intact checkpoint."""
+    """Return the error for a folder that contains no cache, or for a frame that has no intact checkpoint."""
     start = shot.scene.model.start
     assert start is not None
     try:
@@ -123,7 +124,7 @@ def _make_missing_error(shot: Shot, folder: Path) -> StartError:
 
 
 def _make_error(shot: Shot, code: str, message: str, key: str, help: str | None) -> StartError:
-    """Return the error with this code and message, located at the key `key` of the scene's `from`."""
+    """Return an error with this code and message, located at `key` in the scene's `from`."""
     report = Report()
     report.error(code, message, shot.scene.find_span("from", key), help)
     return StartError(report)

@@ -1,4 +1,4 @@
-"""Agents that users name on the command line: by ids, `17` or `3..9`, or as in selectors, `guards.17`, `guards`, `ant.3..9`."""
+"""Agents that users name on the command line: by ids (`17`, `3..9`), or as in selectors (`guards.17`, `guards`, `ant.3..9`)."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _MAX_ID = (1 << 62) // SPECIES_PER_KEY
 
 
 class ChosenAgent(NamedTuple):
-    """An agent by its id. `species`: None for the agents of all species with this id."""
+    """An agent given by its id. `species`: None for the agents of all species that have this id."""
 
     species: str | None
     id: int
 
 
 class UnknownAgent(Exception):
-    """Error for a text that names no agents of a cache. The message is complete without context. `help`: what to write."""
+    """Error for a text that names no agents of a cache. The message is a complete explanation. `help`: how to name agents."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
@@ -34,12 +34,12 @@ class UnknownAgent(Exception):
 
 
 def find_agents(text: str, manifest: Manifest) -> list[ChosenAgent]:
-    """Return the agents that a list such as `17, guards.3..9` names, in this order. Raises UnknownAgent."""
+    """Return the agents that a list such as `17, guards.3..9` names, in the same order. Raises UnknownAgent."""
     return [agent for word in text.split(",") for agent in _find_agents_of_word(word.strip(), manifest)]
 
 
 def find_agent(text: str, manifest: Manifest) -> ChosenAgent:
-    """Return the one agent that a text such as `17` or `guards.17` names. Raises UnknownAgent."""
+    """Return the single agent that a text such as `17` or `guards.17` names. Raises UnknownAgent."""
     agents = find_agents(text, manifest)
     if len(agents) != 1:
         name, _, ids = text.split(",")[0].strip().partition(".")
@@ -49,7 +49,7 @@ def find_agent(text: str, manifest: Manifest) -> ChosenAgent:
 
 
 def find_keys(text: str | None, manifest: Manifest) -> list[int]:
-    """Return the keys (`make_agent_keys`) of the agents that a list names, in this order. Raises UnknownAgent."""
+    """Return the keys (`make_agent_keys`) of the agents that a list names, in the same order. Raises UnknownAgent."""
     number_by_species = {entry.name: number for number, entry in enumerate(manifest.species)}
     return [
         agent.id * SPECIES_PER_KEY + number

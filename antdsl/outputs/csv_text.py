@@ -1,4 +1,4 @@
-"""Rows of CSV (RFC 4180). Text cells are written so that no spreadsheet program reads them as a formula."""
+"""Rows of CSV (RFC 4180). Text is written so that spreadsheet programs do not read it as a formula."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _NUMBER_PATTERN = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?
 
 
 def escape_cell(value: object) -> object:
-    """Return the value for a cell. Text that begins like a formula, or with an apostrophe, gets an apostrophe in front.
+    """Return a value as cell content. Text that begins like a formula or with an apostrophe gets an apostrophe in front.
 
-    Removing one leading apostrophe restores the text. Numbers are unchanged, including numbers written as text."""
+    To restore the text, remove one leading apostrophe. Numbers are unchanged, including numbers written as text."""
     if not isinstance(value, str) or _NUMBER_PATTERN.fullmatch(value):
         return value
     return f"'{value}" if value.startswith("'") or value.lstrip(" ")[:1] in _FORMULA_START_CHARACTERS else value
 
 
 def format_csv(rows: Iterable[Sequence[object]]) -> str:
-    """Return rows as lines that end in a line feed. Cells with commas, quotes or line ends are quoted."""
+    """Return rows as lines that end with a line feed. Cells that contain commas, quotes or line ends are quoted."""
     lines: list[str] = []
     # `csv` ends a line in CR LF, and so quotes cells that contain either character
     writer = csv.writer(SimpleNamespace(write=lines.append))

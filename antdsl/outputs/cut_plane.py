@@ -1,4 +1,4 @@
-"""Section views: geometry beyond a plane is left out, so that the inside of solids is visible."""
+"""Section views: geometry beyond a plane is omitted, so that the inside of solids is visible."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _PLANE = re.compile(r"\s*([xyz])\s*([<>])(.*)", re.DOTALL)
 
 @dataclass(frozen=True, slots=True)
 class CutPlane:
-    """A plane across an axis. Points with a coordinate above `at` (scene units) are cut away; with `cuts_below`, those below
-    `at`."""
+    """A plane perpendicular to an axis. Points with a coordinate above `at` (scene units) are cut away or, with `cuts_below`,
+    those below it."""
 
     axis: int
     at: float
@@ -29,7 +29,7 @@ class CutPlane:
 
     @staticmethod
     def parse(text: str) -> CutPlane | None:
-        """Return the plane of a text such as `z > 0`; None for any other text."""
+        """Return the plane that a text such as `z > 0` describes. None for any other text."""
         match = _PLANE.fullmatch(text)
         try:
             return None if match is None else CutPlane("xyz".index(match[1]), parse_number(match[3]), match[2] == "<")
@@ -37,13 +37,14 @@ class CutPlane:
             return None
 
     def is_cut_away(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether each point [n, 3] is cut away."""
+        """Return a mask of the points [n, 3] that are cut away."""
         along = points[:, self.axis]
         return along < self.at if self.cuts_below else along > self.at
 
     def compute_section_colours(self, points: NDArray[np.float64], max_distance: float) -> NDArray[np.float64]:
-        """Return colours [n, 3] of a solid's vertices: dark within `max_distance` of the plane, so that cavities are visible, and
-        NaN elsewhere."""
+        """Return the colours [n, 3] for vertices of a solid: dark within `max_distance` of the plane, NaN elsewhere.
+
+        So the cut surface is dark, and cavities are visible in it."""
         colour = np.full((len(points), 3), np.nan)
         colour[np.abs(points[:, self.axis] - self.at) < max_distance] = _SECTION_COLOUR
         return colour
@@ -51,8 +52,8 @@ class CutPlane:
     def cut_volume(self, volume: Volume, offset: NDArray[np.float64], scale: float) -> Volume:
         """Return a copy of a volume without the part beyond the plane.
 
-        Each distance becomes max(distance, depth beyond the plane). `offset`: position of the volume in mm; `scale`: scene units
-        per mm."""
+        Each signed distance becomes max(distance, depth beyond the plane). `offset`: the position of the volume in mm. `scale`:
+        scene units per mm."""
         copied = deepcopy(volume)
         bricks = copied.bricks
         nodes = bricks.origin[self.axis] + np.arange(bricks.node_counts[self.axis]) * bricks.voxel
@@ -76,7 +77,7 @@ class CutPlane:
         return copied
 
     def cut_picture(self, picture: Picture) -> Picture:
-        """Return a picture without the agents, items, scent and mesh faces that the plane removes. Solids must be cut already."""
+        """Return a picture without the agents, items, scent and mesh faces beyond the plane. Solids must already be cut."""
         return replace(
             picture,
             solids=tuple(self._cut_mesh(solid) for solid in picture.solids),
@@ -86,7 +87,7 @@ class CutPlane:
         )
 
     def _cut_mesh(self, solid: Solid) -> Solid:
-        """Return a mesh without the faces of which all corners are cut away."""
+        """Return a mesh without the faces that have all corners beyond the plane."""
         is_removed = self.is_cut_away(solid.vertices)
         is_visible = ~is_removed[solid.faces].all(axis=1)
         return solid if is_visible.all() else replace(solid, faces=solid.faces[is_visible])

@@ -1,7 +1,7 @@
-"""Draws the requested frames of a cache. A picture does not depend on the frames drawn before it.
+"""Draws frames of a cache. A picture does not depend on the frames drawn before it.
 
-A still is written atomically, with a hash of everything it was drawn from. A still that exists in the folder is not drawn
-again."""
+A still is written atomically, with a hash of everything from which it was drawn. If the folder already contains the same still,
+it is not drawn again."""
 
 from __future__ import annotations
 
@@ -52,19 +52,14 @@ class AgentMissing(Exception):
 class DrawRequest:
     """The options of pictures.
 
-    `camera`: one of `CAMERA_VIEWS`, or the name of a camera of the scene.
-    `show`: the overlays.
-    `agents`: keys of the agents with ids, paths and similar overlays; a camera at eye level follows the first.
-    `cut`, `window`: the texts of the command-line options.
-    `full`: by field, the strength that is drawn strongest.
-    `least`: bodies are enlarged to this length in pixels; None for the default.
-    `marks`: if not 0, bodies are discs of this diameter in pixels.
-    `blur`: the share of a frame for which the shutter is open.
-    `at`, `look_at`: points in scene units, of a camera instead of `camera`; both or none.
-    `focal`: a focal length in mm instead of the camera's own.
-    `f_stop`: the ratio of the focal length and the diameter of the lens, instead of the camera's own; 0 for a pinhole.
-    `focus`: the distance in focus in scene units, instead of the camera's own.
-    `samples`: if not 0, Cycles renders the picture, with this many paths per pixel."""
+    `camera`: one of `CAMERA_VIEWS`, or the name of a camera of the scene. `show`: the overlays. `agents`: the keys of the agents
+    for which ids, paths and similar overlays are drawn. A camera at eye level follows the first. `cut`, `window`: the texts of
+    the command-line options. `full`: by field, the strength that is drawn with the strongest colour. `least`: smaller bodies are
+    enlarged to this length in pixels; None for the default. `marks`: if not 0, bodies are drawn as discs of this diameter in
+    pixels. `blur`: the fraction of a frame for which the shutter is open. `at`, `look_at`: the position and the aim, in scene
+    units, of a camera that replaces `camera`; both or none. `focal`, `f_stop`, `focus`: if set, they replace the camera's focal
+    length (mm), f-number (0 for a pinhole), and distance in focus (scene units). `samples`: if not 0, Cycles renders the picture,
+    with this many paths per pixel."""
 
     width: int
     height: int
@@ -86,7 +81,8 @@ class DrawRequest:
     samples: int = 0
 
     def gallery(self, cache: Cache) -> Gallery:
-        """Return a gallery that builds the cache's pictures with these options. Raises PictureUnavailable as `Gallery` does."""
+        """Return a gallery that builds the cache's pictures with these options. Raises PictureUnavailable if the cache cannot be
+        drawn."""
         window = PathWindow.parse(self.window) if "paths" in self.show else None
         cut = CutPlane.parse(self.cut) if self.cut is not None else None
         states = "states" in self.show or self.marks > 0
@@ -94,7 +90,7 @@ class DrawRequest:
 
 
 class FrameDrawer:
-    """Drawer of the pictures of `frames`, on several threads. A fixed camera is chosen from the first of these frames."""
+    """Drawer of the pictures of `frames`, on several threads. A fixed camera is chosen for the first of these frames."""
 
     def __init__(self, gallery: Gallery, request: DrawRequest, frames: Sequence[int], threads: int) -> None:
         self.gallery, self.wanted, self.frames = gallery, request, list(frames)
@@ -114,15 +110,15 @@ class FrameDrawer:
     def draw(self, frame: int) -> NDArray[np.uint8]:
         """Return the picture of one frame (height, width, 3).
 
-        Raises CacheError if the frame is damaged, PictureUnavailable if it cannot be drawn. Raises AgentMissing if a camera
-        finds no agent, ValueError for an unknown word in `show`."""
+        Raises CacheError if the frame is damaged, and PictureUnavailable if it cannot be drawn. Raises AgentMissing if the agent
+        to follow is missing, and ValueError for an unknown word in `show`."""
         request, picture = self.wanted, self.gallery.make_picture(frame, agents=self._agents)
         following = self.make_camera(frame + 1) if request.blur > 0 else None
         image = self._renderer.draw(picture, self.make_camera(frame), show=request.show, next_camera=following)
         return add_legend(image, picture, self._legend_width, request.show)
 
     def make_camera(self, frame: int) -> Camera:
-        """Return the camera at a frame, with the requested lens."""
+        """Return the camera for a frame, with the requested lens."""
         request, camera = self.wanted, self._find_camera(frame)
         if request.focal is not None:
             camera = replace(camera, focal=request.focal)
@@ -131,9 +127,9 @@ class FrameDrawer:
         return camera if request.focus is None else replace(camera, focus=request.focus)
 
     def _choose_camera(self, first: Picture) -> Callable[[int], Camera]:
-        """Return the function that returns the requested camera for a frame. `first`: the picture of the first frame.
+        """Return a function that returns the requested camera for a frame. `first`: the picture of the first frame.
 
-        Raises AgentMissing if no frame has the agent to follow."""
+        Raises AgentMissing if no frame contains the agent to follow."""
         request, name = self.wanted, self._name
         if request.at is not None and request.look_at is not None:
             eye, aim = (to_tuple(np.array(point) - self.gallery.origin) for point in (request.at, request.look_at))
@@ -157,11 +153,10 @@ class FrameDrawer:
         )
 
     def _follow_agent(self, first: Picture, *, is_close: bool) -> FollowingCamera | None:
-        """Return the camera beside the requested agent, or None if no frame has agents. Raises AgentMissing if no frame has this
-        agent.
+        """Return the camera beside the requested agent. None if no frame contains agents.
 
-        If no agent is requested, the camera is beside an agent with others nearby, in the first frame that has agents. `first`:
-        the picture of the first frame."""
+        If no agent is requested, one with others nearby is chosen, in the first frame that contains agents. `first`: the picture
+        of the first frame. Raises AgentMissing if no frame contains the requested agent."""
         focal = self.wanted.focal or (CLOSE_FOCAL_MM if is_close else EYE_FOCAL_MM)
         view, agents = None, self.wanted.agents
         names = [species.name for species in self.gallery.manifest.species]
@@ -189,12 +184,12 @@ class FrameDrawer:
 
 
 def _make_constant_function(camera: Camera) -> Callable[[int], Camera]:
-    """Return a function that returns the same camera for every frame."""
+    """Return a function that returns `camera` for every frame."""
     return lambda frame: camera
 
 
 def _describe_missing_agent(picture: Picture, agents: Sequence[int]) -> str:
-    """Return the message for a missing agent of the camera, with the existing ids."""
+    """Return the message for an agent that a camera should follow but that is missing. It lists existing ids."""
     counts: dict[str, int] = {}
     for crowd in picture.crowds:
         counts[crowd.species] = counts.get(crowd.species, 0) + len(crowd.position)
@@ -204,7 +199,7 @@ def _describe_missing_agent(picture: Picture, agents: Sequence[int]) -> str:
 
 
 def make_still_path(folder: Path, frame: int) -> Path:
-    """Return the path of a frame's still."""
+    """Return the path of the still of a frame."""
     return folder / f"picture.{frame:04d}.png"
 
 
@@ -219,9 +214,9 @@ class StillStore:
 
     @classmethod
     def build(cls, folder: Path, cache: Cache, request: DrawRequest, camera_frames: Sequence[int]) -> StillStore:
-        """Return the store for the stills of a cache. A still's hash covers the data that identifies the cache's frames.
+        """Return the store of the stills of a cache. The hash of a still covers the data that identifies the cache's frames.
 
-        `camera_frames`: the frames from which a common camera is chosen."""
+        `camera_frames`: the frames that decide the camera, if it is common to all frames."""
         read = cache.manifest.model_copy(update={"made_with": None}).model_dump_json()  # pictures do not depend on provenance
         manifest = blake2b(read.encode(), digest_size=16).hexdigest()
         frames = cache.frames()
@@ -235,7 +230,7 @@ class StillStore:
         return cls(folder, request, cache.lines(), json.dumps(inputs, sort_keys=True))
 
     def write_still(self, frame: int, image: Image) -> Path:
-        """Write the picture (h, w, 3) of a frame atomically, without syncing it to the disk. Return its path."""
+        """Write the picture (h, w, 3) of a frame atomically, without flushing it to disk. Return its path."""
         from PIL import Image as PillowImage
         from PIL.PngImagePlugin import PngInfo
 
@@ -249,7 +244,7 @@ class StillStore:
     def read_still(self, frame: int) -> Image | None:
         """Return the stored picture (h, w, 3) of a frame.
 
-        Return None if it does not exist, is incomplete, or was drawn from other inputs."""
+        None if it does not exist, is incomplete, or was drawn from other inputs."""
         from antdsl.reader.image_request import ImageError, read_image_file
 
         try:
@@ -262,6 +257,6 @@ class StillStore:
         return picture.samples if picture.texts.get(_PNG_HASH_KEYWORD) == self._compute_hash(frame) else None
 
     def _compute_hash(self, frame: int) -> str:
-        """Return the hash of everything that the still of a frame is drawn from."""
+        """Return the hash of everything from which the still of a frame is drawn."""
         line = self._hash_lines.get(frame)
         return blake2b(f"{frame} {line.file if line else ''} {self._inputs_json}".encode(), digest_size=16).hexdigest()

@@ -1,4 +1,4 @@
-"""Orientations as angles about x, y and z for animation curves, without jumps between frames."""
+"""Orientations as angles about x, y and z for animation curves, without jumps from frame to frame."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ _GIMBAL_LOCK_COSINE = 1e-6  # cosine of the middle angle; below it, only the sum
 class EulerAngles:
     """The angles of agents about x, then y, then z, frame by frame.
 
-    Of all equivalent angles, each agent gets those nearest to its previous angles, in the sum of squares. New agents get the
-    angles nearest to 0."""
+    Of all equivalent angles, each agent gets those nearest to its previous angles (least sum of squares). New agents get those
+    nearest to 0."""
 
     def __init__(self) -> None:
         self._ids: NDArray[np.int64] = np.empty(0, np.int64)
         self._last_angles: Floats = np.empty((0, 3))
 
     def compute_angles(self, ids: NDArray[np.int64], orient: NDArray[np.floating]) -> Floats:
-        """Return the angles (n, 3) in degrees of quaternions (n, 4: x, y, z, w). A quaternion of zero length means no rotation.
+        """Return the angles (n, 3) in degrees for orientations `orient` (n, 4), quaternions x, y, z, w. Zero length means no
+        rotation.
 
         `ids` (n,): the agents, ascending."""
         previous = np.zeros((len(ids), 3))
@@ -35,12 +36,11 @@ class EulerAngles:
 
 
 def find_nearest_angles(rotations: Floats, previous_angles: Floats) -> Floats:
-    """Return the angles (n, 3) about x, then y, then z, in radians, of rotation matrices (n, 3, 3) for column vectors.
+    """Return angles (n, 3) about x, then y, then z, in radians, for rotation matrices (n, 3, 3) that act on column vectors.
 
-    Of all equivalent angles, those nearest to `previous_angles` are returned.
-
-    The outer angle is computed first, and the others from the remaining rotation. So the angles reproduce the matrix even if the
-    middle angle is near 90 degrees (M. Day, Extracting Euler Angles from a Rotation Matrix, Insomniac Games, 2014)."""
+    Of all equivalent angles, those nearest to `previous_angles` are returned. The outer angle is computed first, and the others
+    from the rotation that remains. So the angles reproduce the matrix even if the middle angle is near 90 degrees (M. Day,
+    Extracting Euler Angles from a Rotation Matrix, Insomniac Games, 2014)."""
     flat = np.hypot(rotations[:, 0, 0], rotations[:, 1, 0])
     outer = np.where(flat > _GIMBAL_LOCK_COSINE, np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0]), previous_angles[:, 2])
     c, s = np.cos(outer), np.sin(outer)
@@ -53,5 +53,5 @@ def find_nearest_angles(rotations: Floats, previous_angles: Floats) -> Floats:
 
 
 def _unwrap_angles(angles: Floats, previous_angles: Floats) -> Floats:
-    """Return each angle shifted by full rotations, so that it is nearest to the previous angle."""
+    """Return each angle shifted by full turns, so that it is nearest to the previous angle."""
     return angles - 2 * np.pi * np.round((angles - previous_angles) / (2 * np.pi))

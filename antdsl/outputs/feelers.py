@@ -1,4 +1,4 @@
-"""The feelers of a species' program, for pictures: their number, spread and length."""
+"""The feelers in a species' program, for pictures: their number, spread and length."""
 
 from __future__ import annotations
 
@@ -27,8 +27,7 @@ _OPERATOR_FUNCTIONS: dict[str, Callable[..., float]] = {
 def list_feelers(
     program: Program, species: str, params: Mapping[str, Any], unit_mm: float, dt: float
 ) -> tuple[FeelersEntry, ...]:
-    """Return the feelers of all layers and states of a species. Feelers with numbers that change from step to step are left
-    out."""
+    """Return the feelers in all layers and states of a species. Feelers with numbers that change during a run are omitted."""
     entries = []
     for part in _find_feelers(program.species[species]):
         count, spread, reach = (_evaluate_number(a, 0.0, params, unit_mm, dt) for a in part.args)
@@ -45,9 +44,9 @@ def _find_feelers(species: Species) -> tuple[SetExpr, ...]:
 
 
 def _evaluate_number(expression: Expr | None, size: float, params: Mapping[str, Any], unit_mm: float, dt: float) -> float | None:
-    """Return the value of an expression in base units for an agent of `size` mm.
+    """Return the value of an expression in base units, for an agent of `size` mm.
 
-    Return None if it depends on anything else than the size and `params`."""
+    None if it depends on anything but the size and `params`."""
     if isinstance(expression, Constant):
         return float(expression.number * unit_mm**expression.unit_power * dt**expression.step)
     if isinstance(expression, ParamRef):
@@ -66,11 +65,9 @@ def _evaluate_number(expression: Expr | None, size: float, params: Mapping[str, 
 
 def compute_feeler_rays(entry: FeelersEntry, position: NDArray[np.float64], ahead: NDArray[np.float64], up: NDArray[np.float64],
          scale: NDArray[np.float64]) -> NDArray[np.float64]:  # fmt: skip
-    """Return the start and end points (n · count, 2, 3) of agents' feelers.
+    """Return the start point and the end point of each feeler of n agents, (n · count, 2, 3).
 
-    `position` (n, 3): positions of the agents.
-    `ahead`, `up` (n, 3): unit vectors.
-    `scale` (n,): body lengths."""
+    `position` (n, 3): positions of the agents. `ahead`, `up` (n, 3): unit vectors. `scale` (n,): body lengths."""
     angles = np.linspace(-entry.spread, entry.spread, entry.count) if entry.count > 1 else np.zeros(1)
     side = np.cross(up, ahead)
     reach = (entry.reach + entry.per_length * scale)[:, None]

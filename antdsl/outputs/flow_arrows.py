@@ -22,7 +22,7 @@ _ARROW_LIFT = 0.06
 
 
 def make_flow_arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
-    """Return the arrows of all flows on meshes, in scene units relative to the world's origin. `scale`: scene units per mm."""
+    """Return arrows for all flows on meshes, in scene units relative to the world's origin. `scale`: scene units per mm."""
     meshes = world.ground.meshes
     if meshes is None:
         return {}
@@ -51,6 +51,6 @@ def make_flow_arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
 
 
 def read_flow_arrows(static: Mapping[str, NDArray[Any]]) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return the start points (n, 3) and vectors (n, 3) of the arrows, by the flow's name."""
+    """Return the start points (n, 3) and the vectors (n, 3) of the arrows, by flow name."""
     names = [key.removeprefix("flow.").removesuffix(".P") for key in static if key.startswith("flow.") and key.endswith(".P")]
     return {n: (np.asarray(static[f"flow.{n}.P"], np.float64), np.asarray(static[f"flow.{n}.V"], np.float64)) for n in names}

@@ -1,6 +1,6 @@
-"""Converts a cache's frames to pictures: meshes, agents in the colours of their states, items and scent.
+"""Converts frames of a cache to pictures: meshes, agents in the colours of their states, items and scent.
 
-The drawn size of an item shows its remaining amount."""
+The size of an item shows how much of its amount is left."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ _MAX_STRENGTH_FRAMES = 8  # frames examined to find the strongest value of a fie
 
 
 class PictureUnavailable(Exception):
-    """Error for a cache that cannot be drawn. The message is the reason, complete without context."""
+    """Error for a cache that cannot be drawn. The message is a complete explanation."""
 
 
 @contextmanager
 def _body_problems(species: SpeciesEntry) -> Iterator[None]:
-    """Raise PictureUnavailable in place of the BodyError for a damaged body of a species."""
+    """Raise PictureUnavailable instead of BodyError if a body of the species is damaged."""
     try:
         yield
     except BodyError as error:
@@ -68,12 +68,11 @@ class Gallery:
     """Builder of the pictures of one cache. A picture does not depend on earlier pictures. Positions are relative to `origin`
     (scene units).
 
-    `window`: the seconds before and after a frame for which pictures have the agents' paths; None for no paths.
-    `shows_states`: whether agents have the colours of their states, instead of the natural colours of their bodies.
-    `blurred`: whether pictures also have the agents' positions in the next frame.
-    `full`: by field, the strength that is drawn strongest.
+    `window`: the time span of the agents' paths in pictures; None for no paths. `shows_states`: whether agents have the colours
+    of their states instead of the natural colours of their bodies. `blurred`: whether pictures also contain the agents' positions
+    in the next frame, for motion blur. `full`: by field, the strength that is drawn with the strongest colour.
 
-    Raises PictureUnavailable for a cache without the data for pictures, or without a field in `full`."""
+    Raises PictureUnavailable if the cache lacks data for pictures, or a field that `full` names."""
 
     def __init__(
         self,
@@ -114,8 +113,8 @@ class Gallery:
         self._field_reader = FieldReader(self.manifest, self.static)
 
     def make_picture(self, frame: int, *, agents: frozenset[int] = frozenset()) -> Picture:
-        """Return the picture of one frame. With `agents`, the overlays `ids`, `velocity` and `agent_paths` are limited to agents
-        with these keys (`make_agent_keys`)."""
+        """Return the picture of one frame. `agents`: keys (`make_agent_keys`) of the agents to which overlays of ids, velocities
+        and paths are limited; empty for all."""
         arrays = self.cache.frame(frame)
         if self._first_frame is None:
             frames = self.cache.frames()
@@ -136,9 +135,9 @@ class Gallery:
         return whole if self._cut_plane is None else self._cut_plane.cut_picture(whole)
 
     def find_outline_points(self, frames: Sequence[int]) -> NDArray[np.float64]:
-        """Return points (n, 3) that enclose the agents of the frames. A camera that shows these points shows all agents.
+        """Return points (n, 3) around all agents of the frames. A camera that shows these points shows all agents.
 
-        The points are the outermost agents in many directions, with a margin of the body's reach. Only some of the frames are
+        The points are the outermost agents in many directions, plus a margin for their bodies. Only a sample of the frames is
         examined."""
         turn = np.arange(_OUTLINE_DIRECTIONS) * (np.pi * (3.0 - np.sqrt(5.0)))  # a spiral that covers the sphere evenly
         height = 1.0 - 2.0 * (np.arange(_OUTLINE_DIRECTIONS) + 0.5) / _OUTLINE_DIRECTIONS
@@ -157,9 +156,9 @@ class Gallery:
         return np.concatenate(points)
 
     def _compute_body_reaches(self, arrays: Arrays) -> NDArray[np.float64] | float:
-        """Return the reach of each agent's body from its position, in body lengths. It is at least 1.
+        """Return how far the body of each agent extends from its position, in body lengths. At least 1.
 
-        Only species with an agent definition have a larger reach."""
+        Only species with an agent definition may extend farther."""
         reach = np.ones(len(self.manifest.species))
         for number, species in enumerate(self.manifest.species):
             with _body_problems(species):
@@ -178,7 +177,7 @@ class Gallery:
         )
 
     def _make_solids(self, arrays: Arrays) -> tuple[Solid, ...]:
-        """Return the meshes that are not dug. Moving meshes are at their positions of the frame."""
+        """Return the meshes that are not dug. Moving meshes are at their positions in the frame."""
         moved = {mesh.name: f"mesh.{mesh.name}.vertices" for mesh in self.manifest.meshes if mesh.moves}
         return tuple(
             replace(solid, vertices=np.asarray(arrays[moved[solid.name]], np.float64))
@@ -222,7 +221,7 @@ class Gallery:
         return tuple(crowds), tuple(legend)
 
     def _species_crowds(self, number: int, frame: int, arrays: Arrays) -> tuple[Crowd, ...]:
-        """Return the agents of a species, posed for the frame. There is one crowd per body.
+        """Return the agents of a species in the poses that they have in the frame, as one crowd per body.
 
         Agents without a clip play the idle clip."""
         species, rows = self.manifest.species[number], find_species_rows(arrays, number)
@@ -260,10 +259,10 @@ class Gallery:
     def _choose_colours(
         self, species: SpeciesEntry, arrays: Arrays, rows: NDArray[np.intp], body: PosedBody, driven_pose: PoseAdjustments
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the display colours (n, 3) of agents, and whether each comes from a state or an edit (n,).
+        """Return the display colours (n, 3) of agents, and a mask of the agents with a colour from a state or an edit (n,).
 
-        Without `shows_states`, the colour is the natural colour of the body. A colour that differs from that of the agent's state
-        was set by an edit and stays."""
+        Without `shows_states`, agents have the natural colour of the body. A colour that differs from that of the agent's state
+        was set by an edit, and is retained."""
         natural = encode_srgb_values(body.compute_natural_colours(driven_pose, len(rows)))
         if "Cd" not in arrays:
             return natural, np.zeros(len(rows), np.bool_)
@@ -277,7 +276,7 @@ class Gallery:
         return np.where(is_edited[:, None], stored, natural), is_edited
 
     def _split_by_layers(self, crowd: Crowd, number: int, body_index: int, arrays: Arrays) -> list[Crowd]:
-        """Return one crowd for each set of layers that agents of the crowd wear. `body_index`: the body of the crowd."""
+        """Return one crowd for each set of layers that agents of the crowd wear. `body_index`: the index of the crowd's body."""
         rows = find_species_rows(arrays, number)
         masks = read_layer_masks(self.manifest.species[number], arrays, len(rows))
         if len(crowd.position) != len(rows):
@@ -289,14 +288,14 @@ class Gallery:
         return [replace(crowd.select_rows(rows), body=self.load_body(number, mask, body_index)) for mask, rows in parts]
 
     def load_body(self, number: int, mask: int = 0, body_index: int = 0) -> PosedBody:
-        """Return a body of a species with the layers of a mask. It is stored in the cache, or comes from the library.
+        """Return a body of species `number` with the layers of a mask, from the cache or the library.
 
         `body_index`: its index among the bodies of the species."""
         with _body_problems(self.manifest.species[number]):
             return self.bodies.body(number, mask, body_index)
 
     def _add_lines(self, crowd: Crowd, species: SpeciesEntry, number: int, frame: int) -> Crowd:
-        """Return the crowd with the paths and feelers of its agents, if these are displayed."""
+        """Return the crowd with the paths and feelers of its agents, if they are to be displayed."""
         if crowd.ids is not None and self._agent_paths is not None:
             crowd = replace(crowd, paths=self._agent_paths.get_paths(frame, number, np.asarray(crowd.ids, np.int64)))
         if not species.feelers or crowd.ids is None or not len(crowd.position):
@@ -322,7 +321,7 @@ class Gallery:
         return tuple(items)
 
     def _compute_remaining_share(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:
-        """Return the share (0..1) that an item still has of its amount in the first frame."""
+        """Return the fraction (0..1) that an item has left of its amount in the first frame."""
         start = self._first_frame or {}
         keys = (f"items.{group}.{attribute}" for attribute in attributes)
         return compute_remaining_share(
@@ -330,7 +329,7 @@ class Gallery:
         )
 
     def _make_trails(self, arrays: Arrays) -> tuple[Trail, ...]:
-        """Return the fields of a frame."""
+        """Return the fields of a frame as trails."""
         trails = []
         for number, field in self._field_reader.read_frame(arrays):
             full = self._requested_strengths.get(field.name) or self._find_full_strengths().get(field.name) or None
@@ -339,9 +338,9 @@ class Gallery:
         return tuple(trails)
 
     def _find_full_strengths(self) -> dict[str, float]:
-        """Return the strength that is drawn strongest, by field.
+        """Return, for each field, the strength that is drawn with the strongest colour.
 
-        All frames of the cache use the same strength, so that scent can be compared."""
+        It is the same in all frames of the cache, so that scent can be compared between frames."""
         if self._computed_strengths is None:
             frames, self._computed_strengths = self.cache.frames(), {}
             chosen = (
@@ -360,21 +359,23 @@ class Gallery:
         return self._computed_strengths
 
     def _measure_grain(self, first: Arrays) -> float | None:
-        """Return the reference length of the ground's grain: the median body length of the first frame, despite births."""
+        """Return the reference length for the ground's grain: the median body length in the first frame. Later births do not
+        change it."""
         lengths = np.asarray(first["pscale"], np.float64)
         lengths = lengths[np.isfinite(lengths) & (lengths > 0)]
         return float(np.median(lengths)) if len(lengths) else None
 
 
 def choose_coordinate_format(gallery: Gallery) -> str:
-    """Return the `%` format for a coordinate relative to the scene's zero point: all digits of float32.
+    """Return a `%` format for coordinates relative to the scene's zero, with all digits of float32.
 
-    With an origin it has the digits of float64 (a millionth of a millimetre at 1000 km)."""
+    If the cache has an origin, it has the digits of float64 (a millionth of a millimetre at 1000 km)."""
     return "%.15g" if gallery.origin.any() else "%.9g"
 
 
 def _split_selected(crowd: Crowd, species: int, selected_keys: frozenset[int]) -> list[Crowd]:
-    """Return a crowd of a species, split into the agents with these keys and the others, which lose their ids and velocities."""
+    """Return a crowd split into the agents with these keys and all others. The others lose their ids and velocities, so overlays
+    omit them."""
     if not selected_keys or crowd.ids is None:
         return [crowd]
     chosen = np.isin(np.asarray(crowd.ids, np.int64) * SPECIES_PER_KEY + species, sorted(selected_keys))

@@ -1,4 +1,5 @@
-"""The measures of each frame of a run, as `measures.csv` in the folder of its cache; with pyarrow, as `measures.parquet` too."""
+"""The measures of each frame of a run, written to `measures.csv` in the cache's folder and, if pyarrow is installed, to
+`measures.parquet`."""
 
 from __future__ import annotations
 
@@ -22,9 +23,9 @@ _MAX_FILE_BYTES = 4 * limits.GIB
 
 
 class MeasureFile:
-    """Writes a line of `measures.csv` for each frame, at once, so that a stopped run has the lines of its frames.
+    """Writer of `measures.csv`. Each frame's line is written immediately, so that a stopped run has the lines of all its frames.
 
-    Within the context, call `write_frame`. The end of the context writes the Parquet file."""
+    Call `write_frame` within the context. The Parquet file is written at the end of the context."""
 
     def __init__(self, folder: Path, names: tuple[str, ...], last_retained: int | None) -> None:
         """`last_retained`: lines of an earlier run up to this frame stay; None: no line stays."""
@@ -57,7 +58,7 @@ class MeasureFile:
         return [*_FIXED_COLUMNS, *self.names]
 
     def _read_rows(self, last: int | None) -> list[list[str]]:
-        """Return the lines of the file up to a frame, without the head. A file with other columns has none."""
+        """Return the lines of the file up to frame `last`, without the header. Empty if the file has other columns."""
         with suppress(OSError, UnicodeDecodeError, csv.Error):
             text = read_size_limited(self.folder / MEASURES_FILE_NAME, _MAX_FILE_BYTES, follows_links=False).decode()
             head, *rows = csv.reader(StringIO(text[: text.rfind("\n") + 1]))
@@ -66,7 +67,7 @@ class MeasureFile:
         return []
 
     def write_frame(self, frame: int, time: float, values: Mapping[str, float | int | None]) -> None:
-        """Write the line of a frame. `time`: seconds since the first frame. A value of None is an empty cell."""
+        """Write the line of a frame. `time`: seconds since the first frame. A value of None gives an empty cell."""
         if self.file is not None:
             cells = ("" if values[name] is None else values[name] for name in self.names)
             self.file.write(format_csv([[frame, time, *cells]]))

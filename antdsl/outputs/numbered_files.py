@@ -1,4 +1,4 @@
-"""Names of files with one file per frame, and the error for caches that cannot be exported in some form."""
+"""Names for files of single frames, and the error for caches that cannot be exported in some form."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from pathlib import Path
 
 
 class ExportUnavailable(Exception):
-    """Error for a cache that cannot be exported in this form. The message is the reason, complete without context. `help`: a
-    correction."""
+    """Error for a cache that cannot be exported in this form. The message is a complete explanation. `help`: a remedy."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -16,9 +15,9 @@ class ExportUnavailable(Exception):
 
 
 def make_numbered_path(path: Path, frame: int) -> Path:
-    """Return the path of a frame's file. The frame number replaces `####`, padded to as many digits.
+    """Return the path of the file of a frame. The frame number replaces `####`, padded to as many digits.
 
-    Without `####`, the number is inserted before the suffix, with four digits."""
+    If the name has no `####`, the number is inserted before the suffix, with four digits."""
     match = re.search("#+", path.stem)
     if match:
         name = f"{path.stem[: match.start()]}{frame:0{len(match[0])}d}{path.stem[match.end() :]}"

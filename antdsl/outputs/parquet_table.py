@@ -1,4 +1,4 @@
-"""Tables as Apache Parquet files, if pyarrow is installed."""
+"""Writes tables as Apache Parquet files if pyarrow is installed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def encode_parquet(columns: Mapping[str, Sequence[Any]]) -> bytes | None:
-    """Return columns of equal length as the bytes of a Parquet file. Return None if pyarrow is not installed."""
+    """Return columns of equal length as the bytes of a Parquet file. None if pyarrow is not installed."""
     if find_spec("pyarrow") is None:
         return None
     import pyarrow

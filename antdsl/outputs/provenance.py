@@ -25,24 +25,24 @@ _MAX_COMMAND_CHARACTERS = 2000  # characters of a command
 
 
 def collect_provenance(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> Provenance:
-    """Return the provenance of a cache that this process makes. `scene`: the name of the scene file; `inputs`: the inputs of the
+    """Return the provenance of a cache that this process makes. `scene`: the name of the scene file. `inputs`: the inputs of the
     run."""
     return Provenance(sources=hash_sources(), command=make_command(scene, frames, seed, inputs), **_find_package_versions())
 
 
 def make_command(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> str:
-    """Return the command that makes the same frames.
+    """Return the command that makes the same frames again.
 
-    It contains no folder, and no option that does not change results, such as `--out` and `--threads`. So the same run gives the
-    same bytes anywhere, and a cache reveals nothing about the machine."""
+    It contains neither folders nor options that do not change results, such as `--out` and `--threads`. So a run gives the same
+    bytes anywhere, and its cache reveals nothing about the machine."""
     return shlex.join(_make_command_words(scene, frames, seed, inputs))[:_MAX_COMMAND_CHARACTERS]
 
 
 def make_resume_command(folder: Path) -> str:
-    """Return the command that completes a cache or makes its damaged frames again.
+    """Return the command that completes a cache, or makes its damaged frames again.
 
-    Words in capitals stand for values that the manifest lacks: the folders of granted roots, and the scene of an unreadable
-    manifest. Every word of the manifest is quoted, since the manifest may come from a stranger."""
+    Words in capitals are placeholders for values that the manifest does not contain: the folders of granted roots, and the scene
+    of an unreadable manifest. All words from the manifest are quoted, because the manifest may come from a stranger."""
     try:
         manifest = read_manifest(folder)
     except ManifestError:
@@ -55,7 +55,7 @@ def make_resume_command(folder: Path) -> str:
 
 
 def _make_command_words(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> list[str]:
-    """Return the words of the command that makes these frames."""
+    """Return the words of the command that makes these frames again."""
     changes = [f"{name.removeprefix('--set ')}={text}" for name, text in inputs.items() if name.startswith("--set ")]
     sets = [word for change in changes for word in ("--set", change)]
     return ["antdsl", "run", scene, "--frames", f"{frames.first}..{frames.last}", "--seed", str(seed), *sets]
@@ -84,7 +84,7 @@ def _find_llvm_versions() -> str:
 
 
 def _find_installed_version(*names: str) -> str:
-    """Return the version of the first package of `names` that is installed. Empty if none is."""
+    """Return the version of the first of these packages that is installed. Empty if none is."""
     for name in names:
         try:
             return version(name)

@@ -1,6 +1,6 @@
-"""Simulates a shot into a cache, from the beginning or from the last intact checkpoint.
+"""Simulates a shot and writes it to a cache, from the beginning or from the last intact checkpoint.
 
-After each frame it yields to the caller, which may report progress or stop the run."""
+After each frame, control returns to the caller, which may report progress or stop the run."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _TIME_DECIMALS = 6  # of seconds in the file of measures
 
 @dataclass(slots=True, eq=False)
 class Recording:
-    """The progress of a run. If `stop_requested` is set, the run ends after the current frame, with a checkpoint."""
+    """A run in progress. If `stop_requested` is set, the run ends after the current frame, with a checkpoint."""
 
     shot: Shot
     folder: Path
@@ -84,11 +84,11 @@ class Recording:
 
     @property
     def is_complete(self) -> bool:
-        """Return whether the last frame was passed to the writer. A run also ends where its `until` holds."""
+        """Return whether the last frame was passed to the writer. If `until` holds earlier, that frame is the last one."""
         return self.frame == self.shot.frames.last or (self.measures is not None and self.measures.is_over)
 
     def add_time(self, label: str, start_time: float) -> None:
-        """Add the time since `start_time` to the seconds of the work called `label`."""
+        """Add the time since `start_time` to the seconds spent on the kind of work called `label`."""
         self.seconds[label] = self.seconds.get(label, 0.0) + time.perf_counter() - start_time
 
     def add_measures(self, measures: Mapping[str, Any]) -> None:
@@ -101,13 +101,13 @@ class Recording:
 
 
 class NothingToResume(Exception):
-    """Error if no checkpoint of an earlier run can be used. The message is the reason."""
+    """Error if no checkpoint of an earlier run is usable. The message is the reason."""
 
 
 def begin_recording(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bool) -> Recording:
-    """Bind the shot and compute feet. With `resume`, restore the world from the last intact checkpoint.
+    """Bind the shot, and compute feet. With `resume`, restore the world from the last intact checkpoint.
 
-    A checkpoint is intact if all frames up to it have complete files, and if the world restored from it has the stored hash."""
+    For an intact checkpoint, the files of all frames up to it are complete, and the restored world has the stored hash."""
     inputs, options = {**shot.inputs, **hash_start_frame(shot)}, replace(options, feet=True)
     intact: IntactPart | None = None
     if resume:
@@ -133,7 +133,7 @@ def begin_recording(shot: Shot, folder: Path, options: Options, *, resume: bool,
 
 
 def _add_option_changes(shot: Shot, inputs: Mapping[str, str], problem: DifferentInputs) -> DifferentInputs:
-    """Return the exception with messages about the seed, the first frame and `--set`, where these differ."""
+    """Return the exception with messages about those of the seed, the first frame and `--set` that differ."""
     then, scene, names = problem.manifest, shot.scene, list(problem.names)
     choices = []
     frames = FrameRange(then.first, max(then.first, shot.frames.last))
@@ -151,7 +151,7 @@ def _add_option_changes(shot: Shot, inputs: Mapping[str, str], problem: Differen
 
 
 def _resume_recording(recording: Recording, intact: IntactPart, options: Options) -> None:
-    """Restore the world from the last intact checkpoint. Record which damaged frames are computed again."""
+    """Restore the world from the last intact checkpoint. Record which damaged frames will be computed again."""
     shot, lines, notes = recording.shot, intact.cache.lines(), [] if intact.damage is None else [intact.damage]
     for frame in intact.checkpoints:
         why = _restore_checkpoint(recording, intact.cache, frame, lines[frame])
@@ -182,7 +182,8 @@ def _resume_recording(recording: Recording, intact: IntactPart, options: Options
 
 
 def _find_damaged_checkpoints(recording: Recording, cache: Cache, lines: Mapping[int, HashLine], limit: int) -> Iterator[str]:
-    """Yield the reasons why checkpoints before the frame `limit` are unusable. These checkpoints are recorded for removal."""
+    """Yield the reason why each unusable checkpoint before frame `limit` is unusable. These checkpoints are recorded for
+    removal."""
     for frame in cache.checkpoints():
         why = cache.find_checkpoint_damage(frame, lines.get(frame)) if frame < limit else None
         if why is not None:
@@ -191,9 +192,7 @@ def _find_damaged_checkpoints(recording: Recording, cache: Cache, lines: Mapping
 
 
 def _restore_checkpoint(recording: Recording, cache: Cache, frame: int, line: HashLine) -> str | None:
-    """Restore the world and the measurements from a checkpoint. Return None, or a message about why that failed.
-
-    The message is complete without context."""
+    """Restore the world and the measurements from a checkpoint. Return None, or a complete message if this failed."""
     world, path = recording.world, make_checkpoint_path(cache.folder, frame)
     why = cache.find_checkpoint_damage(frame, line)
     if why is not None:
@@ -211,9 +210,9 @@ def _restore_checkpoint(recording: Recording, cache: Cache, frame: int, line: Ha
 
 
 def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = lambda label, frame: None) -> Iterator[Recording]:
-    """Simulate and write the frames. Yield the recording after each frame.
+    """Simulate the frames and write them. Yield the recording after each frame.
 
-    `on_frame(label, frame)` is called for each frame, including the preroll. The last frame gets a checkpoint, also if
+    `on_frame(label, frame)` is called for each frame, including those of the preroll. The last frame gets a checkpoint, even if
     `stop_requested` ended the run."""
     shot, world = recording.shot, recording.world
     model = shot.scene.model
@@ -259,8 +258,9 @@ def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = l
 
 
 def _run_timed_step(recording: Recording, label: str) -> None:
-    """Run one step and add its time to the work called `label`. The first step counts as `first_step`: it also loads kernels and
-    tables."""
+    """Run one step, and add its time to the work called `label`.
+
+    The first step counts as `first_step`, because it also loads kernels and tables."""
     began = time.perf_counter()
     meter = recording.step_meter if label == "step" and "first_step" in recording.seconds else None
     if meter is not None:
@@ -278,14 +278,14 @@ def _run_timed_step(recording: Recording, label: str) -> None:
 
 
 def _is_checkpoint(recording: Recording, frame: int) -> bool:
-    """Return whether a frame has a checkpoint: the first frame and every n-th after it. A continued run has the same
+    """Return whether a frame gets a checkpoint: the first frame, and every n-th after it. A continued run has the same
     checkpoints."""
     return (frame - recording.shot.frames.first) % recording.shot.scene.model.output.checkpoint == 0
 
 
 def _write_frame(recording: Recording, measures: RunMeasures, writer: CacheWriter, measure_file: MeasureFile) -> None:
-    """Pass the current frame to the writer, with a checkpoint if one is due, and add the time. Write the measures of the
-    frame."""
+    """Pass the current frame to the writer, with a checkpoint if one is due. Also write the frame's measures, and add the time
+    spent."""
     world = recording.world
     began = time.perf_counter()
     measures.record_frame(world)

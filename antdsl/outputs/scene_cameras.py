@@ -1,4 +1,4 @@
-"""The cameras of a cache: those of its scene, by name, and cameras that stay beside an agent in a range of frames."""
+"""The cameras of a cache: the cameras of its scene, by name, and cameras that follow an agent over a range of frames."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _MAX_SCORED_FRAMES = 4  # frames for which a direction is examined
 
 
 class SceneCameras:
-    """The cameras of the scene of a gallery's cache."""
+    """The cameras of the scene from which a gallery's cache was made."""
 
     def __init__(self, gallery: Gallery) -> None:
         self._gallery, self._entries = gallery, gallery.manifest.named_cameras
@@ -53,17 +53,17 @@ class SceneCameras:
         return list(self._entries)
 
     def is_fitted(self, name: str = DEFAULT_CAMERA_NAME) -> bool:
-        """Return whether a camera shows the complete crowd in all drawn frames."""
+        """Return whether a camera is placed so that it shows the complete crowd in all drawn frames."""
         return self._entries.get(name) == "fit"
 
     def is_moving(self, name: str = DEFAULT_CAMERA_NAME) -> bool:
-        """Return whether a camera changes between frames."""
+        """Return whether a camera changes from frame to frame."""
         entry = self._entries.get(name)
         has_moving_focus = isinstance(entry, LensEntry) and isinstance(entry.focus, str)
         return isinstance(entry, FollowEntry) or has_moving_focus or (isinstance(entry, CameraEntry) and entry.moves)
 
     def make_camera(self, frame: int, name: str = DEFAULT_CAMERA_NAME) -> Camera | None:
-        """Return a camera at a frame. Return None if the scene has no such camera, or if it depends on the drawn frames."""
+        """Return a camera at a frame. None if the scene has no such camera, or if the camera depends on the drawn frames."""
         entry = self._entries.get(name)
         if isinstance(entry, FollowEntry):
             if name not in self._following:
@@ -74,8 +74,8 @@ class SceneCameras:
         return self._add_lens(self._make_placed_camera(frame, name, entry), entry, frame)
 
     def _add_lens(self, camera: Camera, entry: LensEntry, frame: int) -> Camera:
-        """Return the camera with the depth of field of an entry. An agent in focus that the frame lacks leaves the focus at
-        what the camera looks at."""
+        """Return the camera with the depth of field of an entry. If the frame lacks the agent in focus, `look_at` remains in
+        focus."""
         manifest, focus = self._gallery.manifest, entry.focus
         if isinstance(focus, str):
             track = read_track(self._gallery.cache, *find_agent(manifest, focus), [frame] if self._has_frame(frame) else [])
@@ -98,10 +98,10 @@ class SceneCameras:
         return Camera(at, look_at, focal=float(static[make_camera_array_name(name, "focal")][row]) or DEFAULT_FOCAL_MM, up=up)
 
     def list_exported(self, frame: int) -> dict[str, str]:
-        """Return the cameras that files can have: by name in the scene, the name in the file. The default camera is called
-        `camera`.
+        """Return the cameras that exported files can contain: by name in the scene, the name in the file.
 
-        Cameras that are fitted to drawn frames, and those that follow an agent that the cache lacks, are left out."""
+        The default camera is called `camera`. Cameras fitted to the drawn frames are omitted, and so are those that follow an
+        agent that the cache lacks."""
         names = {}
         for name in self._entries:
             try:
@@ -114,12 +114,13 @@ class SceneCameras:
 
 
 def compute_aperture(focal: float, f_stop: float | None, units: str) -> float:
-    """Return the diameter of a lens in scene units (`units`), 0 without an f-stop. `focal`: its focal length in mm."""
+    """Return the diameter of a lens in scene units (`units`). 0 if `f_stop` is None. `focal`: the focal length in mm."""
     return focal / f_stop / UNIT_MM[units] if f_stop else 0.0
 
 
 def find_camera_axes(camera: Camera, up: str) -> tuple[Array, Array]:
-    """Return the position of a camera, and its axes to the right, to the top and backwards as rows. `up`: the scene's up axis."""
+    """Return the position of a camera, and its axes to the right, upwards and backwards as rows. `up`: the up axis of the
+    scene."""
     eye, aim = np.asarray(camera.at, np.float64), np.asarray(camera.look_at, np.float64)
     back = normalise_or_fallback(eye - aim, np.array([0.0, 0.0, 1.0]))
     top = np.asarray(camera.up or UP_VECTORS[up], np.float64)
@@ -130,9 +131,9 @@ def find_camera_axes(camera: Camera, up: str) -> tuple[Array, Array]:
 
 
 def find_agent(manifest: Manifest, text: str) -> tuple[int, int]:
-    """Return the index of the species and the id of an agent, which is named as in a scene: `guards.17`.
+    """Return the species index and the id of an agent that is named as in a scene, such as `guards.17`.
 
-    Raises PictureUnavailable if the cache has no such line or species, or if the line has no such number."""
+    Raises PictureUnavailable if the cache has no such crowd line or species, or if the line has no agent with this number."""
     name, lines = parse_agent_name(text), {line.name: line for line in manifest.lines}
     species, ids = name.name, np.array([] if name.first is None else [name.first], np.int64)
     if name.name in lines and name.first is not None:
@@ -145,7 +146,7 @@ def find_agent(manifest: Manifest, text: str) -> tuple[int, int]:
 
 
 def read_track(cache: Cache, species: int, agent: int, frames: Sequence[int]) -> AgentTrack:
-    """Return the track of an agent in those of `frames` that have the agent. Raises CacheError for damaged frames."""
+    """Return the track of an agent in those of `frames` that contain the agent. Raises CacheError for damaged frames."""
     rows = []
     for frame in frames:
         arrays = cache.frame(frame, _TRACK_ARRAYS)
@@ -162,7 +163,7 @@ def make_stable_track(gallery: Gallery, track: AgentTrack, seconds: float = SMOO
 
 
 def find_crowd_row(picture: Picture, species: str, agent: int) -> tuple[Crowd, int] | None:
-    """Return the crowd of an agent in a picture, and the agent's row in it; None if the picture lacks the agent."""
+    """Return the crowd of an agent in a picture, and its row in the crowd. None if the picture does not contain the agent."""
     for crowd in picture.crowds:
         if crowd.species == species and crowd.ids is not None and len(rows := np.flatnonzero(np.asarray(crowd.ids) == agent)):
             return crowd, int(rows[0])
@@ -170,7 +171,7 @@ def find_crowd_row(picture: Picture, species: str, agent: int) -> tuple[Crowd, i
 
 
 def _make_following_camera(gallery: Gallery, entry: FollowEntry) -> FollowingCamera:
-    """Return the camera that an entry describes. Raises PictureUnavailable if no frame has the agent."""
+    """Return the camera that an entry describes. Raises PictureUnavailable if no frame contains the agent."""
     number, agent = find_agent(gallery.manifest, entry.follow)
     track = read_track(gallery.cache, number, agent, gallery.cache.frames())
     if not len(track.frames):
@@ -183,9 +184,9 @@ def _make_following_camera(gallery: Gallery, entry: FollowEntry) -> FollowingCam
 def choose_direction(
     gallery: Gallery, number: int, agent: int, track: StableTrack, focal: float, *, is_close: bool, offset: Array | None = None
 ) -> FollowingCamera:
-    """Return the camera beside an agent from the direction that shows it best in a few frames of its track.
+    """Return a camera beside an agent, in the direction from which the agent is best visible in a few frames of its track.
 
-    `number`: the index of its species. `offset`: if given, the vector from the agent to the camera, and no direction is
+    `number`: the index of its species. `offset`: the vector from the agent to the camera, if it is given; then no direction is
     chosen."""
     count = 1 if offset is not None else _MAX_SCORED_FRAMES
     frames = track.frames[np.unique(np.linspace(0, len(track.frames) - 1, count).astype(np.int64))].tolist()
@@ -204,10 +205,9 @@ def choose_direction(
 
 
 def _keep_above_ground(gallery: Gallery, camera: FollowingCamera) -> FollowingCamera:
-    """Return a camera that is raised, or else nearer, in frames with ground between the camera and its agent, and in frames
-    around.
+    """Return the camera raised, or else moved nearer, in frames with ground between it and its agent, and in frames around these.
 
-    So it is never below the ground that its agent stands on."""
+    So it is never below the ground on which its agent stands."""
     ground, frames = Ground(gallery.cache), camera.track.frames.tolist()
     heights, shares = np.zeros((len(frames), 1)), np.ones((len(frames), 1))
     for row, frame in enumerate(frames):

@@ -1,4 +1,4 @@
-"""The manifest of a shot: the description of its frames, apart from the files that it was made from."""
+"""Makes the manifest of a shot: a description of its frames, without the files from which it was made."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def make_shot_manifest(shot: Shot, world: World, attributes: tuple[str, ...], st
 
 
 def _list_notes(shot: Shot) -> tuple[str, ...]:
-    """Return the notes that are not off, each on one line without its braces."""
+    """Return the notes that are not off, each on one line, without its braces."""
     scene = shot.scene
     lines = (scene.find_span("notes", k) for k, note in enumerate(scene.model.notes) if note.off == "no")
     return tuple(shorten_line(join_line(span.text)) for span in lines)
@@ -82,23 +82,23 @@ def _make_camera_entries(shot: Shot, origin: NDArray[np.float64]) -> dict[str, A
 
 
 def _read_lens(camera: LensCamera, unit_mm: float) -> dict[str, Any]:
-    """Return the f-stop of a camera, and what is sharp: an agent, or a distance in scene units."""
+    """Return the manifest's values for a lens: the f-stop, and what is in focus (an agent, or a distance in scene units)."""
     focus = camera.focus
     sharp = None if focus is None else str(focus) if isinstance(focus, AgentName) else focus.to_millimetres(unit_mm) / unit_mm
     return {"f_stop": camera.f_stop, "focus": sharp}
 
 
 def _make_placed_entry(camera: CameraData, origin: NDArray[np.float64], scale: float) -> CameraEntry:
-    """Return the manifest's entry for a camera that does not depend on agents, with the values of the first frame."""
+    """Return the manifest's entry for a camera that does not depend on agents, with its values in the first frame."""
     at, look_at, up = ((camera.at[0] - origin) * scale, (camera.look_at[0] - origin) * scale, camera.up[0])
     focal = float(camera.focal[0]) or None
     return CameraEntry(at=to_tuple(at), look_at=to_tuple(look_at), focal=focal, up=to_tuple(up), moves=camera.is_moving)
 
 
 def collect_looks(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:
-    """Return the looks in pictures that the scene sets, by name of a mesh or of items.
+    """Return the looks for pictures that the scene sets, by the name of a mesh or of items.
 
-    Items from a USD file have one look. Items with separate entries have a mapping of looks by item name."""
+    Items from a USD file have one look. For items with separate entries, the value is a mapping of looks by item name."""
     looks: dict[str, Look | Mapping[str, Look]] = {}
     for name, thing in model.world.items():
         if isinstance(thing, dict):

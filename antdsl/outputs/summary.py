@@ -1,4 +1,4 @@
-"""The summary of a run as one JSON document, as `--summary` writes it."""
+"""The summary of a run as one JSON document, written with `--summary`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from antdsl.outputs.recording import Recording
 def summarise_run(recording: Recording) -> dict[str, Any]:
     """Return counts, speeds and measurements of a run.
 
-    `seconds`, `fps` and `measure_peak_memory` differ between equal runs; all other values are the same."""
+    Only `seconds`, `fps` and the peak memory may differ between runs with equal inputs."""
     world = recording.world
     stepping = recording.seconds.get("step", 0.0) + recording.seconds.get("hand_over", 0.0)
     steps = recording.steps
@@ -47,7 +47,8 @@ def summarise_run(recording: Recording) -> dict[str, Any]:
 
 
 def count_states(recording: Recording) -> dict[str, int]:
-    """Return the number of agents in each state, by `species.state`, or by `species.machine.state` for named machines."""
+    """Return the number of agents in each state, by `species.state`, or by `species.machine.state` for states of a named
+    machine."""
     import numpy as np
 
     agent_counts: dict[str, int] = {}
@@ -60,7 +61,7 @@ def count_states(recording: Recording) -> dict[str, int]:
 
 
 def sum_carried_amounts(recording: Recording) -> dict[str, float]:
-    """Return, by `species.attribute`, the sums over agents of attributes that items also have.
+    """Return the sum over all agents of each attribute that items also have, by `species.attribute`.
 
     These sums are the amounts in transit between items."""
     import numpy as np
@@ -75,5 +76,5 @@ def sum_carried_amounts(recording: Recording) -> dict[str, float]:
 
 
 def encode_summary(recording: Recording) -> bytes:
-    """Return the summary as the bytes of its file."""
+    """Return the summary of a run as the bytes of its file."""
     return (json.dumps(summarise_run(recording), indent=1) + "\n").encode()

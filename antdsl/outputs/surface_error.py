@@ -1,4 +1,4 @@
-"""The distance between agents and their ground in a frame."""
+"""Measures how far agents are from where they should be relative to their ground, in a frame."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from antdsl.runtime import Population, World
 
 
 def measure_surface_error(world: World) -> float:
-    """Return the greatest deviation of an agent's distance to its ground from the agent's clearance, in body lengths.
+    """Return the greatest error of an agent's distance from its ground, compared with its clearance, in body lengths.
 
-    The ground is the triangle or the solid that the agent stands on. Positions are rounded to float32, as in the cache."""
+    The ground is the triangle or the solid on which the agent stands. Positions are rounded to float32 first, as in the cache."""
     worst = 0.0
     for population in world.populations.values():
         if len(population):
@@ -25,7 +25,7 @@ def measure_surface_error(world: World) -> float:
 
 
 def _find_greatest_error(world: World, population: Population, ground: NDArray[np.float64]) -> float:
-    """Return the greatest deviation for the agents of one species. `ground`: the nearest ground position of each agent."""
+    """Return the greatest error for the agents of one species. `ground`: the nearest ground position of each agent."""
     clearance, size = population.now.get("clearance", np.zeros(len(population), np.float32)), population.now["size"]
     if not world.solids:
         work = partial(find_greatest_error, population.position, ground, clearance, size)

@@ -1,7 +1,7 @@
-"""Runs in a Python that has Blender (`bpy`), not in antdsl: renders frames of a USD file with Cycles.
+"""Renders frames of a USD file with Cycles. This script runs in a Python that has Blender (`bpy`), not in antdsl.
 
-Standard input: a request as JSON (`rendering.py`). For each frame, the pixels are written to the path that the request names, as
-float32 of linear light (height, width, 3) from the top row down. Then a line `rendered FRAME` goes to standard output."""
+It reads a request as JSON (`rendering.py`) from standard input. For each frame, it writes the pixels to the path that the request
+names: linear light, float32 (height, width, 3), top row first. Then it writes a line `rendered FRAME` to standard output."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LAMP_NAME = "antdsl_lamp"  # begins the names of lamps
 
 
 class CyclesScene:
-    """The scene of Blender, as a request describes it."""
+    """The scene in Blender that a request describes."""
 
     def __init__(self, request: dict[str, Any]) -> None:
         self._bpy: Any = import_module("bpy")
@@ -56,7 +56,8 @@ class CyclesScene:
                 thing.location = (0, 0, 0)
 
     def _set_emission(self) -> None:
-        """Make the materials of lamps emit light. Lamp objects cast no shadow, because the light source is inside them."""
+        """Make the materials of lamps emit light. The lamp objects cast no shadow, because each light source is inside its
+        object."""
         radiance_by_material = self._request["emission"]
         for name, radiance in radiance_by_material.items():
             material = self._bpy.data.materials.get(name)
@@ -81,7 +82,7 @@ class CyclesScene:
             self._bpy.context.scene.collection.objects.link(thing)
 
     def _add_sky(self) -> None:
-        """Add the sky: of one colour as a light, and brighter towards the horizon for the camera."""
+        """Add the sky: a single colour for the lighting, and a gradient that is brighter towards the horizon for the camera."""
         light = self._request["light"]
         world = self._bpy.data.worlds.new("antdsl_sky")
         self._bpy.context.scene.world, world.use_nodes = world, True
@@ -107,7 +108,7 @@ class CyclesScene:
             links.new(start, end)
 
     def _set_lamps(self, lamps: list[dict[str, Any]]) -> None:
-        """Replace the lamps of the frame before by those of a frame."""
+        """Replace the lamps of the previous frame by `lamps`."""
         for old in [thing for thing in self._bpy.data.objects if thing.name.startswith(LAMP_NAME)]:
             self._bpy.data.lights.remove(old.data)
         for each in lamps:
@@ -119,7 +120,8 @@ class CyclesScene:
             self._bpy.context.scene.collection.objects.link(thing)
 
     def _set_camera(self, frame: int, cameras: list[dict[str, Any]]) -> None:
-        """Place the camera at a frame. If the next frame's camera is known, the camera moves evenly between the two."""
+        """Place the camera for a frame. If `cameras` also has the camera of the next frame, the camera moves evenly from one to
+        the other."""
         thing = self._bpy.context.scene.camera
         thing.animation_data_clear()
         thing.data.animation_data_clear()
@@ -137,7 +139,7 @@ class CyclesScene:
                 lens.dof.keyframe_insert("focus_distance", frame=frame + number)
 
     def _render_frame(self, path: Path) -> None:
-        """Render the current frame and write its pixels to a file. Blender writes them into a temporary file next to it."""
+        """Render the current frame, and write its pixels to a file. Blender first writes a temporary file next to it."""
         width, height = self._request["size"]
         picture = path.with_suffix(".exr")
         self._bpy.context.scene.render.filepath = str(picture)
@@ -150,7 +152,7 @@ class CyclesScene:
         np.ascontiguousarray(pixels.reshape(height, width, 4)[::-1, :, :3]).tofile(path)
 
     def _set_rendering(self) -> None:
-        """Set size, samples, threads and motion blur. Files have linear light without any curve."""
+        """Set size, samples, threads and motion blur. Pixels are written as linear light, without a tone curve."""
         scene = self._bpy.context.scene
         scene.render.engine, scene.cycles.device = "CYCLES", "CPU"
         scene.cycles.samples, scene.cycles.use_denoising = self._request["samples"], True

@@ -1,4 +1,5 @@
-"""Renders frames of a cache with Cycles, in a child process with Blender, and returns the pictures as it finishes them."""
+"""Renders frames of a cache with Cycles in a child process that runs Blender. Pictures are returned as soon as they are
+finished."""
 
 from __future__ import annotations
 
@@ -39,12 +40,13 @@ Image = NDArray[np.uint8]
 
 
 class BlenderError(Exception):
-    """Error if Blender ends before all pictures are rendered. The message is the reason; it needs no further context."""
+    """Error if Blender ends before all pictures are rendered. The message is a complete explanation."""
 
 
 def check_blender() -> Report:
-    """Return an empty report if Blender and USD are installed, otherwise a report with an error that names the extra. Call this
-    before rendering."""
+    """Return an empty report if Blender and USD are installed, otherwise a report with an error that names the missing extra.
+
+    Call this before rendering."""
     report = check_extra("`--blender`", "usd", "pxr")
     if PYTHON_VARIABLE not in os.environ:
         advice = f"or set the environment variable `{PYTHON_VARIABLE}` to a Python that has `bpy`"
@@ -53,7 +55,7 @@ def check_blender() -> Report:
 
 
 def build_command() -> list[str]:
-    """Return the command of the rendering process, which reads a request from standard input."""
+    """Return the command line of the rendering process, which reads a request from its standard input."""
     return [os.environ.get(PYTHON_VARIABLE, sys.executable), "-P", str(_SCRIPT)]
 
 
@@ -66,10 +68,10 @@ def build_request(
     stage: Path,
     threads: int,
 ) -> dict[str, Any]:
-    """Return the request to render frames of the USD file `stage`.
+    """Return the request to render `frames` of the USD file `stage`.
 
-    `camera_frames`: the frames from which a common camera is chosen. `path_by_frame`: the file for the pixels of each frame.
-    Raises AgentMissing as `FrameDrawer` does."""
+    `camera_frames`: the frames that decide the camera, if it is common to all frames. `path_by_frame`: the file for the pixels of
+    each frame. Raises AgentMissing in the same cases as `FrameDrawer`."""
     drawer = FrameDrawer(gallery, replace(request, legend=False), camera_frames, threads)
     times = (0, 1) if request.blur > 0 else (0,)
     return {
@@ -96,10 +98,10 @@ def build_request(
 def render_with_blender(
     gallery: Gallery, request: DrawRequest, frames: Sequence[int], camera_frames: Sequence[int], threads: int
 ) -> Iterator[Image]:
-    """Yield the pictures (height, width, 3) of frames in their order, each as soon as it is rendered.
+    """Yield the pictures (height, width, 3) of the frames in order, each as soon as it is rendered.
 
-    The arguments are those of `build_request`. Files are in a temporary folder, which is removed at the end. Raises BlenderError,
-    AgentMissing, UsdError, CacheError, or OSError."""
+    For the arguments see `build_request`. Files are written to a temporary folder, which is removed at the end. Raises
+    BlenderError, AgentMissing, UsdError, CacheError, or OSError."""
     if not frames:
         return
     with TemporaryDirectory(prefix="antdsl-blender-") as folder:
@@ -114,7 +116,8 @@ def render_with_blender(
 
 
 def _run_blender(request: str) -> Iterator[int]:
-    """Yield the number of each frame when its pixels are written. Raises BlenderError if the child ends before the last one."""
+    """Yield the number of each frame as soon as its pixels are written. Raises BlenderError if the child ends before the last
+    frame."""
     process = subprocess.Popen(
         build_command(),
         stdin=subprocess.PIPE,
@@ -144,7 +147,7 @@ def _run_blender(request: str) -> Iterator[int]:
 
 
 def _send_request(pipe: IO[str], request: str) -> None:
-    """Write the request to the child's standard input. Ignore a child that has already ended."""
+    """Write the request to the child's standard input. Do nothing if the child has already ended."""
     try:
         with pipe:
             pipe.write(request)
@@ -153,7 +156,7 @@ def _send_request(pipe: IO[str], request: str) -> None:
 
 
 def _read_pixels(path: Path, height: int, width: int) -> Image:
-    """Return the picture in a file of linear light, converted with the tone curve of antdsl's own pictures."""
+    """Return the picture that a file of linear light contains, with the same tone curve as antdsl's own pictures."""
     size = height * width * 3 * np.dtype(np.float32).itemsize
     data = read_size_limited(path, size)
     if len(data) != size:

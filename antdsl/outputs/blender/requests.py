@@ -1,7 +1,7 @@
 """The request for pictures that Cycles renders: light and cameras in the units and axes of Blender (metres, z up).
 
-Light has the strengths of antdsl's own pictures, in which a surface with the albedo a reflects the radiance a times the light.
-Cycles divides by pi, so the irradiance of sun and lamps is pi times the light."""
+Light is as strong as in antdsl's own pictures, where a surface with albedo a has the radiance a times the light. Cycles divides
+this by pi, so the irradiances of sun and lamps are multiplied by pi."""
 
 from __future__ import annotations
 
@@ -25,14 +25,15 @@ Array = NDArray[np.float64]
 
 
 def to_blender_axes(vectors: Array, up: str) -> Array:
-    """Return vectors (n, 3) of a scene in Blender's axes. `up`: the scene's up axis, `y` or `z`."""
+    """Return vectors (n, 3) of a scene in the axes of Blender. `up`: the up axis of the scene, `y` or `z`."""
     return vectors[:, [0, 2, 1]] * (1, -1, 1) if up == "y" else vectors
 
 
 def describe_light(gallery: Gallery) -> dict[str, Any]:
-    """Return sun and sky: the direction to the sun, its irradiance and angle (radians), and the radiances of the sky.
+    """Return sun and sky as request entries: direction to the sun, irradiance and angle (radians) of the sun, and radiances of
+    the sky.
 
-    `sky` lights surfaces; `horizon` and `zenith` are what the camera sees."""
+    `sky` is the light on surfaces. `horizon` and `zenith` are what the camera sees."""
     settings, up = gallery.light, gallery.manifest.up
     sun = make_sun(np.asarray(UP_VECTORS[up], np.float64), settings)
     return {
@@ -47,8 +48,8 @@ def describe_light(gallery: Gallery) -> dict[str, Any]:
 
 
 def describe_frame(gallery: Gallery, picture: Picture, cameras: Sequence[Camera]) -> dict[str, Any]:
-    """Return the lamps and the cameras of a frame. There is one camera, or two with motion blur: those of this frame and the
-    next."""
+    """Return the lamps and the cameras of a frame as request entries. With motion blur, `cameras` also has the camera of the next
+    frame."""
     lamps = find_lamps(picture.items, picture.up, picture.light.lamps)
     return {
         "lamps": [_describe_lamp(gallery, lamp) for lamp in lamps],
@@ -68,8 +69,8 @@ def _describe_lamp(gallery: Gallery, lamp: Lamp) -> dict[str, Any]:
 
 
 def describe_camera(gallery: Gallery, camera: Camera) -> dict[str, Any]:
-    """Return a camera: its matrix (4 rows, metres), the focal length for a sensor of SENSOR_WIDTH_MM, or the width of its view if
-    it is parallel, and the depth of field. `f_stop` is None for a pinhole."""
+    """Return a camera as a request entry: its matrix (4 rows, metres), its lens and its depth of field. The lens is the focal
+    length for a sensor of SENSOR_WIDTH_MM, or the width of the view if rays are parallel. `f_stop` is None for a pinhole."""
     up, units = gallery.manifest.up, UNIT_MM[gallery.manifest.units]
     eye, axes = find_camera_axes(camera, up)
     matrix = np.eye(4)

@@ -1,4 +1,5 @@
-"""Agent definitions in a cache. `static.npz` has each definition once, as `body.N.PART`, so pictures need no other files."""
+"""Agent definitions in a cache. `static.npz` contains each definition once, as arrays `body.N.PART`, so that pictures need no
+other files."""
 
 from __future__ import annotations
 
@@ -23,9 +24,8 @@ Arrays = Mapping[str, NDArray[Any]]
 class StoredBodies:
     """Agent definitions in the form that a cache stores.
 
-    `entries`: a manifest entry for each definition.
-    `index_by_species`: the entries of the bodies of each species that has bodies from files, or bodies that the scene names.
-    `arrays`: the arrays of all definitions for `static.npz`."""
+    `entries`: a manifest entry for each definition. `index_by_species`: for each species with bodies from files, or with bodies
+    that the scene names, the entries of its bodies. `arrays`: the arrays of all definitions for `static.npz`."""
 
     entries: tuple[BodyEntry, ...]
     index_by_species: Mapping[str, tuple[WornBodyEntry, ...]]
@@ -35,9 +35,9 @@ class StoredBodies:
     def from_definitions(
         definitions: Mapping[str, Definition], weights_by_species: Mapping[str, Mapping[str, float]]
     ) -> StoredBodies:
-        """Return the stored form of definitions, given by body key.
+        """Return the stored form of definitions. `definitions`: by body key.
 
-        `weights_by_species`: for each species, the words and files of the bodies that the scene names, with their weights."""
+        `weights_by_species`: for each species, the bodies that the scene names (words or files), with their weights."""
         numbers: dict[int, int] = {}
         entries: list[BodyEntry] = []
         arrays: dict[str, NDArray[Any]] = {}
@@ -59,9 +59,9 @@ class StoredBodies:
 
 
 def load_definition(manifest: Manifest, static: Arrays, number: int) -> Definition:
-    """Return the definition at index `number` of the manifest's list.
+    """Return definition `number` of the manifest's list.
 
-    Raises BodyError if it is missing or damaged, or differs from the definition that was written."""
+    Raises BodyError if it is missing or damaged, or is not the definition that was written."""
     arrays = {part: static[name] for part in ARRAY_NAMES if (name := f"body.{number}.{part}") in static}
     if number >= len(manifest.bodies) or len(arrays) != len(ARRAY_NAMES):
         raise BodyError("is missing")
@@ -72,7 +72,7 @@ def load_definition(manifest: Manifest, static: Arrays, number: int) -> Definiti
 
 
 def unpack_checked_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
-    """Return the definition that `bodies.agents.packed` stored in these arrays. All arrays are checked.
+    """Return the definition that `bodies.agents.packed` stored in these arrays, after checking all of them.
 
     Raises BodyError for any other arrays."""
     definition, report = unpack_definition(arrays), Report()

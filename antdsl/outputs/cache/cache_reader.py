@@ -55,11 +55,11 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 class CacheError(Exception):
-    """Error for a part of a cache that cannot be used. The message is the reason; it needs no further context."""
+    """Error for a part of a cache that cannot be used. The message is a complete explanation."""
 
 
 def make_frame_path(folder: Path, frame: int) -> Path:
-    """Return the path of a frame's file. Its number has at least four digits, as in the names of pictures."""
+    """Return the path of a frame's file. The frame number has at least four digits, as in the names of pictures."""
     return folder / f"frames/frame.{frame:04d}.npz"
 
 
@@ -71,8 +71,8 @@ def make_checkpoint_path(folder: Path, frame: int) -> Path:
 def list_numbered_files(folder: Path, path: Callable[[Path, int], Path]) -> tuple[list[int], list[Path]]:
     """Return the numbers of the frames or checkpoints in a cache's folder, ascending, and the files with invalid names.
 
-    `path`: returns the path of a frame's or checkpoint's file from the folder and the number. A file has an invalid name if it is
-    in the same folder, with a name such as `frame.12.npz`."""
+    `path`: returns the path of the file for a folder and a number. A name is invalid if it has a number in another form, such as
+    `frame.12.npz`."""
     place = path(folder, 0).parent
     numbers, strays = [], []
     for each in place.iterdir() if place.is_dir() else ():
@@ -92,7 +92,7 @@ class Cache:
     manifest: Manifest
 
     def frames(self) -> list[int]:
-        """Return the numbers of the existing frames, ascending."""
+        """Return the numbers of all existing frames, ascending."""
         return list_numbered_files(self.folder, make_frame_path)[0]
 
     def checkpoints(self) -> list[int]:
@@ -100,8 +100,7 @@ class Cache:
         return list_numbered_files(self.folder, make_checkpoint_path)[0]
 
     def describe_stray_files(self) -> list[str]:
-        """Return a message for each ignored file in the folders of frames and checkpoints. Each message is complete without
-        context."""
+        """Return a complete message for each file that is ignored in the folders of frames and checkpoints."""
         return [
             f"`{stray}` is not a {what} of this cache: {what}s have names such as `{path(self.folder, 12).name}`"
             for what, path in (("frame", make_frame_path), ("checkpoint", make_checkpoint_path))
@@ -115,14 +114,15 @@ class Cache:
         return _read_arrays(make_frame_path(self.folder, number), number, names)
 
     def read_checkpoint(self, number: int) -> Arrays:
-        """Return all arrays needed to continue from a frame. Raises CacheError if the checkpoint is missing or damaged."""
+        """Return all arrays that a run needs to continue from a frame. Raises CacheError if the checkpoint is missing or
+        damaged."""
         return _read_arrays(make_checkpoint_path(self.folder, number), number)
 
     def read_static(self) -> Arrays:
         """Return the arrays of `static.npz`, in scene units, such as meshes and the positions of field cells.
 
-        Raises CacheError if the file is damaged or lacks an array that the manifest needs. Meshes are `mesh.NAME.vertices` and
-        `.faces`, positions of field cells are `field.NAME.P`."""
+        Meshes are `mesh.NAME.vertices` and `.faces`; positions of field cells are `field.NAME.P`. Raises CacheError if the file
+        is damaged, or lacks an array that the manifest needs."""
         arrays = _read_arrays(self.folder / STATIC_FILE_NAME, None)
         for name in _list_required_arrays(self.manifest, arrays):
             if name not in arrays:
@@ -130,36 +130,36 @@ class Cache:
         return arrays
 
     def find_source_files(self) -> list[Path]:
-        """Return the existing files that the scene was made from. Empty if the manifest names no scene."""
+        """Return the existing files from which the cache was made. Empty if the manifest names no scene."""
         if self.manifest.scene_path is None:
             return []
         scene = Path(os.path.normpath(self.folder.resolve() / self.manifest.scene_path))
         return [each for each in (scene, *(scene.parent / name for name in self.manifest.inputs)) if each.is_file()]
 
     def read_state_hashes(self) -> dict[int, str]:
-        """Return the state hash of each frame. An incomplete last line, left by a crash, is ignored."""
+        """Return the state hash of each frame. An incomplete last line, as a crash may leave it, is ignored."""
         return {frame: line.hash for frame, line in self.lines().items()}
 
     def lines(self) -> dict[int, HashLine]:
-        """Return the complete lines of `hashes.jsonl`, by frame: the hashes of each frame."""
+        """Return the complete lines of `hashes.jsonl`, by frame. A line contains all hashes of the frame."""
         return read_lines(self.folder / HASHES_FILE_NAME)
 
     def find_frame_damage(self, frame: int, line: HashLine | None) -> str | None:
-        """Return a message about damage to a frame's file, or None if its bytes are those that were written.
+        """Return a message about damage to a frame's file. None if the file has the bytes that were written.
 
         `line`: the hashes of the frame."""
         return find_frame_damage(make_frame_path(self.folder, frame), frame, line)
 
     def find_checkpoint_damage(self, frame: int, line: HashLine | None) -> str | None:
-        """Return a message about damage to a checkpoint, or None. An unreadable checkpoint is damaged too.
+        """Return a message about damage to a checkpoint, or that it cannot be read. None if it is intact.
 
-        `line`: the hashes of the frame. If the checkpoint has no hash there, changed bytes are not detected."""
+        `line`: the hashes of the frame. Without a hash of the checkpoint, changed bytes are not detected."""
         return find_checkpoint_damage(make_checkpoint_path(self.folder, frame), frame, line) or _find_read_problem(
             lambda: self.read_checkpoint(frame)
         )
 
     def find_static_damage(self) -> str | None:
-        """Return a message about damage to `static.npz`, or None."""
+        """Return a message about damage to `static.npz`. None if it is intact."""
         expected = self.manifest.static
         return (find_static_damage(self.folder / STATIC_FILE_NAME, expected) if expected else None) or _find_read_problem(
             self.read_static
@@ -168,13 +168,13 @@ class Cache:
 
 @dataclass(frozen=True, eq=False)
 class CacheView(Cache):
-    """A view of another cache, `source`. Subclasses override some parts; all other parts are those of `source`."""
+    """A view of another cache, `source`. Subclasses replace some parts of it; all other parts come from `source`."""
 
     source: Cache
 
     @classmethod
     def of(cls, source: Cache, *values: Any) -> Self:
-        """Return a view of the cache `source`. `values`: the values of the further fields of the class, in order."""
+        """Return a view of the cache `source`. `values`: the values of the additional fields of the class, in order."""
         return cls(source.folder, source.manifest, source, *values)
 
     def frames(self) -> list[int]:
@@ -194,17 +194,17 @@ class CacheView(Cache):
         return self.source.read_static()
 
     def find_source_files(self) -> list[Path]:
-        """Return the existing files that the view was made from."""
+        """Return the existing files from which the cache was made."""
         return self.source.find_source_files()
 
 
 def select_arrays(arrays: Arrays, names: frozenset[str] | None) -> Arrays:
-    """Return the arrays called `names` and the frame's number; all arrays if `names` is None."""
+    """Return only the arrays in `names`, and the frame number. If `names` is None, return all arrays."""
     return arrays if names is None else {name: array for name, array in arrays.items() if name in names or name == "frame"}
 
 
 def list_caches_below(folder: Path) -> list[str]:
-    """Return the paths, relative to a folder, of all caches in it and below it, sorted. Links are not followed.
+    """Return the relative paths of all caches in a folder and its subfolders, sorted. Links are not followed.
 
     At most 300 folders are examined."""
     caches, examined = [], 0
@@ -219,12 +219,12 @@ def list_caches_below(folder: Path) -> list[str]:
 
 
 def open_cache(folder: Path) -> Cache:
-    """Return the cache in a folder. Raises ManifestError with the reason if there is none."""
+    """Return the cache in a folder. Raises ManifestError with the reason if the folder contains no cache."""
     return Cache(folder, read_manifest(folder))
 
 
 def read_camera(cache: Cache, name: str) -> CameraData:
-    """Return a camera that follows no agent, in mm from the scene's coordinate origin. Raises CacheError if `static.npz` is
+    """Return a camera that does not depend on agents, in mm from the scene's origin. Raises CacheError if `static.npz` is
     damaged."""
     manifest, entry = cache.manifest, cache.manifest.named_cameras[name]
     assert isinstance(entry, CameraEntry)
@@ -240,7 +240,7 @@ def read_camera(cache: Cache, name: str) -> CameraData:
 
 
 def _find_read_problem(read: Callable[[], object]) -> str | None:
-    """Return the message of the CacheError that `read` raises, or None."""
+    """Return the message of the CacheError that `read` raises. None if it raises none."""
     try:
         read()
     except CacheError as error:
@@ -261,7 +261,7 @@ def _list_required_arrays(manifest: Manifest, arrays: Arrays) -> Iterator[str]:
 
 
 def _read_arrays(path: Path, number: int | None, names: frozenset[str] | None = None) -> Arrays:
-    """Return the arrays of a file. Raises CacheError if the file is missing or damaged, or does not belong to frame `number`."""
+    """Return the arrays of a file. Raises CacheError if the file is missing or damaged, or is not for frame `number`."""
     try:
         arrays = read_npz(path, None if names is None else names | {"frame"})
     except FileNotFoundError:

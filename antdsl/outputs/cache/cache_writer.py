@@ -1,7 +1,7 @@
-"""Writes a cache that can be continued after a crash at any time.
+"""Writes a cache from which a run can continue after a crash at any time.
 
-A thread writes frames atomically while the simulation continues. A checkpoint is written only after all earlier frames are on the
-disk. Hashes are written line by line."""
+A thread writes frames atomically while the simulation continues. A checkpoint is written only after all earlier frames are safely
+on disk. Hashes are written line by line."""
 
 from __future__ import annotations
 
@@ -54,18 +54,17 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 class ForeignFolder(Exception):
-    """Error for a folder with a file that antdsl did not write. The message names the file."""
+    """Error for a folder with a file that antdsl has not written. The message names the file."""
 
 
 class PathBlocked(Exception):
-    """Error if a folder, a link or another object has the path of a cache file. The message names the path."""
+    """Error if a folder, a link or another object is at the path of a cache file. The message names the path."""
 
 
 class DifferentInputs(Exception):
     """Error for an existing cache that was made from other inputs.
 
-    `names`: the inputs that differ.
-    `choices`: descriptions of the options that differ."""
+    `names`: the inputs that differ. `choices`: descriptions of the options that differ."""
 
     def __init__(self, manifest: Manifest, names: list[str], choices: Sequence[str] = ()) -> None:
         problems = [f"the cache was made {' and '.join(choices)}"] if choices else []
@@ -75,10 +74,10 @@ class DifferentInputs(Exception):
 
 
 def prepare_folder(folder: Path, *, force: bool) -> None:
-    """Create the folder, or check that antdsl may write to it. Nothing changes after an error.
+    """Create a folder, or check that antdsl may write to it. An error leaves the folder unchanged.
 
-    Raises ForeignFolder if the folder has other files. Raises PathBlocked if something else has the path of a file of the
-    cache."""
+    Raises ForeignFolder if the folder contains other files. Raises PathBlocked if a folder or link is at the path of a cache
+    file."""
     if folder.exists() and not folder.is_dir():
         raise ForeignFolder(f"`{folder}` is a file")
     create_folder_durably(folder)
@@ -109,7 +108,7 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
 
 
 def _list_cache_files(folder: Path) -> Iterator[Path]:
-    """Yield the existing files of a cache's folder that a run removes or writes."""
+    """Yield the existing files of a folder that a run would remove or replace."""
     yield from (
         folder / name for name in (MARKER_FILE_NAME, LOCK_FILE_NAME, STATIC_FILE_NAME, MANIFEST_FILE_NAME, HASHES_FILE_NAME)
     )
@@ -119,17 +118,17 @@ def _list_cache_files(folder: Path) -> Iterator[Path]:
 
 
 def _find_unfinished_files(folder: Path) -> list[Path]:
-    """Return the unfinished files that killed runs left in the folder."""
+    """Return the incomplete files in the folder that killed runs have left."""
     return [part for place in (folder, folder / "frames", folder / "checkpoints") for part in place.glob(f".*{PART_SUFFIX}")]
 
 
 def clear_folder(folder: Path, last_retained: int | None = None, damaged_frames: Container[int] = ()) -> None:
     """Remove the frames, checkpoints and hashes of an earlier run, and no other files.
 
-    `last_retained`: only files of frames after this frame are removed; None removes all.
-    `damaged_frames`: frames with a checkpoint that is also removed.
+    `last_retained`: only files of later frames are removed; None removes all. `damaged_frames`: frames of which the checkpoint is
+    removed in any case.
 
-    Hashes are removed first. If the removal is interrupted, a file without a hash is ignored."""
+    Hashes are removed first. So if the removal is interrupted, the files that remain have no hash and are ignored."""
     remaining_lines = (
         {}
         if last_retained is None
@@ -148,7 +147,7 @@ def clear_folder(folder: Path, last_retained: int | None = None, damaged_frames:
 
 
 class DifferentHashes(Exception):
-    """Error for a cache with state hashes that were computed by another method."""
+    """Error for a cache with state hashes of another method, which cannot be compared."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(f"`{folder}` was written by an antdsl that hashes states in another way")
@@ -158,9 +157,8 @@ class DifferentHashes(Exception):
 class IntactPart:
     """The undamaged part of a cache, from which a run can continue.
 
-    `checkpoints`: the frames of checkpoints to continue from, the latest first.
-    `last_frame`: the last frame in the cache.
-    `damage`: a message about the first incomplete frame, or None if all frames are complete."""
+    `checkpoints`: the frames of usable checkpoints, latest first. `last_frame`: the last frame in the cache. `damage`: a message
+    about the first damaged frame; None if all frames are intact."""
 
     cache: Cache
     checkpoints: list[int]
@@ -169,10 +167,10 @@ class IntactPart:
 
 
 def find_intact_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -> IntactPart | None:
-    """Return the part of the cache that can be continued, or None if there is nothing to continue.
+    """Return the part of the cache from which a run can continue. None if there is no such part.
 
-    A checkpoint counts only if the files of all frames up to it have the bytes that were written. Raises DifferentInputs if the
-    cache has other inputs, DifferentHashes if its states cannot be compared."""
+    A checkpoint is usable only if the files of all frames up to it have the bytes that were written. Raises DifferentInputs if
+    the cache has other inputs, and DifferentHashes if its state hashes cannot be compared."""
     try:
         cache = open_cache(folder)
     except ManifestError:
@@ -194,10 +192,10 @@ def find_intact_part(folder: Path, inputs: Mapping[str, str], first: int, last: 
 
 
 def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None, NDArray[np.float64] | None]:
-    """Return a checkpoint's arrays of the world, the surface error, and the stored values of measures. Raises CacheError if the
-    checkpoint is damaged.
+    """Return the world's arrays of a checkpoint, the surface error, and the stored values of measures.
 
-    The surface error is the greatest of all frames up to this frame. Both are None if they were not stored."""
+    The surface error is the greatest of all frames up to this one. Both are None if they were not stored. Raises CacheError if
+    the checkpoint is damaged."""
     arrays = cache.read_checkpoint(frame)
     stored_error = arrays.get(SURFACE_ERROR_KEY)
     known = (
@@ -212,16 +210,16 @@ def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None, NDA
 
 
 class CacheWriter:
-    """Writer of a cache. The folder is locked from `__enter__` to `__exit__`, and the writer accepts frames in between.
+    """Writer of a cache. It accepts frames between `__enter__` and `__exit__`, and locks the folder for this time.
 
     After an error, nothing more is written.
 
     `get_provenance`: returns the provenance for the manifest. It reads all of antdsl's files, so the writing thread calls it.
-    `report`: a callback for the measurements of each frame. It is called some frames later, and always before `__exit__` returns.
+    `report`: a callback that receives the measurements of each written frame. It is called some frames later, but before
+    `__exit__` returns.
 
-    The measurements of a written frame contain `hash`, `surface_error` and `seconds`.
-    `surface_error`: the greatest of all frames so far, in body lengths; None if the error of earlier frames is unknown.
-    `seconds`: the time spent, by the name of the work."""
+    The measurements are `hash`, `surface_error` and `seconds`. `surface_error`: the greatest of all frames so far, in body
+    lengths; None if that of earlier frames is unknown. `seconds`: the time spent on each kind of work, by name."""
 
     def __init__(
         self,
@@ -250,7 +248,7 @@ class CacheWriter:
         self._lock.__exit__(kind, value, trace)
 
     def _finish_writing(self, worker: BackgroundWorker, *, is_complete: bool) -> None:
-        """Stop the writing thread. If the run is complete, sync the files first, and raise the error of a failed job."""
+        """Stop the writing thread. If the run is complete, first flush all files to disk, and raise the error of a failed job."""
         try:
             if is_complete:
                 worker.submit(self._file_writer.sync_files)
@@ -269,13 +267,11 @@ class CacheWriter:
         damaged_frames: Container[int] = (),
         greatest_error: float | None = 0.0,
     ) -> None:
-        """Write the files that apply to the complete run, and remove frames of an earlier run.
+        """Write the files that belong to the complete run, and remove frames of an earlier run.
 
-        Frames and checkpoints up to the last line of `retained_lines` stay. Raises FolderLocked if another run has written since
-        these lines were read.
-
-        `damaged_frames`: frames with a checkpoint that is also removed.
-        `greatest_error`: the greatest surface error of the frames that stay; None if unknown."""
+        `retained_lines`: the hashes of the frames to retain; later frames and checkpoints are removed. `damaged_frames`: frames
+        of which the checkpoint is removed in any case. `greatest_error`: the greatest surface error of the retained frames; None
+        if unknown. Raises FolderLocked if another run has written to the folder since these lines were read."""
         last = max(retained_lines, default=None)
         lines = {} if last is None else read_lines(self.folder / HASHES_FILE_NAME)
         if retained_lines != {frame: line for frame, line in lines.items() if last is not None and frame <= last}:
@@ -290,12 +286,13 @@ class CacheWriter:
         self._worker.submit(partial(self._write_manifest, hash_static_file(file)))
 
     def _write_manifest(self, static: str) -> Mapping[str, Any]:
-        """Write the manifest with the hash `static` of `static.npz`. Return no measurements."""
+        """Write the manifest with `static`, the hash of `static.npz`. Return an empty measurement."""
         write_manifest(self.folder, self.manifest.model_copy(update={"static": static, "made_with": self._get_provenance()}))
         return {}
 
     def submit_frame(self, world: World) -> None:
-        """Measure and hash the world's current frame, and pass it to the writing thread. Raises an error of an earlier frame."""
+        """Measure and hash the world's current frame, and pass it to the writing thread. Raises an error that occurred with an
+        earlier frame."""
         assert self._worker is not None, "begin comes first"
         times = [time.perf_counter()]
         self._greatest_error = None if self._greatest_error is None else max(self._greatest_error, measure_surface_error(world))
@@ -315,7 +312,7 @@ class CacheWriter:
         self._worker.submit(write_frame)
 
     def submit_checkpoint(self, world: World, stored_measures: NDArray[np.float64]) -> None:
-        """Pass everything needed to continue from the last frame to the writing thread. `stored_measures`: see
+        """Pass a checkpoint of the last frame to the writing thread. `stored_measures`: the result of
         `RunMeasures.save_stored_values`."""
         assert self._worker is not None, "begin comes first"
         state_arrays = take_checkpoint(world)

@@ -1,4 +1,5 @@
-"""Solids of a cache as dug at a frame, for drawing. Digging starts from the last checkpoint and repeats the stored balls."""
+"""Solids of a cache as dug at a frame, for drawing. The state of the last checkpoint is restored, and later digging is
+repeated."""
 
 from __future__ import annotations
 
@@ -19,14 +20,14 @@ from antdsl.outputs.pictures.model import Solid
 
 @dataclass(slots=True)
 class _DugSolid:
-    """One solid: its volume at the last requested frame, its surface by brick, and the mesh to draw."""
+    """One solid: its volume at the frame last requested, its surface by brick, and the mesh to draw."""
 
     volume: Volume
     surface_by_brick: dict[int, Piece] = field(default_factory=dict)
     mesh: Solid | None = None
 
     def update_surface(self, name: str, offset: NDArray[np.float64], scale: float, cut: CutPlane | None) -> Solid:
-        """Return the current surface in scene units. Only bricks that changed are meshed again, unless a plane cuts the solid."""
+        """Return the current surface in scene units. Only changed bricks are meshed again, unless a plane cuts the solid."""
         if cut is not None:
             opened = cut.cut_volume(self.volume, offset, scale)
             vertices, faces = join_pieces([(v, f) for _, v, f in opened.iterate_brick_meshes(changed_only=False)])
@@ -43,9 +44,9 @@ class _DugSolid:
 
 
 class DugSolids:
-    """The solids of a cache, dug frame by frame.
+    """The solids of a cache as dug at any frame.
 
-    Ascending frames are fastest. For any other frame, digging starts again at the checkpoint before it."""
+    Ascending frames are fastest. For an earlier frame, digging is repeated from the checkpoint before it."""
 
     def __init__(self, cache: Cache, static: Mapping[str, NDArray[Any]], cut: CutPlane | None = None) -> None:
         self.cache, self._static, self._cut_plane = cache, static, cut
@@ -56,7 +57,7 @@ class DugSolids:
         self._scale = 1.0 / {"mm": 1.0, "cm": 10.0, "m": 1000.0}[cache.manifest.units]
 
     def at(self, frame: int) -> tuple[Solid, ...]:
-        """Return all solids as dug at a frame. A solid is the same object until it is dug again."""
+        """Return all solids as dug at a frame. As long as a solid is not dug, the same object is returned."""
         if not self._solid_by_name:
             return ()
         if self._last_frame is None or not self._last_frame <= frame < self._last_frame + self.cache.manifest.checkpoint:
@@ -70,12 +71,12 @@ class DugSolids:
         )
 
     def iterate_volumes(self) -> Iterator[tuple[str, Volume, NDArray[np.float64]]]:
-        """Yield the name, the volume and the offset (mm) of each solid at the last requested frame."""
+        """Yield the name, the volume and the offset (mm) of each solid at the frame last requested."""
         for name, solid in self._solid_by_name.items():
             yield name, solid.volume, np.asarray(self._static[f"solid.{name}.offset"])
 
     def _dig_frame(self, frame: int) -> None:
-        """Dig the balls of one frame. A frame that cannot be read is skipped."""
+        """Dig the balls that were dug in one frame. A frame that cannot be read is skipped."""
         try:
             arrays = self.cache.frame(frame)
         except CacheError:  # a missing frame does not prevent drawing others
@@ -86,8 +87,9 @@ class DugSolids:
                 solid.volume.carve_balls(balls[:, :3], balls[:, 3], np.zeros(len(balls), np.int64))
 
     def _restore_volumes(self, frame: int) -> int:
-        """Restore the volumes from the last readable checkpoint at or before `frame`; without one, from the undug solids. Return
-        the frame of the restored state."""
+        """Restore the volumes of the last readable checkpoint at or before `frame`, or else the undug solids.
+
+        Return the frame of the restored state."""
         for number in sorted((n for n in self.cache.checkpoints() if n <= frame), reverse=True):
             try:
                 arrays = self.cache.read_checkpoint(number)

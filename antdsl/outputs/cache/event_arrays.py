@@ -36,12 +36,12 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def make_event_arrays(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
-    """Return the arrays of the requested event kinds. `scale`: scene units per millimetre."""
+    """Return the arrays of events of the requested `kinds`. `scale`: scene units per millimetre."""
     return {f"events.{kind}.{name}": array for kind in kinds for name, array in EVENT_ARRAY_MAKERS[kind](world, scale).items()}
 
 
 def _make_emit_arrays(world: World, scale: float) -> Arrays:
-    """Return the arrays of emitted events since the previous frame."""
+    """Return the arrays of the events emitted since the previous frame."""
     emissions = collect_emissions(world)
     return emissions | {"P": to_scene_positions(emissions["P"], scale)}
 
@@ -69,9 +69,9 @@ def _make_contact_arrays(world: World, scale: float) -> Arrays:
 
 
 def _compute_contact_points(near_pairs: NearbyCapsulePairs, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return the contact points (3, k) in mm of the pairs of capsules `pairs`.
+    """Return the contact points (3, k) in mm for `pairs`, indices of pairs of capsules.
 
-    A contact point is midway between the two surfaces, on the shortest line between the capsules' axes."""
+    A contact point is halfway between the two surfaces, on the shortest line between the axes of the capsules."""
     i, j = near_pairs.first_indices[pairs], near_pairs.second_indices[pairs]
     direction, gap = near_pairs.direction[:, pairs], near_pairs.gap[pairs]
     a, b, ri, rj = near_pairs.axis_directions[:, i], near_pairs.axis_directions[:, j], near_pairs.radius[i], near_pairs.radius[j]

@@ -1,4 +1,4 @@
-"""Field values that pictures show: the amount in each cell, or the length of the vector there."""
+"""The values of fields that pictures show: the amount in each cell or, for vector fields, the length of the vector."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from antdsl.outputs.cache.manifest import Manifest
 
 
 class FieldStrengths(NamedTuple):
-    """The values of a field in one frame. `positions` float64 (n, 3) in scene units, `strengths` float64 (n,). `cell`: the edge
-    length of a cell."""
+    """The values of a field in one frame. `positions` float64 (n, 3): cells in scene units. `strengths` float64 (n,). `cell`: the
+    edge length of a cell."""
 
     name: str
     positions: NDArray[np.float64]
@@ -23,7 +23,7 @@ class FieldStrengths(NamedTuple):
 
 
 def list_program_fields(manifest: Manifest) -> dict[str, tuple[str, ...]]:
-    """Return the names of each field's arrays, by field name: one array, or the components `NAME.x`, `NAME.y`, `NAME.z`."""
+    """Return the names of the arrays of each field, by field name: one array, or the components `NAME.x`, `NAME.y`, `NAME.z`."""
     parts: dict[str, tuple[str, ...]] = {}
     for entry in manifest.fields:
         name = entry.name.partition(".")[0]
@@ -32,7 +32,7 @@ def list_program_fields(manifest: Manifest) -> dict[str, tuple[str, ...]]:
 
 
 class FieldReader:
-    """Reads the fields of the frames of a cache. `static`: the arrays that all frames share."""
+    """Reader of the fields in the frames of a cache. `static`: the arrays that all frames share."""
 
     def __init__(self, manifest: Manifest, static: Arrays) -> None:
         self._static, self._parts = static, list_program_fields(manifest)
@@ -40,7 +40,7 @@ class FieldReader:
         self._start_positions: dict[str, NDArray[np.float64]] = {}
 
     def read_frame(self, arrays: Arrays) -> Iterator[tuple[int, FieldStrengths]]:
-        """Yield the fields of a frame that are not empty, each with its number in the list of fields."""
+        """Yield the non-empty fields of a frame, each with its index in the list of fields."""
         for number, (name, parts) in enumerate(self._parts.items()):
             present = [part for part in parts if len(arrays.get(f"field.{part}.cells", ())) and f"field.{part}.values" in arrays]
             if not present:

@@ -1,4 +1,4 @@
-"""The agents of a frame: their ids, their species, and the names of arrays with one row per agent."""
+"""The agents of a frame: their ids and species, and the names of arrays that have one row per agent."""
 
 from __future__ import annotations
 
@@ -21,17 +21,19 @@ _SUBJECT_BY_ARRAY_PREFIX = {each.name.partition(".")[0]: each.row_kind for each 
 
 
 def find_array_subject(name: str) -> str | None:
-    """Return the kind of row that an array has (`one`, `pair`, `event`), by the first word of its name; None for other arrays."""
+    """Return what a row of an array stands for (`one` agent, `pair` or `event`). It follows from the first word of the name. None
+    for other arrays."""
     return _SUBJECT_BY_ARRAY_PREFIX.get(name.partition(".")[0]) if "." in name else None
 
 
 def list_special_arrays(form: str) -> frozenset[str]:
-    """Return the names of the arrays for which the file format `form` has a special attribute."""
+    """Return the names of the arrays that the file format `form` writes as special attributes."""
     return frozenset(each.frame_name for each in FRAME_COLUMNS if form in each.exports.split())
 
 
 def iterate_other_numbers(arrays: Arrays, form: str) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield the arrays with one number per agent for which the file format `form` has no special attribute, with their names."""
+    """Yield (name, values) of all arrays with one number per agent that the file format `form` does not write as a special
+    attribute."""
     own, count = list_special_arrays(form), len(arrays["P"])
     for name, values in arrays.items():
         if name not in own and "." not in name.removesuffix(".state") and values.shape == (count,):
@@ -39,7 +41,7 @@ def iterate_other_numbers(arrays: Arrays, form: str) -> Iterator[tuple[str, NDAr
 
 
 def get_agent_ids(arrays: Arrays) -> LongArray:
-    """Return the id of each agent; its row index if the frame has no ids."""
+    """Return the id of each agent, or its row index if the frame has no ids."""
     return np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(_count_agents(arrays))
 
 
@@ -54,7 +56,7 @@ def find_species_rows(arrays: Arrays, number: int) -> NDArray[np.intp]:
 
 
 def make_agent_keys(arrays: Arrays) -> LongArray:
-    """Return a number for each agent that identifies it among all agents, and is the same in all frames."""
+    """Return a key for each agent: a number that identifies the agent within the cache, in all frames."""
     return get_agent_ids(arrays) * 4096 + get_species_numbers(arrays)
 
 

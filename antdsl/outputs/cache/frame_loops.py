@@ -1,10 +1,10 @@
 """Kernels of `frame_maker`, `agent_arrays`, `pose_arrays` and `surface_error`.
 
-Each kernel passes once over the agents, for one array or for all clips of a machine. Kernels with the last arguments `begin` and
-`end` run in parallel chunks.
+Each kernel passes over the agents once, and writes one array, or the arrays for all clips of a machine. Kernels with the last
+arguments `begin` and `end` run in parallel chunks.
 
-A kernel that reads several numbers of an agent follows the rows in memory. It writes each result at the agent's rank by id. One
-scattered write costs less than several scattered reads."""
+A kernel that reads several numbers of an agent processes rows in memory order, and writes each result at the rank of the agent's
+id. One scattered write is cheaper than several scattered reads."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Shares = tuple[Array1[F32], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
 
 @kernel
 def write_positions(position: Strided2[F64], ranks: Array1[I32], scale: F64, out: Array2[F32], begin: I64, end: I64) -> None:
-    """Write the positions of agents times `scale` (scene units per mm), each at the agent's rank. Minus zero becomes zero."""
+    """Write the agents' positions times `scale` (scene units per mm), each at the agent's rank. Minus zero becomes zero."""
     for i in range(begin, end):
         k = ranks[i]
         out[k, 0] = np.float32((position[i, 0] + 0.0) * scale)
@@ -86,8 +86,8 @@ def write_playing_clips(
 ) -> None:
     """Write the clips that one machine of each agent plays, each at the agent's rank.
 
-    `clips`, `clips_out`: the current and the previous clip.
-    `shares`, `shares_out`: played cycles and weight of the current clip, the same of the previous clip, and the fade."""
+    `clips`, `clips_out`: the current and the previous clip. `shares`, `shares_out`: played cycles and weight of the current clip,
+    then of the previous clip, and the fade."""
     clip, previous = clips
     clip_out, before_out = clips_out
     turns, weight, before_turns, before_weight, fade = shares
@@ -101,14 +101,14 @@ def write_playing_clips(
 
 @kernel
 def mark_worn_layer(is_worn: Array1[BOOL], ranks: Array1[I32], bit: I64, mask: Array1[I64]) -> None:
-    """Set `bit` in the masks of the agents that wear a layer (`is_worn`). `mask` is in the order of ranks."""
+    """Set `bit` in the masks of the agents for which `is_worn` holds. `mask`: the masks in the order of ranks."""
     for i in range(ranks.size):
         mask[ranks[i]] |= bit if is_worn[i] else 0
 
 
 @kernel
 def compress_nonzero_cells(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> I64:
-    """Write the indices of the values that are not 0 to `cells`, and these values to `out`. Return how many there are.
+    """Write the indices of the nonzero values to `cells`, and these values to `out`. Return their number.
 
     Both outputs need one element more than `values`."""
     count = 0
@@ -132,10 +132,10 @@ def write_orientations(
 ) -> None:
     """Write the orientations of agents as quaternions x, y, z, w, each at the agent's rank.
 
-    A quaternion rotates +x to the heading, and +y to the part of `up` perpendicular to the heading.
+    Each quaternion rotates +x to the heading, and +y to the part of `up` that is perpendicular to the heading.
 
-    It is composed of the shortest rotation of +x to the heading, and a rotation about the heading. A zero heading counts as +x.
-    If `up` is parallel to the heading, an arbitrary perpendicular direction replaces it."""
+    It consists of the shortest rotation from +x to the heading, and a rotation about the heading. A zero heading counts as +x. If
+    `up` is parallel to the heading, an arbitrary perpendicular direction is used."""
     px, py, pz = heading
     qx, qy, qz = up
     for i in simd_range(begin, end):
@@ -182,13 +182,11 @@ def write_feet(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write the feet of the agents `begin` to before `end`, each at the agent's rank. The inputs have shapes (.., legs, n) and
-    (.., n).
+    """Write the feet of agents `begin` to `end` - 1, each at the agent's rank. Inputs have the shape (.., legs, n) or (.., n).
 
-    `positions_out`: x, y, z of each leg's foot, in scene units.
-    `is_on_ground`: 1 for feet on the ground (`swing` is -1), else 0.
-    `rise_out`: the height of the trunk above its rest height, in scene units.
-    `tilt`: the rotation of the trunk as unit quaternions x, y, z, w."""
+    `positions_out`: x, y, z of each leg's foot, in scene units. `is_on_ground`: 1 for feet on the ground (`swing` is -1), else 0.
+    `rise_out`: the height of the trunk above its rest height, in scene units. `tilt`: the rotation of the trunk as unit
+    quaternions x, y, z, w."""
     for low in range(begin, end, _BLOCK):
         high = min(low + _BLOCK, end)
         for leg in range(swing.shape[0]):
@@ -213,9 +211,9 @@ def write_feet(
 def find_greatest_error(
     position: Strided2[F64], ground: Strided2[F64], clearance: Array1[F32], size: Array1[F32], begin: I64, end: I64
 ) -> F64:
-    """Return the greatest deviation, in body lengths, of an agent's distance to its ground from the agent's clearance.
+    """Return the greatest error of an agent's distance from its ground, compared with its clearance, in body lengths.
 
-    Positions are rounded to float32, as in the cache. The result is NaN if the value of any agent is NaN."""
+    Positions are rounded to float32 first, as in the cache. The result is NaN if any value is NaN."""
     worst, unknown = 0.0, False
     for i in range(begin, end):
         x = np.float64(np.float32(position[i, 0])) - ground[i, 0]

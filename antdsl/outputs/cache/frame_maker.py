@@ -1,6 +1,6 @@
-"""Converts a world at one frame to a cache's arrays in scene units.
+"""Converts one frame of a world to the arrays of a cache, in scene units.
 
-Rows are agents: species in order of their names, agents by id within each species."""
+Rows are agents, sorted by species name and then by id."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ Arrays = dict[str, NDArray[Any]]
 class FrameMaker:
     """Converter of a world to the arrays of a frame.
 
-    `attributes`: the names of arrays in the scene's `output`; names that are not built in are registers.
-    `events`: the kinds of events in frames."""
+    `attributes`: the names of the arrays in the scene's `output`. Names that are not built in are names of registers. `events`:
+    the kinds of events that frames contain."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class FrameMaker:
         self.agents = AgentArrayBuilder(self.scale, self.factors, self.pair_names)
 
     def frame(self, world: World) -> Arrays:
-        """Return all arrays of the world's current frame."""
+        """Return all arrays for the world's current frame."""
         arrays: Arrays = {"frame": np.array(world.frame, np.int64)}
         arrays |= self.agents.build_arrays(world, self.attributes)
         for name, population in sorted(world.populations.items()):
@@ -113,7 +113,7 @@ class FrameMaker:
         return arrays if self.piece_maker is None else arrays | self.piece_maker.frame(world)
 
     def _make_pair_arrays(self, population: Population, rows: NDArray[np.intp]) -> Arrays:
-        """Return the values per pair of agents: the ids of both agents, and the value."""
+        """Return the values that belong to pairs of agents: the ids of both agents, and the value."""
         arrays: Arrays = {}
         for name, slots in self.pair_names[population.name].items():
             who, value = (np.stack([population.now[each[part]][rows] for each in slots], axis=1) for part in (0, 1))
@@ -144,21 +144,21 @@ class FrameMaker:
 
 
 def _find_nonzero_cells(values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the indices of a field's cells with values that are not zero, and these values."""
+    """Return the indices of the cells of a field that are not 0, and their values."""
     cells, strength = np.empty(len(values) + 1, np.int32), np.empty(len(values) + 1, np.float32)
     count = frame_loops.compress_nonzero_cells(values, cells, strength)
     return cells[:count], strength[:count]
 
 
 def _list_plain_numbers(program: Program) -> set[str]:
-    """Return the names of the numbers of which at least one species has one value per agent."""
+    """Return the names of numbers that have one value per agent in at least one species."""
     return {a.name for species in program.species.values() for a in species.attributes if a.pair_species is None}
 
 
 def make_static_arrays(world: World, setting: WorldSetting) -> Arrays:
-    """Return the arrays of `static.npz`, in scene units and relative to the world's origin.
+    """Return the arrays of `static.npz`, in scene units, relative to the world's origin.
 
-    They are meshes, the positions of field cells, and flows as arrows."""
+    These are meshes, positions of field cells, and flows as arrows."""
     scale = 1.0 / setting.unit_mm
     arrays: Arrays = {}
     for name, mesh in {**setting.surfaces, **setting.obstacles}.items():
@@ -203,8 +203,8 @@ def make_manifest(
 ) -> Manifest:
     """Return the manifest of a run that begins with this world.
 
-    `looks`: the looks in pictures that the scene sets, by the name of a mesh or of items. Items with different looks have a
-    mapping by item name."""
+    `looks`: the looks for pictures that the scene sets, by the name of a mesh or of items. For items with different looks, the
+    value is a mapping by item name."""
     scale, kinds = 1.0 / setting.unit_mm, {name: kind for kind, names in world.plan.thing_names_by_kind.items() for name in names}
     return Manifest(
         antdsl=version,
@@ -270,7 +270,7 @@ def _scale_point(point: NDArray[np.float64], scale: float) -> tuple[float, float
 
 
 def _make_mesh_entry(setting: WorldSetting, name: str, kind: str, looks: Mapping[str, Look | Mapping[str, Look]]) -> MeshEntry:
-    """Return the manifest's entry for the mesh `name`, a kind of thing called `kind`."""
+    """Return the manifest's entry for the mesh `name`. `kind`: the kind of thing that the mesh is."""
     off, look = setting.deviations.get(name), looks.get(name)
     deviation = None if off is None else off / setting.unit_mm
     moves = name in setting.motion.meshes
@@ -286,7 +286,7 @@ def _make_mesh_entry(setting: WorldSetting, name: str, kind: str, looks: Mapping
 
 
 def _list_item_looks(looks: Look | Mapping[str, Look] | None, names: list[str]) -> tuple[Look | None, ...]:
-    """Return the look in pictures of each item, in the order of `names`; empty if the scene sets none."""
+    """Return the look of each item in pictures, in the order of `names`. Empty if the scene sets no looks."""
     if not looks:
         return ()
     return tuple(looks if isinstance(looks, str) else looks.get(name) for name in names)

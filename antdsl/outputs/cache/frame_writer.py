@@ -1,7 +1,7 @@
-"""Writes frames and checkpoints in order, in a thread, and returns measurements for each.
+"""Writes frames and checkpoints in order in a background thread, and returns measurements for each of them.
 
-A thread, unlike a process, receives arrays without a copy into shared memory. Nothing changes these arrays afterwards. Nearly all
-of its work (checksums, hashes, files) runs without the interpreter's lock."""
+Unlike a process, a thread receives arrays without a copy to shared memory. They must not change afterwards. Nearly all of its
+work (checksums, hashes, files) runs without the interpreter's lock."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ Measures = dict[str, Any]
 class CacheFileWriter:
     """Writer of files into a cache's folder, in order. It must be closed.
 
-    A frame is written atomically, then its line with the hash. A checkpoint is written after all earlier frames are on the disk.
-    The methods return measurements: `seconds` has the time spent, by the name of the work."""
+    A frame is written atomically, followed by its line of hashes. A checkpoint is written only after all earlier frames are on
+    disk. The methods return measurements, in which `seconds` contains the time spent on each kind of work, by name."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -41,7 +41,7 @@ class CacheFileWriter:
         self._last_line: dict[int, HashLine] = {}  # the last written line
 
     def frame(self, frame: int, file: StoredFile, line: HashLine) -> Measures:
-        """Write the file of a frame, then its line of hashes. Return the seconds spent."""
+        """Write the file of a frame, then its line of hashes. Return the time spent."""
         began = time.perf_counter()
         path = make_frame_path(self.folder, frame)
         write_atomically(path, file.parts, sync=False)
@@ -55,7 +55,7 @@ class CacheFileWriter:
         self._lines_file.write([line.text(frame)])
 
     def write_checkpoint(self, frame: int, arrays: Arrays) -> Measures:
-        """Write a checkpoint durably, after all earlier frames and its own hash. Return the seconds spent.
+        """Flush all earlier frames to disk, then write a checkpoint and its hash. Return the time spent.
 
         In caches of older versions, checkpoints have no hash."""
         began = time.perf_counter()
@@ -68,7 +68,7 @@ class CacheFileWriter:
         return measures
 
     def sync_files(self) -> Measures:
-        """Flush everything written so far to the disk. Return the seconds spent."""
+        """Flush everything written so far to disk. Return the time spent."""
         began = time.perf_counter()
         sync_files(self._unsynced_files)
         self._unsynced_files.clear()
@@ -76,20 +76,20 @@ class CacheFileWriter:
         return _measure_elapsed("sync", began)
 
     def close(self) -> None:
-        """Close the writer. It cannot write anything afterwards."""
+        """Close the writer. Nothing can be written afterwards."""
         self._lines_file.close()
 
 
 def _measure_elapsed(label: str, start_time: float) -> Measures:
-    """Return the measurement of work that began at `start_time`: its seconds, under the name `label`."""
+    """Return a measurement: the seconds since `start_time`, under the name `label`."""
     return {"seconds": {label: time.perf_counter() - start_time}}
 
 
 class BackgroundWorker:
     """Runner of jobs in a thread, one after the other.
 
-    The callback `report` receives the result of each job in the caller's thread: when the next job is submitted, or at the end.
-    After an error no further job runs, and the next call raises the error."""
+    `report`: a callback that receives the result of each job. It runs in the caller's thread, when the next job is submitted or
+    at the end. After an error, no more jobs run, and the next call raises the error."""
 
     def __init__(self, report: Callable[[Results], None]) -> None:
         self._report = report
@@ -102,14 +102,14 @@ class BackgroundWorker:
         self._thread.start()
 
     def submit(self, job: Work) -> None:
-        """Submit a job. Block while too many jobs are pending. Raises the error of an earlier job."""
+        """Submit a job, after waiting until not too many jobs are pending. Raises the error of an earlier job."""
         self._report_results(_MAX_PENDING_JOBS - 1)
         self.raise_job_error()
         self._pending_count += 1
         self._jobs.put(job)
 
     def wait_until_finished(self) -> None:
-        """Wait until all jobs have ended and the thread has stopped. Does not raise the errors of jobs."""
+        """Wait until all jobs have ended and the thread has stopped. Errors of jobs are not raised."""
         if self._thread.is_alive():
             self._jobs.put(None)
             self._thread.join()
@@ -121,7 +121,7 @@ class BackgroundWorker:
             raise self._error
 
     def _report_results(self, max_pending: int) -> None:
-        """Report the results that arrived since the last call. Block until at most `max_pending` jobs are pending."""
+        """Wait until at most `max_pending` jobs are pending, and report all results that have arrived."""
         while self._pending_count > max_pending or not self._results.empty():
             measures = self._results.get()
             self._pending_count -= 1

@@ -1,12 +1,12 @@
 """Hashes that detect damage to a cache.
 
-For each frame, `hashes.jsonl` has hashes of the complete state, of the frame file and of the checkpoint file. The manifest has
-the hash of `static.npz`.
+For each frame, `hashes.jsonl` contains hashes of the complete state, the frame file and the checkpoint file. The manifest
+contains the hash of `static.npz`.
 
-The hash of a file covers its headers only, which contain the CRC-32 of each array. Writing the file computes the CRC-32s anyway,
-so the hash costs almost nothing. Damaged content is missed with a probability of 2^-32.
+The hash of a file covers only its headers, which contain the CRC-32 of each array. These are computed for the file in any case,
+so the hash costs almost nothing. Damage to content is missed with a probability of 2^-32.
 
-Older caches have hashes of all bytes, without the name of the method in front, and are checked by these. Neither kind detects
+Older caches have hashes of all bytes, without the name of the method in front. They are checked with these. Neither kind detects
 forgeries."""
 
 from __future__ import annotations
@@ -29,12 +29,11 @@ _MAX_FILE_BYTES = 400 * limits.MAX_FRAMES
 
 @dataclass(frozen=True, slots=True)
 class HashLine:
-    """The hashes of a frame. Fields that a cache is too old for are empty.
+    """The hashes of a frame. In caches of older versions, some of these are empty.
 
-    `hash`: the hash of the state.
-    `feet`: the hash of all feet; empty if no feet are computed.
-    `file`: the hash of the frame's number, `hash`, `feet` and the frame file. Damage to the file or to the line changes it.
-    `checkpoint`: the same hash for the checkpoint file; empty without a checkpoint."""
+    `hash`: the hash of the state. `feet`: the hash of all feet; empty if no feet are computed. `file`: the hash of the frame's
+    number, `hash`, `feet` and the frame file. Damage to the file or to the line changes it. `checkpoint`: the same for the
+    checkpoint file; empty if the frame has no checkpoint."""
 
     hash: str
     file: str
@@ -42,33 +41,33 @@ class HashLine:
     feet: str = ""
 
     def text(self, frame: int) -> bytes:
-        """Return the line of a frame in `hashes.jsonl`, as JSON text."""
+        """Return the line for this frame in `hashes.jsonl`, as JSON text."""
         words = {"frame": frame, "hash": self.hash, "file": self.file}
         optional = {"checkpoint": self.checkpoint, "feet": self.feet}
         return json.dumps(words | {name: text for name, text in optional.items() if text}).encode() + b"\n"
 
 
 def make_line(frame: int, state: str, file: StoredFile, feet: str = "") -> HashLine:
-    """Return the hashes of a frame. `state`: the state hash; `file`: the written file; `feet`: the hash of the feet."""
+    """Return the hashes of a frame. `state`: its state hash. `file`: its file. `feet`: the hash of all feet."""
     return HashLine(state, _hash_headers(_make_frame_prefix(frame, state) + _make_feet_prefix(feet), file.headers), feet=feet)
 
 
 def add_checkpoint_hash(frame: int, line: HashLine, file: StoredFile) -> HashLine:
-    """Return a frame's hashes with the hash of its checkpoint file added.
+    """Return the hashes of a frame with the hash of its checkpoint file added.
 
-    The new line is written after the frame's earlier line and replaces it."""
+    The line with these hashes is appended to the file, and replaces the frame's earlier line."""
     return replace(
         line, checkpoint=_hash_headers(_make_checkpoint_prefix(frame, line.hash) + _make_feet_prefix(line.feet), file.headers)
     )
 
 
 def hash_static_file(file: StoredFile) -> str:
-    """Return the hash of `static.npz` before it is written."""
+    """Return the hash of `static.npz`, computed before the file is written."""
     return _hash_headers(_STATIC_PREFIX, file.headers)
 
 
 def read_lines(path: Path) -> dict[int, HashLine]:
-    """Return the hashes in the complete lines of a file, by frame. The result is empty if no line can be read."""
+    """Return the hashes in the complete lines of a file, by frame. Empty if no line can be read."""
     lines: dict[int, HashLine] = {}
     try:
         text = read_size_limited(path, _MAX_FILE_BYTES, follows_links=False).decode("utf-8", "replace")
@@ -88,17 +87,14 @@ def read_lines(path: Path) -> dict[int, HashLine]:
 
 
 def find_frame_damage(path: Path, frame: int, line: HashLine | None) -> str | None:
-    """Return a message about damage to the file of a frame, or None if its bytes are those that were written.
-
-    The message is complete without context."""
+    """Return a complete message about damage to a frame's file. None if the file has the bytes that were written."""
     if line is None:
         return _find_hash_problem(path, b"", "")
     return _find_hash_problem(path, _make_frame_prefix(frame, line.hash) + _make_feet_input(line.file, line.feet), line.file)
 
 
 def find_checkpoint_damage(path: Path, frame: int, line: HashLine | None) -> str | None:
-    """Return a message about damage to a checkpoint, or None. Damage is not detected if the cache has no hash of the
-    checkpoint."""
+    """Return a message about damage to a checkpoint. None if there is none, or if the cache has no hash of the checkpoint."""
     if line is None:
         return _find_hash_problem(path, b"", "")
     if not line.checkpoint and not line.file.startswith(_HEADER_METHOD_PREFIX):
@@ -109,15 +105,16 @@ def find_checkpoint_damage(path: Path, frame: int, line: HashLine | None) -> str
 
 
 def find_static_damage(path: Path, expected_hash: str) -> str | None:
-    """Return a message about damage to `static.npz`, or None if the file matches the manifest's hash `expected_hash`."""
+    """Return a message about damage to `static.npz`. None if the file has the hash that the manifest contains,
+    `expected_hash`."""
     return _find_hash_problem(path, _STATIC_PREFIX, expected_hash)
 
 
 def _find_hash_problem(path: Path, prefix: bytes, expected_hash: str) -> str | None:
-    """Return a message about how a file differs from its hash, or None.
+    """Return a message if a file does not have the expected hash, else None.
 
-    `expected_hash`: the result of `_hash_headers` for `prefix` and the file's headers. In older caches, it is the hash of
-    `prefix` and all bytes of the file. Empty if there is no hash."""
+    `expected_hash`: the result of `_hash_headers` for `prefix` and the headers of the file. In older caches, it is the hash of
+    `prefix` and all bytes of the file. Empty if no hash is known."""
     try:
         handle = open_regular_file(path, follows_links=False)
     except FileNotFoundError:
@@ -162,13 +159,13 @@ def _make_feet_prefix(feet: str) -> bytes:
 
 
 def _make_feet_input(expected_hash: str, feet: str) -> bytes:
-    """Return the part of a frame's hash input that covers the feet. It is empty if `expected_hash` is a hash of all bytes of the
-    file."""
+    """Return the bytes for the feet in the hash of a frame file. Empty if `expected_hash` is of the older method, which hashes
+    all bytes."""
     return _make_feet_prefix(feet) if expected_hash.startswith(_HEADER_METHOD_PREFIX) else b""
 
 
 def _hash_headers(prefix: bytes, headers: Iterable[bytes]) -> str:
-    """Return a hash of `prefix` and of the headers of a file. The text begins with the name of the method."""
+    """Return a hash of `prefix` and the headers of a file, as text that begins with the name of the method."""
     return _HEADER_METHOD_PREFIX + _hash_bytes(prefix, headers)
 
 

@@ -1,4 +1,5 @@
-"""A lock that allows one run at a time in a cache's folder. It ends with the processes that hold it, even if they are killed."""
+"""A lock that allows only one run at a time in a cache's folder. It is released when the processes that hold it end, even if they
+are killed."""
 
 from __future__ import annotations
 
@@ -20,21 +21,21 @@ _HELD_LOCK_ERRORS = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # errors f
 
 
 class FolderLocked(Exception):
-    """Error if another run writes to the folder. The message contains its process id."""
+    """Error if another run is writing to the folder. The message contains the process id of this run."""
 
 
 class FolderLock:
     """The lock of a cache's folder, held from `__enter__` to `__exit__`.
 
-    Processes forked in between hold it until they end. Raises FolderLocked if another run holds it, OSError if the file system
-    has no locks.
+    Processes forked in this time also hold it, until they end. Raises FolderLocked if another run holds the lock, and OSError if
+    the file system does not support locks.
 
-    The file contains the process id and the host, for people to read. The lock itself belongs to the operating system, so no lock
-    outlives its processes. The run that holds the lock may have ended while its writer has not. Then `__enter__` waits for the
+    The file contains the process id and the host, for people to read. The lock itself belongs to the operating system, so it
+    never outlives its processes. If the run that held the lock has ended but its writer has not, `__enter__` waits for the
     writer.
 
-    A file with further hard links is replaced, not written into. So the lock changes neither a hard-link copy of the cache nor a
-    file outside the cache."""
+    A file with other hard links is replaced instead of written to. So the lock changes neither a hard-link copy of the cache nor
+    a file outside the cache."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / LOCK_FILE_NAME
@@ -46,7 +47,8 @@ class FolderLock:
         return self
 
     def _open_locked(self) -> int | None:
-        """Return the handle of the open, locked file. Return None if the file had other names; the next call then succeeds."""
+        """Return the handle of the lock file, opened and locked. None if the file had other names; then the next call
+        succeeds."""
         handle = os.open(self.path, _OPEN_FLAGS, 0o644)
         try:
             self._wait_for_lock(handle)
@@ -65,7 +67,7 @@ class FolderLock:
         return handle
 
     def _is_only_name(self, handle: int) -> bool:
-        """Return whether the path is the only name of the open file. If the file has several names, the path is unlinked."""
+        """Return whether the open file has no other name than the path. If it has, remove the path."""
         opened = os.fstat(handle)
         try:
             named = os.stat(self.path, follow_symlinks=False)
@@ -79,8 +81,8 @@ class FolderLock:
         return True
 
     def _wait_for_lock(self, handle: int) -> None:
-        """Lock the open file, after waiting for the writer of a run that has ended. Raises FolderLocked if a process still holds
-        the lock."""
+        """Lock the open file. If the run that held the lock has ended, wait for its writer. Raises FolderLocked if a process
+        still holds it."""
         began = time.monotonic()
         while True:
             try:
@@ -105,12 +107,12 @@ class FolderLock:
 
 
 def _find_host_name() -> str:
-    """Return the name of this machine or container. A process id is meaningful only together with this name."""
+    """Return the name of this machine or container. Process ids are only meaningful together with this name."""
     return "".join(each for each in platform.node() if each.isascii() and each.isprintable() and each != " ")[:64]
 
 
 def _read_holder(handle: int) -> tuple[str, str]:
-    """Return the process id and the host in the file. Both are empty where the system does not permit reading the file
+    """Return the process id and the host that the file contains. Both are empty if the system does not permit to read it
     (Windows)."""
     try:
         os.lseek(handle, 0, os.SEEK_SET)
@@ -121,7 +123,7 @@ def _read_holder(handle: int) -> tuple[str, str]:
 
 
 def _has_ended(holder: str, host: str) -> bool:
-    """Return whether a process of this host is known to have ended. A zombie process has ended too."""
+    """Return whether a process of this host has certainly ended. A zombie process counts as ended."""
     if os.name == "nt" or host not in ("", _find_host_name()) or not (holder.isascii() and holder.isdigit()):
         return False  # Windows releases a lock when the process that holds it ends
     try:
@@ -138,7 +140,7 @@ def _has_ended(holder: str, host: str) -> bool:
 
 
 def _try_lock(handle: int) -> None:
-    """Lock an open file without waiting. Raises OSError if another process has locked it."""
+    """Lock an open file without waiting. Raises OSError if another process holds the lock."""
     if os.name == "nt":
         import msvcrt
 
@@ -150,7 +152,7 @@ def _try_lock(handle: int) -> None:
 
 
 def _unlock_file(handle: int) -> None:
-    """Unlock an open file for all processes that share it. Otherwise a forked process of another run would still hold the
+    """Unlock an open file for all processes that share it. Otherwise a process that another run forked would still hold the
     lock."""
     if os.name != "nt":
         import fcntl

@@ -1,4 +1,5 @@
-"""The manifest of a cache: its inputs and the meaning of its numbers. It is JSON; types and bounds are checked on reading."""
+"""The manifest of a cache: its inputs, and the meaning of the numbers in its frames. It is a JSON file. Types and bounds are
+checked when it is read."""
 
 from __future__ import annotations
 
@@ -51,7 +52,8 @@ class MachineEntry(ManifestPart):
 
 
 class FeelersEntry(ManifestPart):
-    """Feelers: rays ahead of the agent, up to `spread` radians to each side.
+    """Feelers of an agent: rays ahead, spread over up to `spread` radians to each side.
+
     Each ray is `reach` scene units plus `per_length` body lengths long."""
 
     count: Annotated[int, Field(ge=1, le=64)]
@@ -70,10 +72,10 @@ class BodyEntry(ManifestPart):
 
 
 class ClipEntry(ManifestPart):
-    """A clip that states play. `add`: whether the clip is added to all others.
+    """A clip that states play. `add`: whether the clip is added to all other clips.
 
-    `on`: the transform group with the joints that it moves; empty for all joints.
-    `left`, `right`, `up`, `down`: the clips that replace it while an agent turns left or right, climbs or descends."""
+    `on`: the transform group of the joints that it moves; empty for all joints. `left`, `right`, `up`, `down`: the clips that
+    replace it while an agent turns left or right, climbs or descends."""
 
     name: Word
     on: Word = ""
@@ -85,11 +87,11 @@ class ClipEntry(ManifestPart):
 
 
 class WornBodyEntry(ManifestPart):
-    """One body of a species.
+    """One of the bodies of a species.
 
-    `body`: its word or file in the scene; None selects a body by the species' name.
-    `definition`: the index of its agent definition in the manifest's `bodies`; None for a body of the library.
-    `weight`: its share among the bodies of the species; 0 for a body that only edits give."""
+    `body`: its word or file in the scene; None chooses a body by the name of the species. `definition`: the index of its agent
+    definition in the manifest's `bodies`; None for a body of the library. `weight`: its weight among the bodies of the species; 0
+    for a body that only edits use."""
 
     body: Word | None = None
     definition: Annotated[int, Field(ge=0, lt=limits.MAX_BODY_PARTS)] | None = None
@@ -97,10 +99,10 @@ class WornBodyEntry(ManifestPart):
 
 
 class ReplacedBody(ManifestPart):
-    """Agents of a species that have another body because of an edit: `count` ids from `first` on.
+    """A range of agents of a species to which an edit gave another body: `count` ids from `first` on.
 
-    `body`: the index of the body among the bodies of the species.
-    `level`: how many of the species' `copies` existed at that edit; later copies have the bodies of their originals."""
+    `body`: the index of the new body among the bodies of the species. `level`: how many of the species' `copies` existed at the
+    time of the edit. Later copies have the bodies of their originals."""
 
     first: Annotated[int, Field(ge=0)]
     count: Annotated[int, Field(ge=1)]
@@ -111,19 +113,15 @@ class ReplacedBody(ManifestPart):
 class SpeciesEntry(ManifestPart):
     """A species.
 
-    `body`: the body in pictures; None chooses one by the species' name.
-    `definition`: the index of its agent definition in the manifest's `bodies`.
-    `bodies`: the bodies of a species with several bodies; `body_choice` says which agent has which body. Empty for one body.
-    `clips`: the clips of its states; frames contain indices into this list.
-    `playing`: the machines that play clips.
-    `wears`: body layers that agents may show in addition to the body's own; frames have masks with one bit per layer.
-    `channels`: the channels of the body that states set.
-    `looks`: the transform groups of the body that states turn towards a direction.
-    `copies`: added by edits, in their order. The agent with the id i + k N is a copy of agent i, with a number N of this list.
-    `merged`: the indices in `copies` of numbers N of another cache: the agent with the id i + N is its agent i.
-    `drawn_as`: the name with which bodies are drawn, if an edit gave the species another name.
-    `joints`: the joints of the body that edits shift and rotate.
-    `replaced`: the agents that edits gave other bodies than those drawn for them."""
+    `body`: the body in pictures; None chooses one by the species' name. `definition`: the index of its agent definition in the
+    manifest's `bodies`. `bodies`: the bodies, if the species has several; `body_choice` decides which agent has which body. Empty
+    for a single body. `clips`: the clips of its states; frames contain indices into this list. `playing`: the machines that play
+    clips. `wears`: body layers that agents may show in addition to the body's own; frames have masks with one bit per layer.
+    `channels`: the channels of the body that states set. `looks`: the transform groups of the body that states turn towards a
+    direction. `copies`: for each edit that added copies, in order, a number N. The agent with the id i + k N is copy k of agent
+    i. `merged`: the indices of those N in `copies` that stand for another cache: the agent with the id i + N is agent i of that
+    cache. `drawn_as`: the name with which bodies are drawn, if an edit gave the species another name. `joints`: the joints of the
+    body that edits shift and rotate. `replaced`: the agents to which edits gave another body than the one chosen at random."""
 
     name: Word
     body: Word | None = None
@@ -168,9 +166,8 @@ class ImportEntry(ManifestPart):
 class MeshEntry(ManifestPart):
     """A mesh. `imported`: the import report of its file.
 
-    `moves`: whether each frame has the mesh's vertices.
-    `look`: its look in pictures; None chooses one by its name.
-    `deviation`: only for a height field, the greatest distance of its triangles from the bilinear surface (scene units)."""
+    `moves`: whether each frame has the mesh's vertices. `look`: its look in pictures; None chooses one by its name. `deviation`:
+    for a height field only, the greatest distance of its triangles from the bilinear surface (scene units)."""
 
     name: Word
     kind: MeshKind
@@ -181,22 +178,21 @@ class MeshEntry(ManifestPart):
 
     @property
     def row(self) -> ThingKindRow:
-        """Return the program's table row for this kind of mesh."""
+        """Return the row of the program's table for this kind of mesh."""
         return KIND_BY_WORD[self.kind]
 
 
 class FieldEntry(ManifestPart):
-    """A field. `cell`: the edge of a cell in scene units."""
+    """A field. `cell`: the edge length of a cell in scene units."""
 
     name: Word
     cell: float
 
 
 class ItemsEntry(ManifestPart):
-    """Items of one name: the names of the single items, and the attributes for which each frame has an array.
+    """All items of one name: the names of the single items, and the attributes for which frames contain arrays.
 
-    `position`, `radius`: in scene units, at the first simulated frame.
-    `moves`: whether each frame has positions of the items.
+    `position`, `radius`: in scene units, at the first simulated frame. `moves`: whether frames contain positions of the items.
     `looks`: the look of each item in pictures; empty if the scene sets none."""
 
     name: Word
@@ -210,10 +206,10 @@ class ItemsEntry(ManifestPart):
 
 
 class LineEntry(ManifestPart):
-    """A named crowd line of the scene.
+    """A crowd line that has a name in the scene.
 
-    `ranges`: the ids of its agents in the order of creation, as ranges of (first id, number of ids). Number k of the line is the
-    k-th id, counted from 0."""
+    `ranges`: the ids of its agents in the order of creation, as ranges (first id, number of ids). Agent k of the line has the
+    k-th of these ids, counted from 0."""
 
     name: Word
     species: Word
@@ -223,10 +219,10 @@ class LineEntry(ManifestPart):
 class EditsEntry(ManifestPart):
     """The edits of the cache that readers apply to its frames.
 
-    `name`: the file that they were read from. `text`: its content.
-    `arrays`: the file next to the manifest with the meshes and bodies that the edits name; None without any.
-    `caches`: by name in the text, the paths from the cache's folder to other caches.
-    `next_ids`: by species, the first id that no agent has, in the first `counted_frames` frames."""
+    `name`: the file from which they were read. `text`: its content. `arrays`: the file next to the manifest that contains the
+    meshes and bodies named in the edits; None if there are none. `caches`: for each other cache named in the text, its path
+    relative to this cache's folder. `next_ids`: for each species, the first id that no agent has in the first `counted_frames`
+    frames."""
 
     name: Word
     text: Annotated[str, Field(max_length=limits.MAX_EDITS_BYTES)]
@@ -240,15 +236,15 @@ AnyCameraEntry = CameraEntry | FollowEntry | Literal["fit"]  # `fit`: one that h
 
 
 def make_camera_array_name(camera: str, part: str) -> str:
-    """Return the name of the array for one part of a moving camera."""
+    """Return the name of the array that contains one part of a moving camera."""
     return f"camera.{part}" if camera == DEFAULT_CAMERA_NAME else f"camera.{camera}.{part}"
 
 
 class Provenance(ManifestPart):
     """The environment in which a cache was made. Readers do not depend on it.
 
-    `sources`: a hash of antdsl's own files. `command`: the command that makes the same frames.
-    Versions are empty for packages that are not installed."""
+    `sources`: a hash of antdsl's own files. `command`: the command that makes the same frames again. The version of a package
+    that is not installed is empty."""
 
     sources: Word
     python: Word
@@ -262,17 +258,13 @@ class Provenance(ManifestPart):
 class Manifest(ManifestPart):
     """The description of a cache.
 
-    `inputs`: a hash of every input that affects the frames.
-    `fps`: a fraction such as `24/1`.
-    `first`, `last`: the first and the last requested frame.
-    `events`: the names of events; frames contain indices into this list.
-    `static`: the hash of `static.npz`; None if none was stored.
-    `state_hash`: the method of state hashes, a `STATE_HASH_VERSION`.
-    `scene_path`: the path from the cache's folder to the scene file; None if `find_relative_path` returned none.
-    `origin`: the point, in scene units, that all positions are relative to; the zero point in caches without it.
-    `notes`: the lines of the scene's notes that were on.
-    `light`: the light of pictures. `period`: the box of a periodic world, relative to the origin.
-    `camera`: the default camera if it does not depend on agents. `cameras`: all cameras of the scene, by name."""
+    `inputs`: a hash of every input that affects the frames. `fps`: a fraction such as `24/1`. `first`, `last`: the first and the
+    last requested frame. `events`: the names of events; frames contain indices into this list. `static`: the hash of
+    `static.npz`; None if none was stored. `state_hash`: the method of state hashes, a `STATE_HASH_VERSION`. `scene_path`: the
+    path of the scene file relative to the cache's folder; None if `find_relative_path` returned None. `origin`: the point, in
+    scene units, to which all positions are relative; (0, 0, 0) in caches without it. `notes`: those lines of the scene's notes
+    that were not off. `light`: the light of pictures. `period`: the box of a periodic world, relative to the origin. `camera`:
+    the default camera if it does not depend on agents. `cameras`: all cameras of the scene, by name."""
 
     format: Literal[1] = 1
     antdsl: Word
@@ -309,35 +301,35 @@ class Manifest(ManifestPart):
 
     @property
     def periodic_box(self) -> PeriodicBox | None:
-        """Return the box of a periodic world, in scene units and relative to the origin; None for other worlds."""
+        """Return the box of a periodic world in scene units, relative to the origin. None for other worlds."""
         return None if self.period is None else PeriodicBox(self.period.low, self.period.widths)
 
     @property
     def named_cameras(self) -> Mapping[str, AnyCameraEntry]:
-        """Return all cameras by name. A manifest without `cameras` has only the default camera."""
+        """Return all cameras by name. In a manifest without `cameras`, this is only the default camera."""
         return self.cameras or ({} if self.camera is None else {DEFAULT_CAMERA_NAME: self.camera})
 
 
 def join_line(text: str) -> str:
-    """Return a line of notes or edits without the braces around it and without line breaks."""
+    """Return a line of notes or edits on one line, without the braces around it."""
     return " ".join(text.split()).removeprefix("{").removesuffix("}").strip()
 
 
 def shorten_line(text: str) -> str:
-    """Return the text if a manifest can store it. The end of a longer text is replaced by a hash."""
+    """Return the text, shortened if it is too long for a manifest. Then a hash replaces the end of the text."""
     if len(text) <= _MAX_LINE:
         return text
     return f"{text[:_MAX_LINE]}… {hashlib.blake2b(text.encode(), digest_size=8).hexdigest()}"
 
 
 class ManifestError(Exception):
-    """Error for a folder that is not a cache. The message is the reason, complete without context."""
+    """Error for a folder that is not a cache. The message is a complete explanation."""
 
 
 def find_relative_path(file: Path, folder: Path) -> str | None:
-    """Return the path from a folder to a file, with `/` and `..`, or None if it is too long for a manifest.
+    """Return the path of a file relative to a folder, with `/` and `..`. None if it is too long for a manifest.
 
-    Also return None if it would pass through the root of the file system, because it would reveal folders of this machine."""
+    Also None if the path would pass through the root of the file system, because it would then reveal folders of this machine."""
     start = folder.resolve()
     # first the path through links, because it stays below the common folder
     for end in (Path(os.path.abspath(file)), file.resolve()):
@@ -351,13 +343,13 @@ def find_relative_path(file: Path, folder: Path) -> str | None:
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Write the manifest into a cache's folder, durably."""
+    """Write the manifest to a cache's folder, and flush it to disk."""
     text = json.dumps(manifest.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n"
     write_atomically(folder / MANIFEST_FILE_NAME, text.encode())
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Return the manifest of a cache's folder. Raises ManifestError with the reason if there is none."""
+    """Return the manifest in a cache's folder. Raises ManifestError with the reason if the folder is not a cache."""
     path = folder / MANIFEST_FILE_NAME
     try:
         text = read_size_limited(path, _MAX_MANIFEST_BYTES, follows_links=False).decode()

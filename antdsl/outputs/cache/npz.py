@@ -1,7 +1,7 @@
-"""NPZ files of plain arrays. They are written atomically, without pickle or compression.
+"""NPZ files of plain arrays, written atomically, without pickle or compression.
 
-On reading, all sizes are compared with the size of the file. The layout is NumPy's (NEP 1 inside an uncompressed zip), so
-`numpy.load` can read these files in any program."""
+On reading, all sizes are compared with the size of the file. The layout is that of NumPy (NEP 1 inside an uncompressed zip), so
+`numpy.load` can read these files."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def encode_npz(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 def make_npz_file(arrays: Mapping[str, NDArray[Any]]) -> StoredFile:
     """Return the NPZ file with these arrays, as consecutive parts.
 
-    The parts share memory with the arrays, which must not change until the parts were written."""
+    The parts share memory with the arrays. The arrays must not change until the parts are written."""
     return make_stored_file(_make_member(name, array) for name, array in arrays.items())
 
 
 def _make_member(name: str, array: NDArray[Any]) -> tuple[MemberForm, memoryview]:
-    """Return the zip member of an array: its form, and its bytes after the header."""
+    """Return the zip member for an array: its form, and the bytes after its header."""
     (form, kind), of = _make_member_form(name, array.dtype, array.shape), array.data
     if not kind and of.nbytes and of.c_contiguous:
         return form, of.cast("B")
@@ -50,9 +50,9 @@ def _make_member(name: str, array: NDArray[Any]) -> tuple[MemberForm, memoryview
 
 @lru_cache(1024)  # arrays of consecutive frames usually have equal shapes
 def _make_member_form(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> tuple[MemberForm, str]:
-    """Return the form of the zip member for an array with this name, type and shape, and the type to convert the array to.
+    """Return the form of the zip member for an array with this name, type and shape, and the type to which to convert the array.
 
-    The type is empty if the array in memory already has the bytes of the file."""
+    The returned type is empty if no conversion is needed."""
     kind = _encode_type(name, dtype)
     as_it_is = dtype.isnative and dtype.str == kind
     return make_member_form(f"{name}.npy", _make_header(kind, shape), dtype.itemsize * prod(shape)), "" if as_it_is else kind
@@ -61,7 +61,7 @@ def _make_member_form(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -
 def write_member(
     file: zipfile.ZipFile, name: str, dtype: np.dtype[Any], shape: tuple[int, ...], parts: Iterable[NDArray[Any]]
 ) -> None:
-    """Add an array with this type and shape to an open NPZ file. `parts`: its rows in consecutive parts, one in memory at a
+    """Add an array with this type and shape to an open NPZ file. `parts`: consecutive ranges of its rows, one in memory at a
     time."""
     entry = zipfile.ZipInfo(f"{name}.npy", _FIXED_DATE)
     kind = _encode_type(name, dtype)
@@ -72,7 +72,7 @@ def write_member(
 
 
 def _encode_type(name: str, dtype: np.dtype[Any]) -> str:
-    """Return the code of a type in the file. Raises ValueError for a type that cannot be stored."""
+    """Return the code of a type in the file format. Raises ValueError for a type that cannot be stored."""
     kind = dtype.newbyteorder("<").str
     if kind not in ALLOWED_DTYPES:
         raise ValueError(f"array `{name}` of type {dtype} cannot be stored")
@@ -87,8 +87,8 @@ def _make_header(kind: str, shape: tuple[int, ...]) -> bytes:
 
 
 def read_npz(path: Path, names: Container[str] | None = None) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a file that `encode_npz` wrote, after checking their checksums. `names`: the names to return; None for
-    all.
+    """Return the arrays of a file that `encode_npz` wrote, after checking their checksums. `names`: the arrays to return; None
+    for all.
 
     Raises ArrayFileError for any other file, and OSError for a file that cannot be opened. Links are not followed."""
     try:

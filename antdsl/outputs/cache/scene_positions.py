@@ -1,7 +1,7 @@
-"""Positions in a cache. They are relative to the origin of the world, which the manifest has in double precision.
+"""Positions in a cache, relative to the origin of the world. The manifest contains the origin in double precision.
 
-Without the origin, positions far from the zero point would lose precision as float32. A world near the zero point has the
-origin 0."""
+Without an origin, float32 positions far from the scene's zero would lose precision. A world near the scene's zero has the origin
+0."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ def find_scene_origin(world: World) -> tuple[float, float, float]:
 
 
 def to_scene_positions(positions: NDArray[np.floating], scale: float) -> NDArray[np.float32]:
-    """Convert positions in mm, relative to the world's origin, to scene units as float32. `scale`: scene units per millimetre."""
+    """Return positions in scene units as float32. `positions`: in mm, relative to the world's origin. `scale`: scene units per
+    millimetre."""
     unsigned = positions + 0.0  # a negative zero would change the bytes of a file
     scene_positions: NDArray[np.float32] = (unsigned * scale).astype(np.float32)
     return scene_positions

@@ -23,7 +23,7 @@ Piece = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 
 class PieceMaker:
-    """Builder of the arrays of solids in frames. Each call reads from the volumes the changes since the previous call."""
+    """Builder of the arrays of solids in frames. Each call returns the changes since the previous call."""
 
     def __init__(self, first: int, interval: int, scale: float) -> None:
         self.first, self.every, self.scale = first, interval, scale
@@ -47,9 +47,9 @@ class PieceMaker:
 
 
 def make_start_arrays(world: World, scale: float) -> Arrays:
-    """Return the arrays of all solids for `static.npz`, before any digging.
+    """Return the arrays of all undug solids for `static.npz`.
 
-    `offset` (mm) is 0, since the manifest has the origin. `scale`: scene units per millimetre."""
+    The array `offset` (mm) is 0, because the manifest contains the origin. `scale`: scene units per millimetre."""
     arrays: Arrays = {}
     for name, volume in world.solids.items():
         bricks = volume.bricks
@@ -67,7 +67,7 @@ def make_start_arrays(world: World, scale: float) -> Arrays:
 
 
 def read_start_volume(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
-    """Return the volume of a solid before any digging."""
+    """Return the volume of an undug solid."""
 
     def read_array(key: str) -> NDArray[Any]:
         return np.array(static[f"solid.{name}.{key}"])
@@ -90,7 +90,7 @@ def read_start_volume(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
 
 
 def _join_arrays(name: str, pieces: Mapping[int, Piece], scale: float) -> Arrays:
-    """Return the arrays of a solid's surface, from the meshes of its bricks, in scene units."""
+    """Return the arrays of a solid's surface in scene units, given the meshes of its bricks."""
     order = sorted(pieces)
     vertices, faces = join_pieces([pieces[brick] for brick in order])
     return {
@@ -101,7 +101,7 @@ def _join_arrays(name: str, pieces: Mapping[int, Piece], scale: float) -> Arrays
 
 
 def join_pieces(pieces: list[Piece]) -> Piece:
-    """Return several meshes as one mesh."""
+    """Return several meshes joined to one mesh."""
     shift = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
     faces = [faces + np.int32(start) for (_, faces), start in zip(pieces, shift, strict=False)]
     return (

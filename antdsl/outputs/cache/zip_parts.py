@@ -1,10 +1,10 @@
 """An uncompressed zip file as consecutive parts in memory, without copies of its members' contents.
 
-It follows the application note of the format (PKWARE, .ZIP File Format Specification 6.3.10). It writes the same bytes as
-Python's `zipfile`, 10 times as fast. Data that is known before a member is written goes into one header.
+The format follows its specification (PKWARE, .ZIP File Format Specification 6.3.10). The bytes are the same as those of Python's
+`zipfile`, but are written 10 times as fast. Everything that is known about a member beforehand is prepared once, in its form.
 
-In this module, the headers of a file are all its bytes except the contents of its members. They include the directory. They
-contain the CRC-32 of each content, so they suffice to detect damage anywhere in the file."""
+In this module, the headers of a file are all its bytes, including the directory, except the contents of its members. They contain
+the CRC-32 of each content. So a hash of the headers is enough to detect damage anywhere in the file."""
 
 from __future__ import annotations
 
@@ -39,24 +39,24 @@ _LONG_END_LOCATOR = Struct("<4sLQL")
 
 
 class NotStored(Exception):
-    """The error for a zip file with compressed members, or with content that does not match its header."""
+    """Error for a zip file with compressed members, or with content that does not match its header."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredFile:
-    """A zip file that is not written yet.
+    """A zip file that has not been written yet.
 
-    `parts`: its consecutive bytes.
-    `headers`: all bytes except the contents of its members."""
+    `parts`: its bytes, as consecutive pieces. `headers`: all bytes except the contents of its members."""
 
     parts: BytesParts
     headers: Sequence[bytes]
 
 
 def make_stored_file(members: Iterable[tuple[MemberForm, memoryview]]) -> StoredFile:
-    """Return the zip file with these members, in order. A member is its form, and the bytes of its content after the form's head.
+    """Return the zip file with these members, in order. A member consists of its form, and the bytes of its content after the
+    form's `head`.
 
-    Contents are not copied. They must not change until the parts were written."""
+    Contents are not copied. They must not change until the parts are written."""
     parts: list[bytes | memoryview] = []
     headers: list[bytes] = []
     entries: list[bytes] = []
@@ -76,12 +76,11 @@ def make_stored_file(members: Iterable[tuple[MemberForm, memoryview]]) -> Stored
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MemberForm:
-    """The bytes that all members with the same name, head and size have in common.
+    """The bytes that are equal for all members with the same name, head and size.
 
-    `head`: the first bytes of the content. `size`: the length of the content.
-    `head_crc`: the CRC-32 of the head.
-    `header`: the fixed bytes of the member's header, before and after the CRC-32.
-    `entry`: the fixed bytes of the directory entry, before, between and after the CRC-32 and the offset."""
+    `head`: the first bytes of the content. `size`: the length of the content. `head_crc`: the CRC-32 of the head. `header`: the
+    fixed bytes of the member's header, before and after the CRC-32. `entry`: the fixed bytes of its directory entry, before,
+    between and after the CRC-32 and the offset."""
 
     head: bytes
     size: int
@@ -93,7 +92,7 @@ class MemberForm:
 
 
 def make_member_form(name: str, head: bytes, content_size: int) -> MemberForm:
-    """Return the form of members with `content_size` bytes after the head."""
+    """Return the form of members that have `content_size` bytes after the head."""
     words, size = name.encode(), len(head) + content_size
     flags = 0 if name.isascii() else _UTF8_FLAG
     size_field, version, extra = (
@@ -112,14 +111,14 @@ def make_member_form(name: str, head: bytes, content_size: int) -> MemberForm:
 
 
 def _split_around_field(record: bytes, offset: int) -> tuple[bytes, bytes]:
-    """Return the bytes before and after the four-byte field at offset `offset`."""
+    """Return the bytes of a record before and after its four-byte field at `offset`."""
     return record[:offset], record[offset + 4 :]
 
 
 def read_headers(blocks: Iterator[bytes]) -> Iterator[bytes]:
-    """Yield the headers of a file, piece by piece, and check the contents in between by their CRC-32.
+    """Yield the headers of a file in pieces. Check the contents between them against their CRC-32.
 
-    `blocks`: the bytes of the file, in blocks of any length. Raises NotStored if a checksum differs, or if `make_stored_file`
+    `blocks`: the bytes of the file, in blocks of any length. Raises NotStored if a checksum is wrong, or if `make_stored_file`
     cannot have made the file."""
     file = _BlockReader(blocks)
     while (mark := file.read_up_to(len(_MEMBER_SIGNATURE))) == _MEMBER_SIGNATURE:
@@ -138,21 +137,21 @@ def read_headers(blocks: Iterator[bytes]) -> Iterator[bytes]:
 
 
 class _BlockReader:
-    """Reader of bytes that arrive in blocks, in pieces of other lengths."""
+    """Reader of pieces of any length, from bytes that arrive in blocks."""
 
     def __init__(self, blocks: Iterator[bytes]) -> None:
         self._blocks = blocks
         self._remainder = memoryview(b"")
 
     def _read_next(self, max_bytes: int) -> memoryview:
-        """Return some of the next bytes, at least one and at most `max_bytes`. Empty at the end."""
+        """Return at least one and at most `max_bytes` of the next bytes. Empty at the end of the file."""
         if not self._remainder:
             self._remainder = memoryview(next(self._blocks, b""))
         block, self._remainder = self._remainder[:max_bytes], self._remainder[max_bytes:]
         return block
 
     def read_up_to(self, count: int) -> bytes:
-        """Return the next `count` bytes, or fewer if the file ends."""
+        """Return the next `count` bytes, or all that are left if there are fewer."""
         data = b""
         while len(data) < count and (piece := self._read_next(count - len(data))):
             data += piece
@@ -182,7 +181,7 @@ class _BlockReader:
 
 
 def _make_directory_entry(form: MemberForm, crc: bytes, offset: int) -> bytes:
-    """Return the directory entry of a member. `crc`: the bytes of its CRC-32; `offset`: the offset of the member."""
+    """Return the directory entry of a member. `crc`: the bytes of its CRC-32. `offset`: its position in the file."""
     if offset <= MAX_SHORT_SIZE:
         prefix, suffix, rest = form.entry
         return prefix + crc + suffix + offset.to_bytes(4, "little") + rest
@@ -191,7 +190,7 @@ def _make_directory_entry(form: MemberForm, crc: bytes, offset: int) -> bytes:
 
 
 def _make_blank_entry(name_bytes: bytes, flags: int, size: int, offset: int) -> bytes:
-    """Return the directory entry of a member at offset `offset`, with the CRC-32 left 0."""
+    """Return the directory entry of a member at `offset`, with 0 in place of the CRC-32."""
     longs = [size, size] if size > MAX_SHORT_SIZE else []
     size_field, place = (_LONG_VALUE_MARK if longs else size), offset
     if offset > MAX_SHORT_SIZE:
@@ -204,7 +203,8 @@ def _make_blank_entry(name_bytes: bytes, flags: int, size: int, offset: int) -> 
 
 
 def _make_end_record(count: int, size: int, offset: int) -> bytes:
-    """Return the end record of a zip file. `count`, `size`: entries and bytes of the directory; `offset`: its offset."""
+    """Return the end record of a zip file. `count`, `size`: the number of entries and bytes of the directory. `offset`: its
+    position."""
     records = b""
     if count > MAX_SHORT_COUNT or offset > MAX_SHORT_SIZE or size > MAX_SHORT_SIZE:
         records = _LONG_END_RECORD.pack(b"PK\6\6", 44, _LONG_VERSION, _LONG_VERSION, 0, 0, count, count, size, offset)
@@ -214,5 +214,5 @@ def _make_end_record(count: int, size: int, offset: int) -> bytes:
 
 
 def _make_long_field(*numbers: int) -> bytes:
-    """Return the extra field of a header, with numbers of eight bytes."""
+    """Return the extra field of a header that contains numbers of eight bytes."""
     return Struct(f"<2H{len(numbers)}Q").pack(1, 8 * len(numbers), *numbers)

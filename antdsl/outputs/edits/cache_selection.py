@@ -1,6 +1,7 @@
 """Applies selectors to the agents of a cache.
 
-Names, shares and `without` depend on ids alone, so they apply in all frames. Positions and states are those of one frame."""
+Names, shares and `without` depend only on ids, so they have the same result in all frames. Positions and states depend on the
+frame."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ from antdsl.scene.thing_models import UNIT_MM
 class Selection:
     """The agents of a cache that a selector selects.
 
-    `frame`: the frame from which positions and states are read. `last`: if it is later, agents are selected that meet the
+    `frame`: the frame from which positions and states are read. `last`: if it is later, an agent is selected if it meets the
     conditions in any frame from `frame` to `last`."""
 
     selector: AnySelector
@@ -36,7 +37,7 @@ class Selection:
     last: int = -(2**63)
 
     def find(self, keys: LongArray) -> NDArray[np.bool_]:
-        """Return whether the selector selects each agent of `keys` (`make_agent_keys`)."""
+        """Return a mask of the agents `keys` (`make_agent_keys`) that the selector selects."""
         if needs_frame(self.selector):
             return np.isin(keys, self._keys_of_frame)
         return select_agents(
@@ -56,7 +57,7 @@ class Selection:
 
 
 def list_cameras(manifest: Manifest) -> frozenset[str]:
-    """Return the names of cameras that a selector may use. Cameras that follow an agent are excluded."""
+    """Return the names of the cameras that selectors may use: those that do not follow an agent."""
     return frozenset(name for name, camera in manifest.named_cameras.items() if isinstance(camera, CameraEntry))
 
 
@@ -84,7 +85,7 @@ def list_selector_names(manifest: Manifest) -> SelectorNames:
 
 
 def _list_stored_machines(species: SpeciesEntry, manifest: Manifest) -> list[tuple[str, MachineEntry]]:
-    """Return the machines of a species that have their states in the frames, each with the name of the array."""
+    """Return the machines of a species with states that frames contain, as (name of the array, machine)."""
     names = ("state", *(f"{machine.name}.state" for machine in species.machines[1:]))
     return [(name, m) for name, m in zip(names, species.machines, strict=False) if name in manifest.attributes]
 
@@ -92,7 +93,7 @@ def _list_stored_machines(species: SpeciesEntry, manifest: Manifest) -> list[tup
 def select_agents(
     selector: AnySelector, arrays: Arrays, manifest: Manifest, cameras: Mapping[str, CameraInFrame] | None = None
 ) -> NDArray[np.bool_]:
-    """Return whether a selector selects each agent of a frame. `cameras`: the cameras in this frame, by name."""
+    """Return a mask of the agents of a frame that a selector selects. `cameras`: the cameras in this frame, by name."""
     keys, unit_mm = make_agent_keys(arrays), UNIT_MM[manifest.units]
     position = (np.asarray(arrays["P"], np.float64) + manifest.origin) * unit_mm if "P" in arrays else np.zeros((len(keys), 3))
     rows = {entry.name: np.flatnonzero(keys % SPECIES_PER_KEY == number) for number, entry in enumerate(manifest.species)}
@@ -122,7 +123,7 @@ def select_agents(
 
 
 def find_item_points(arrays: Arrays, manifest: Manifest, unit_mm: float) -> dict[str, NDArray[np.float64]]:
-    """Return the positions of items in a frame (scene mm), by the names of items and groups."""
+    """Return the positions of items in a frame (scene mm), by names of items and of groups."""
     points: dict[str, NDArray[np.float64]] = {}
     for group in manifest.items:
         moved = arrays.get(f"items.{group.name}.P") if group.moves else None

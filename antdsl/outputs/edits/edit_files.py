@@ -1,4 +1,4 @@
-"""Reads the files that edits name: meshes and bodies, which are stored as arrays with the edits, and other caches."""
+"""Reads the files that edits name: meshes and bodies, which are stored with the edits as arrays, and other caches."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ _PARTS_BY_KIND = {"mesh": ("vertices", "faces"), "body": ARRAY_NAMES}
 
 
 def read_edit_files(edits: EditList, manifest: Manifest, folder: Path) -> tuple[ArrayDict, dict[str, Cache], Report]:
-    """Return the arrays of the meshes and bodies that edits name (as `PATH.PART`), the caches by their paths, and a report.
+    """Return the contents of the files that edits name: arrays of meshes and bodies (as `PATH.PART`), caches by path, and a
+    report.
 
     `folder`: the folder of the edits, which contains the files."""
     arrays: ArrayDict = {}
@@ -56,7 +57,7 @@ def read_edit_files(edits: EditList, manifest: Manifest, folder: Path) -> tuple[
 
 
 def find_missing_file(edits: EditList, manifest: Manifest, arrays: Mapping[str, Any], caches: Mapping[str, Any]) -> str | None:
-    """Return a file that an edit names but that is not stored with the edits, or None."""
+    """Return a file that an edit names but that is not stored with the edits. None if there is none."""
     for edit in edits.edits:
         for file in edit.line.list_files(manifest):
             names = (f"{file.path}.{part}" for part in _PARTS_BY_KIND.get(file.kind, ()))
@@ -66,18 +67,18 @@ def find_missing_file(edits: EditList, manifest: Manifest, arrays: Mapping[str, 
 
 
 def _read_body(file: EditFile, roots: Roots, report: Report, span: Span) -> Mapping[str, NDArray[Any]]:
-    """Return the arrays of the agent definition in a file; empty after an error."""
+    """Return the arrays of the agent definition in a file. Empty after an error, which is added to the report."""
     definition, findings = read_definition(file.path, roots, span)
     report.extend(findings)
     return {} if definition is None else {f"{file.path}.{part}": array for part, array in pack_definition(definition).items()}
 
 
 def encode_edit_arrays(arrays: ArrayDict) -> tuple[str, bytes]:
-    """Return the name and the content of the file with these arrays, which is stored next to the manifest."""
+    """Return the name and the content of the file that stores these arrays next to the manifest."""
     data = encode_npz(arrays)
     return f"edits.{hashlib.blake2b(data, digest_size=16).hexdigest()}.npz", data
 
 
 def find_cache_path(cache: Cache, folder: Path) -> str:
-    """Return the path from a cache's folder to another cache."""
+    """Return the path of another cache relative to a cache's folder. `folder`: the folder of the first cache."""
     return Path(os.path.relpath(cache.folder.resolve(), folder.resolve())).as_posix()

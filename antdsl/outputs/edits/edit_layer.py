@@ -1,4 +1,4 @@
-"""One edit of a cache: a view of the cache below it, in which the frames of the selected agents are changed."""
+"""One edit of a cache: a view of the cache below it, in which the selected agents are changed."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ class EditLine(ScenePart):
     off: Annotated[str, BeforeValidator(parse_one_of("yes", "no"))] = "no"
 
     def list_files(self, manifest: Manifest) -> tuple[EditFile, ...]:
-        """Return the files that the line names and the cache lacks."""
+        """Return the files that the line names and that the cache does not contain."""
         return ()
 
     def list_items(self) -> tuple[tuple[tuple[str, ...], str], ...]:
-        """Return the names of items outside selectors, each with the keys that lead to it: (keys, name)."""
+        """Return the names of items in the line outside selectors, as (keys that lead to the name, name)."""
         return ()
 
 
 class EditFile(NamedTuple):
-    """A file that a line names by its key `key`. `kind`: a mesh, a body or a cache."""
+    """A file that a line names as the value of `key`. `kind`: whether it is a mesh, a body or a cache."""
 
     key: str
     path: str
@@ -65,17 +65,15 @@ class AgentsLine(EditLine, SelectorKeys):
 
     @property
     def selector(self) -> AnySelector:
-        """Return the selector of the line's agents."""
+        """Return the selector of the agents that the line changes."""
         return combine_selector(self.agents, self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EditInputs:
-    """The inputs of edits in addition to their lines and the cache.
+    """The inputs of edits other than their lines and the cache.
 
-    `ground`: the ground of the cache.
-    `arrays`: meshes and bodies from files.
-    `caches`: other caches, by their paths in the text.
+    `ground`: the ground of the cache. `arrays`: meshes and bodies from files. `caches`: other caches, by their paths in the text.
     `next_ids`: by species, the first id that no agent of the run has."""
 
     ground: Ground | None = None
@@ -85,15 +83,15 @@ class EditInputs:
 
 
 class NotEditable(Exception):
-    """Error for a cache that cannot be edited. The message is the reason, complete without context."""
+    """Error for a cache that cannot be edited. The message is a complete explanation."""
 
 
 @dataclass(frozen=True, eq=False)
 class EditLayer(CacheView):
-    """A view of a cache with one edit. Subclasses define how a frame changes.
+    """A view of a cache with one edit. Subclasses define how the edit changes frames.
 
-    `required_arrays`: arrays that the frames must have.
-    `stored_frames`: the number of frames of the cache below that stay in memory, for edits that read several frames for one."""
+    `required_arrays`: arrays that frames must contain. `stored_frames`: the number of frames of the cache below that are cached
+    in memory, for edits that read several frames to change one."""
 
     line: Any
     inputs: EditInputs
@@ -102,9 +100,9 @@ class EditLayer(CacheView):
 
     @classmethod
     def of(cls, source: Cache, *values: Any) -> Self:
-        """Return the view of a cache. `values`: the line of the edit, and its inputs.
+        """Return a view of a cache. `values`: the line of the edit, and its inputs.
 
-        Raises NotEditable if its frames lack an array, or if the edit does not fit the cache."""
+        Raises NotEditable if frames lack a required array, or if the edit is not possible for the cache."""
         line, inputs = values
         for name in cls.required_arrays:
             if name not in source.manifest.attributes:
@@ -114,7 +112,7 @@ class EditLayer(CacheView):
 
     @classmethod
     def change_manifest(cls, manifest: Manifest, line: Any, inputs: EditInputs) -> Manifest:
-        """Return the manifest of the cache with the edit. Raises NotEditable if the edit does not fit the cache."""
+        """Return the manifest of the cache with the edit. Raises NotEditable if the edit is not possible for the cache."""
         return manifest
 
     def pass_inputs(self) -> EditInputs:
@@ -123,24 +121,24 @@ class EditLayer(CacheView):
 
     @cached_property
     def first_frame(self) -> int:
-        """Return the first frame of the edit, from which selectors read positions and states."""
+        """Return the first frame of the edit. Selectors read positions and states in this frame."""
         frames = self.source.frames()
         return max(self.line.frames.first, self.manifest.first) if self.line.frames else min(frames, default=self.manifest.first)
 
     @cached_property
     def selection(self) -> Selection:
-        """Return the selection of the edit's agents."""
+        """Return the selection of the agents that the edit changes."""
         ever = self.line.ever
         last = self.first_frame if ever is None else ever.last
         return Selection(self.line.selector, self.source, self.first_frame if ever is None else ever.first, last)
 
     def is_active(self, number: int) -> bool:
-        """Return whether the edit changes a frame."""
+        """Return whether the edit changes frame `number`."""
         frames = self.line.frames
         return frames is None or frames.first <= number <= frames.last
 
     def frame(self, number: int, names: frozenset[str] | None = None) -> Arrays:
-        """Return the arrays of a frame with the edit. `names`: the names to return; None for all."""
+        """Return the arrays of a frame with the edit. `names`: the arrays to return; None for all."""
         if not self.is_active(number):
             return self.source.frame(number, names)
         arrays = self.source.frame(number)
@@ -151,12 +149,13 @@ class EditLayer(CacheView):
 
     @abstractmethod
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return the arrays of a frame with the edit. `arrays`: the arrays of the frame without it, which stay unchanged."""
+        """Return the arrays of a frame with the edit. `arrays`: the arrays of the frame without it, which must not be changed in
+        place."""
 
 
 @dataclass(frozen=True, eq=False)
 class StoredFrames(CacheView):
-    """A view of a cache that keeps the last `capacity` frames in memory."""
+    """A view of a cache that stores the most recently read `capacity` frames in memory."""
 
     capacity: int
     _frames: OrderedDict[int, Arrays] = field(default_factory=OrderedDict, init=False)

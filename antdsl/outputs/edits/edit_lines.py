@@ -1,4 +1,4 @@
-"""Reads edits: from the text of a file to the lines of `edits:`. Every error has its location and a correction."""
+"""Reads edits: converts the text of a file to the lines of `edits:`. Each error has its location and a suggested correction."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ EDITS_KEY = "edits"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedEdit:
-    """A line of `edits:` with its location: `text`, the line as one line of text, and `number`, its index among the lines."""
+    """A line of `edits:` with its location. `text`: the line as a single line of text. `number`: its index among the lines."""
 
     line: EditLine
     text: str
@@ -44,21 +44,21 @@ class PlacedEdit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EditList:
-    """The edits of a file that have an effect, in the order of the text."""
+    """The edits of a file that are not off, in the order of the text."""
 
     edits: tuple[PlacedEdit, ...]
     document: MappingNode
     source: Source
 
     def span(self, edit: PlacedEdit, *path: PathKey) -> Span:
-        """Return the location of a line, or of a value in it."""
+        """Return the location of a line, or of a value in the line."""
         return find_span(self.document, (EDITS_KEY, edit.number, *path))[0]
 
 
 def read_edits(data: bytes, name: str, manifest: Manifest) -> tuple[EditList | None, Report]:
-    """Return the edits in the bytes of a file, and a report. The edits are None if there are errors.
+    """Return the edits in the content of a file, and a report. The edits are None if there are errors.
 
-    `manifest`: the manifest of the cache that they change, with the names that selectors use."""
+    `manifest`: the manifest of the cache to be edited, which has the names that selectors use."""
     source, report = decode_source(data, name, "edits")
     document = None
     if report.ok:
@@ -88,7 +88,7 @@ def read_edits(data: bytes, name: str, manifest: Manifest) -> tuple[EditList | N
 
 
 def _read_line(report: Report, document: MappingNode, number: int, node: DocumentNode) -> Iterator[EditLine]:
-    """Yield the line at a node. Yield nothing, and report an error, if the node is no line."""
+    """Yield the line at a node. If the node is not a valid line, report an error and yield nothing."""
     from pydantic import ValidationError
 
     known = ", ".join(f"`{word}`" for word in VERB_BY_WORD)
@@ -114,7 +114,7 @@ def _read_line(report: Report, document: MappingNode, number: int, node: Documen
 
 
 def _check_names(report: Report, edits: EditList, edit: PlacedEdit, manifest: Manifest) -> None:
-    """Report names and frames in a line that the cache does not have."""
+    """Report the names and frames in a line that do not exist in the cache."""
     line, names = edit.line, list_selector_names(manifest)
     problems = (
         [*find_selector_problems(line.agents, names, line.verb), *find_selector_problems(line, names)]

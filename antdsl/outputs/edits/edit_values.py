@@ -1,4 +1,4 @@
-"""Kinds of values in lines of edits, as pydantic types over text."""
+"""Types of values in the lines of edits, as pydantic types that parse text."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FrameOffset = Annotated[int, BeforeValidator(parse_integer_between(-limits.MAX_F
 
 
 def parse_factor(low: float) -> Callable[[Any], float]:
-    """Return a parser for a factor from `low` to MAX_FACTOR: `50 %` or `0.5`."""
+    """Return a parser of factors from `low` to MAX_FACTOR, such as `50 %` or `0.5`."""
 
     def read_factor(value: Any) -> float:
         try:

@@ -1,4 +1,4 @@
-"""Opens caches with their edits: each edit is a view of the cache below it."""
+"""Opens caches together with their edits. Each edit is a view of the cache below it."""
 
 from __future__ import annotations
 
@@ -31,14 +31,15 @@ _STORED_FRAMES = 3  # of the result: exports read a frame and its neighbours sev
 
 @dataclass(frozen=True, eq=False)
 class EditedCache(StoredFrames):
-    """A cache with edits that are applied when a frame is read. `original`: the cache without them."""
+    """A cache with edits, which are applied when a frame is read. `original`: the cache without edits."""
 
     original: Cache
 
 
 def open_edited_cache(folder: Path) -> Cache:
-    """Return the cache in a folder, with its edits. Raises ManifestError with the reason if there is none, or if its edits cannot
-    be applied."""
+    """Return the cache in a folder with its edits applied.
+
+    Raises ManifestError with the reason if the folder contains no cache, or if its edits cannot be applied."""
     cache = open_cache(folder)
     entry = cache.manifest.edits
     if entry is None:
@@ -54,8 +55,9 @@ def open_edited_cache(folder: Path) -> Cache:
 
 
 def read_inputs(cache: Cache, entry: EditsEntry, edits: EditList) -> EditInputs:
-    """Return the inputs that the edits of a cache need in addition to the cache. Raises CacheError if a file or the entry is
-    damaged, ManifestError if another cache is missing."""
+    """Return the inputs that the edits of a cache need, other than the cache itself.
+
+    Raises CacheError if a file or the entry is damaged, and ManifestError if another cache is missing."""
     arrays: Mapping[str, NDArray[Any]] = {}
     if entry.arrays is not None:
         try:
@@ -77,7 +79,7 @@ def read_inputs(cache: Cache, entry: EditsEntry, edits: EditList) -> EditInputs:
 
 
 def find_next_ids(cache: Cache) -> dict[str, int]:
-    """Return for each species the first id that no agent of a cache has. Raises CacheError if a frame is damaged."""
+    """Return, for each species, the first id that no agent of a cache has. Raises CacheError if a frame is damaged."""
     next_ids = {species.name: 0 for species in cache.manifest.species}
     for line in cache.manifest.lines:
         next_ids[line.species] = max([next_ids.get(line.species, 0), *(first + count for first, count in line.ranges)])
@@ -93,10 +95,8 @@ def find_next_ids(cache: Cache) -> dict[str, int]:
 class LoadedEdits:
     """The edits of a file for a cache.
 
-    `view`: the cache with the edits.
-    `entry`: the edits as the manifest stores them.
-    `inputs`: the inputs of the edits, with the arrays of meshes and bodies from files, and of agents that were simulated
-        again."""
+    `view`: the cache with the edits. `entry`: the edits as the manifest stores them. `inputs`: the inputs of the edits. Their
+    arrays are those of meshes and bodies from files, and of agents that were simulated again."""
 
     edits: EditList
     view: EditedCache
@@ -104,14 +104,14 @@ class LoadedEdits:
     inputs: EditInputs
 
     def add_settled(self, settled_frames: SettledFrames) -> LoadedEdits:
-        """Return the edits with agents that were simulated again."""
+        """Return these edits together with agents that were simulated again."""
         inputs = replace(self.inputs, arrays={**self.inputs.arrays, **settled_frames.pack()})
         entry = self.entry.model_copy(update={"arrays": encode_edit_arrays(dict(inputs.arrays))[0]})
         return LoadedEdits(self.edits, apply_edits(self.view.original, self.edits, inputs), entry, inputs)
 
 
 def load_edits(cache: Cache, path: Path) -> tuple[LoadedEdits | None, Report]:
-    """Return the edits of a file for a cache, and a report. The edits are None if there are errors.
+    """Return the edits that a file contains for a cache, and a report. The edits are None if there are errors.
 
     Raises NotEditable if the frames of the cache lack an array."""
     try:
@@ -139,17 +139,17 @@ def load_edits(cache: Cache, path: Path) -> tuple[LoadedEdits | None, Report]:
 
 
 def smooth_cache(cache: Cache, width: int) -> Cache:
-    """Return the view of a cache with orientations that are means over `width` frames."""
+    """Return a view of a cache in which orientations are averaged over `width` frames."""
     edits, report = read_edits(f"edits: [{{smooth: {{}}, orient: {width}}}]".encode(), "--smooth", cache.manifest)
     assert edits is not None, report
     return apply_edits(cache, edits, EditInputs(Ground(cache)))
 
 
 def apply_edits(cache: Cache, edits: EditList, inputs: EditInputs) -> EditedCache:
-    """Return the view of a cache with edits, each reading the view of the edit before.
+    """Return a view of a cache with edits. Each edit reads the view of the previous edit.
 
-    The order is that of the text, then edits that read the result of all others, then agents that were simulated again. Raises
-    CacheError if the arrays of these agents are damaged."""
+    The order is that of the text. Then follow edits that read the result of all others, and then agents that were simulated
+    again. Raises CacheError if the arrays of these agents are damaged."""
     listed, settled = _list_inputs(cache.manifest, edits), SettledFrames.unpack(inputs.arrays)
     layers = sorted(edits.edits, key=lambda edit: VERB_BY_WORD[edit.line.verb].is_last)
     top: Cache = cache
@@ -163,6 +163,6 @@ def apply_edits(cache: Cache, edits: EditList, inputs: EditInputs) -> EditedCach
 
 
 def _list_inputs(manifest: Manifest, edits: EditList) -> dict[str, str]:
-    """Return the entries for edits among the inputs of a manifest, by name."""
+    """Return the entries that edits add to the inputs in a manifest, by name."""
     first = 1 + sum(name.startswith(INPUT_PREFIX) for name in manifest.inputs)
     return {f"{INPUT_PREFIX}{first + k}": shorten_line(edit.text) for k, edit in enumerate(edits.edits)}

@@ -1,4 +1,4 @@
-"""Finds the rows of agents in a frame's arrays, selects some of them, and joins the rows of two frames."""
+"""Finds the rows of agents in the arrays of a frame, selects rows, and merges the rows of two frames."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _FLOAT_FILLS = {"channels": np.nan}
 
 
 class FrameRows:
-    """The rows of one frame's arrays, by the agents that they belong to. Agents are identified by `make_agent_keys`."""
+    """The rows of the arrays of one frame, by the agents to which they belong. Agents are identified by `make_agent_keys`."""
 
     def __init__(self, arrays: Arrays, manifest: Manifest) -> None:
         self.arrays, self.manifest = arrays, manifest
@@ -41,7 +41,7 @@ class FrameRows:
         self._rows_by_body: dict[str, NDArray[np.intp]] = {}
 
     def find_body_rows(self, body: str) -> NDArray[np.intp]:
-        """Return the rows of a species, or of one of its bodies (`SPECIES#1`)."""
+        """Return the rows of a species, or of the agents with one of its bodies (`SPECIES#1`)."""
         if body not in self._rows_by_body:
             number = self._number_by_species.get(find_species_of_key(body), -1)
             rows = np.flatnonzero(get_species_numbers(self.arrays) == number)
@@ -52,9 +52,9 @@ class FrameRows:
         return self._rows_by_body[body]
 
     def find_row_keys(self, name: str) -> LongArray | None:
-        """Return the agent of each row of an array; None for an array that is not about agents.
+        """Return the key of the agent to which each row of an array belongs. None for an array that is not about agents.
 
-        For pairs and events, this is the agent that owns the row."""
+        For pairs and events, it is the agent that owns the row."""
         subject, array = find_array_subject(name), self.arrays[name]
         keys: LongArray | None = None
         if name in self._agent_names:
@@ -70,7 +70,7 @@ class FrameRows:
         return keys if keys is not None and array.ndim and len(array) == len(keys) else None
 
     def iterate_agent_arrays(self) -> Iterator[tuple[str, LongArray]]:
-        """Yield the name of each array with one row per agent, and the agents of its rows."""
+        """Yield (name, agent key of each row) for each array with one row per agent."""
         for name in self.arrays:
             keys = self.find_row_keys(name)
             if keys is not None:
@@ -78,15 +78,17 @@ class FrameRows:
 
 
 def keep_rows(arrays: Arrays, manifest: Manifest, is_chosen: Callable[[LongArray], NDArray[np.bool_]]) -> dict[str, NDArray[Any]]:
-    """Return a frame with only the rows of some agents. `is_chosen`: returns whether each key is one of these agents."""
+    """Return a frame that contains only the rows of chosen agents. `is_chosen`: returns a mask of the chosen agents for an array
+    of keys."""
     rows = FrameRows(arrays, manifest)
     return {**arrays, **{name: arrays[name][is_chosen(keys)] for name, keys in rows.iterate_agent_arrays()}}
 
 
 def join_frames(first: Arrays, second: Arrays, manifest: Manifest) -> dict[str, NDArray[Any]]:
-    """Return a frame with the agents of both frames, species after species, by id. All other arrays are those of `first`.
+    """Return a frame with the agents of both frames, sorted by species and id. All other arrays are those of `first`.
 
-    An array that one of the frames lacks gets neutral values for the agents of this frame. The frames have no agent in common."""
+    If an array exists in only one of the frames, the agents of the other frame get neutral values. No agent may be in both
+    frames."""
     tables = FrameRows(first, manifest), FrameRows(second, manifest)
     named = [dict(table.iterate_agent_arrays()) for table in tables]
     joined = dict(first)
@@ -102,7 +104,7 @@ def join_frames(first: Arrays, second: Arrays, manifest: Manifest) -> dict[str, 
 
 
 def _find_lacking_keys(table: FrameRows, name: str) -> LongArray:
-    """Return the agents that need a row in an array which the frame does not have."""
+    """Return the keys of the agents that need a row in an array that their frame does not contain."""
     subject = find_array_subject(name)
     if subject in ("pair", "event"):
         return np.empty(0, np.int64)
@@ -110,7 +112,8 @@ def _find_lacking_keys(table: FrameRows, name: str) -> LongArray:
 
 
 def _make_neutral_rows(name: str, sample: NDArray[Any], count: int) -> NDArray[Any]:
-    """Return rows without an effect for an array of this name. `sample`: an array with the type and shape of the rows."""
+    """Return `count` rows that have no effect, for an array of this name. `sample`: an array with the type and shape of the
+    rows."""
     fill = _FLOAT_FILLS.get(name.partition(".")[0], _FILL_BY_FIELD.get(name.rpartition(".")[2], 0))
     rows = np.empty((count, *sample.shape[1:]), sample.dtype)
     rows[...] = (0, 0, 0, 0, 0, 0, 1) if name.startswith("joints.") else fill
@@ -118,14 +121,14 @@ def _make_neutral_rows(name: str, sample: NDArray[Any], count: int) -> NDArray[A
 
 
 def _sort_rows(name: str, array: NDArray[Any], keys: LongArray) -> NDArray[Any]:
-    """Return the rows in the order of species and ids. Rows of events keep their order."""
+    """Return the rows of an array sorted by species and id. Rows of events keep their order."""
     if find_array_subject(name) == "event":
         return array
     return array[np.lexsort((keys // SPECIES_PER_KEY, keys % SPECIES_PER_KEY))]
 
 
 def _sort_pairs(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return a frame in which the values of pairs are sorted by the ids of both agents."""
+    """Return a frame in which values of pairs are sorted by the ids of both agents."""
     for name in [each for each in arrays if find_array_subject(each) == "pair" and each.endswith(".other")]:
         start = name.removesuffix("other")
         order = np.lexsort((arrays[name], arrays[f"{start}id"]))
@@ -134,7 +137,7 @@ def _sort_pairs(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
 
 def match_rows(keys: LongArray, others: LongArray) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the row of each key among `others`, which have any order, and whether the key is among them."""
+    """Return the row of each key in `others`, which may have any order, and a mask of the keys that `others` contains."""
     if not len(others):
         return np.zeros(len(keys), np.intp), np.zeros(len(keys), np.bool_)
     order = np.argsort(others, kind="stable")
@@ -145,7 +148,7 @@ def match_rows(keys: LongArray, others: LongArray) -> tuple[NDArray[np.intp], ND
 def _split_name(name: str) -> tuple[str, str]:
     """Return the first and the last word of an array's name.
 
-    The last word is empty if it is in capitals, because it then stands for any word."""
+    The last word is empty if it is in capitals, because it is then a placeholder."""
     first, dot, rest = name.partition(".")
     last = rest.rpartition(".")[2]
     return (first, "" if last.isupper() and len(last) > 1 else last) if dot else ("", name)
@@ -155,6 +158,6 @@ _BETWEEN_BY_FIELD = {_split_name(column.frame_name): column.interpolation for co
 
 
 def find_interpolation(name: str) -> str:
-    """Return how the values of an array change between two frames: the `interpolation` of its column."""
+    """Return how to interpolate an array between two frames: the `interpolation` of its column."""
     first, last = _split_name(name)
     return _BETWEEN_BY_FIELD.get((first, last), _BETWEEN_BY_FIELD.get((first, ""), ""))

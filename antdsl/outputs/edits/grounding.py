@@ -1,4 +1,4 @@
-"""Moves agents on ground: they keep their height above it and turn as its normal turns, and so does each foot."""
+"""Moves agents over ground. They retain their height above it, and turn with its normal. The same applies to each foot."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ _LIFT = 0.5  # body lengths: ground up to there above a point counts as below it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grounds:
-    """The grounds before and after a move of agents: `old` and `new`.
+    """The ground below agents before (`old`) and after (`new`) a move.
 
-    `down_direction`: the unit vector along which they fall onto it; None if they follow it along their own up direction."""
+    `down_direction`: the unit vector along which agents fall onto the new ground. None if they reach it along their own up
+    direction."""
 
     old: Terrain | MirroredTerrain
     new: Terrain
@@ -31,7 +32,7 @@ class Grounds:
 
 
 def move_on_ground(arrays: Arrays, manifest: Manifest, moves: AgentMoves, grounds: Grounds) -> dict[str, NDArray[Any]]:
-    """Return a frame in which agents have moved on ground. An agent or a foot without ground nearby moves rigidly."""
+    """Return a frame in which agents have moved over ground. Agents and feet without ground nearby move rigidly."""
     rows = moves.rows
     start, orient, length = (np.asarray(arrays[name], np.float64)[rows] for name in ("P", "orient", "pscale"))
     up = find_axes(orient)[1]

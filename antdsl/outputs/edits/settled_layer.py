@@ -1,5 +1,4 @@
-"""Agents that were simulated again because of edits: their frames, which are stored with the edits, and a view with these
-frames."""
+"""Agents that were simulated again because of edits. Their frames are stored with the edits, and shown in a view of the cache."""
 
 from __future__ import annotations
 
@@ -22,9 +21,8 @@ _ROWS = f"{SETTLED_PREFIX}rows."
 class SettledFrames:
     """The frames of agents that were simulated again.
 
-    `keys` int64[n]: the agents (`make_agent_keys`). `first_frames` int64[n]: the last frame in which each agent is as the edits
-    leave it.
-    `frames`: by frame number, the rows of these agents in the arrays of the frame."""
+    `keys` int64[n]: the agents (`make_agent_keys`). `first_frames` int64[n]: the last frame that each agent has from the edits,
+    before the new simulation. `frames`: by frame number, the rows of these agents in the arrays of the frame."""
 
     keys: NDArray[np.int64]
     first_frames: NDArray[np.int64]
@@ -32,17 +30,17 @@ class SettledFrames:
 
     @staticmethod
     def of(frames: Mapping[int, Arrays], first_frames: Mapping[int, int]) -> SettledFrames:
-        """Return the frames of agents. `first_frames`: by the key of the agent, as in `SettledFrames`."""
+        """Return frames of agents as SettledFrames. `first_frames`: by the key of the agent, as in `SettledFrames`."""
         keys = np.array(sorted(first_frames), np.int64)
         return SettledFrames(keys, np.array([first_frames[key] for key in keys.tolist()], np.int64), frames)
 
     def describe_agents(self) -> str:
-        """Return a text with the number of agents and the range of frames."""
+        """Return a text that gives the number of agents and the range of frames."""
         count = len(self.keys)
         return f"{count:,} agent{'' if count == 1 else 's'} in frames {min(self.frames)} to {max(self.frames)}"
 
     def pack(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays that store these frames. The rows of all frames are concatenated."""
+        """Return arrays that store these frames. Rows of all frames are concatenated."""
         names = sorted({name for arrays in self.frames.values() for name in arrays})
         packed: dict[str, NDArray[Any]] = {
             _KEYS: self.keys,
@@ -57,7 +55,8 @@ class SettledFrames:
 
     @staticmethod
     def unpack(arrays: Mapping[str, NDArray[Any]]) -> SettledFrames | None:
-        """Return the frames that `pack` stored in these arrays; None if there are none. Raises CacheError if they are damaged."""
+        """Return the frames that `pack` has stored in these arrays. None if there are none. Raises CacheError if the arrays are
+        damaged."""
         if _KEYS not in arrays:
             return None
         try:
@@ -83,12 +82,12 @@ class SettledFrames:
 
 @dataclass(frozen=True, eq=False)
 class SettledLayer(CacheView):
-    """A view of a cache in which a new simulation replaces some agents."""
+    """A view of a cache in which some agents are replaced by their new simulation."""
 
     settled: SettledFrames
 
     def frame(self, number: int, names: frozenset[str] | None = None) -> Arrays:
-        """Return the arrays of a frame with these agents. `names`: the names to return; None for all."""
+        """Return the arrays of a frame with these agents. `names`: the arrays to return; None for all."""
         if number not in self.settled.frames:
             return self.source.frame(number, names)
         keys = self.settled.keys[self.settled.first_frames < number]

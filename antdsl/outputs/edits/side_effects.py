@@ -1,4 +1,4 @@
-"""Finds side effects of edits: agents that overlap, or stand off the ground, because of them."""
+"""Finds side effects of edits: agents that overlap or are off the ground because of an edit."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _GAP_REACH = 50.0  # body lengths in which ground is searched
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trunks:
-    """The trunks of a frame's agents as capsules.
+    """The trunks of the agents in a frame, as capsules.
 
-    `keys`: the agents. `middle` [n, 3], unit `axis` [n, 3]: the centre and the direction of the capsule. `half` [n], `radius`
+    `keys`: the agents. `middle` [n, 3], `axis` [n, 3]: the centre and the unit direction of the capsule. `half` [n], `radius`
     [n]: half the length of the axis, and the radius."""
 
     keys: LongArray
@@ -42,9 +42,9 @@ class Trunks:
 
 
 def describe_side_effects(cache: EditedCache) -> list[str]:
-    """Return messages about agents that overlap or stand off the ground with the edits of a cache, and do not without them.
+    """Return messages about agents that overlap or are off the ground with the edits of a cache, but not without them.
 
-    A sample of frames is examined. An overlap is a quarter of the smaller width, a gap half a body length."""
+    Only a sample of frames is examined. An overlap counts from a quarter of the smaller width, a gap from half a body length."""
     examination = SideEffects(cache)
     for _ in examination.examine():
         pass
@@ -52,7 +52,7 @@ def describe_side_effects(cache: EditedCache) -> list[str]:
 
 
 class SideEffects:
-    """The side effects of the edits of a cache, found frame by frame. `messages`: those found so far, for users."""
+    """The side effects of the edits of a cache, found frame by frame. `messages`: messages for users about those found so far."""
 
     def __init__(self, cache: EditedCache) -> None:
         self._cache = cache
@@ -64,7 +64,7 @@ class SideEffects:
         return [*_describe_overlaps(self._cache, self._overlaps), *_describe_gaps(self._cache, self._gaps)]
 
     def examine(self) -> Iterator[int]:
-        """Examine a sample of the frames. Yield the number of each."""
+        """Examine a sample of the frames. Yield the number of each examined frame."""
         cache, frames = self._cache, self._cache.frames()
         count = min(len(frames), EXAMINED_FRAMES)
         chosen = sorted({frames[round(k * (len(frames) - 1) / max(count - 1, 1))] for k in range(count)})
@@ -107,7 +107,7 @@ def _name_agent(cache: Cache, key: int) -> str:
 
 
 def iterate_capsules(cache: Cache) -> Iterator[list[BodyCapsuleData]]:
-    """Yield for each species the collision sizes of its bodies."""
+    """Yield, for each species, the collision sizes of its bodies."""
     bodies = CacheBodies(cache.manifest, cache.read_static())
     for number, species in enumerate(cache.manifest.species):
         sizes = []
@@ -123,7 +123,7 @@ def iterate_capsules(cache: Cache) -> Iterator[list[BodyCapsuleData]]:
 
 
 def make_trunks(cache: Cache, arrays: Arrays, sizes: list[list[BodyCapsuleData]]) -> Trunks:
-    """Return the trunks of a frame's agents. `sizes`: for each species, the collision sizes of its bodies."""
+    """Return the trunks of the agents in a frame. `sizes`: for each species, the collision sizes of its bodies."""
     numbers, ids = get_species_numbers(arrays), get_agent_ids(arrays)
     shape = np.zeros((len(ids), 4))
     for number, own in enumerate(sizes):
@@ -138,7 +138,7 @@ def make_trunks(cache: Cache, arrays: Arrays, sizes: list[list[BodyCapsuleData]]
 
 
 def find_changed(old: Trunks, new: Trunks) -> NDArray[np.bool_]:
-    """Return whether each trunk of `new` is new, or differs from the trunk of its agent in `old`."""
+    """Return a mask of the trunks in `new` that have no counterpart in `old`, or differ from it."""
     at, is_there = match_rows(new.keys, old.keys)
     if not len(old.keys):
         return np.ones(len(new.keys), np.bool_)
@@ -148,7 +148,8 @@ def find_changed(old: Trunks, new: Trunks) -> NDArray[np.bool_]:
 
 
 def find_overlaps(trunks: Trunks, is_chosen: NDArray[np.bool_], min_depth: float = _MIN_DEPTH) -> Iterator[tuple[int, int]]:
-    """Yield pairs of agents that overlap by more than `min_depth` of the smaller width. One of them must be chosen."""
+    """Yield pairs of agents that overlap by more than the fraction `min_depth` of the smaller width. At least one of them must be
+    chosen."""
     from scipy.spatial import cKDTree
 
     good = np.flatnonzero(np.isfinite(trunks.middle).all(axis=1) & (trunks.radius > 0))
@@ -167,9 +168,10 @@ def find_overlaps(trunks: Trunks, is_chosen: NDArray[np.bool_], min_depth: float
 
 
 def measure_segment_distances(a: Floats, u: Floats, b: Floats, v: Floats) -> Floats:
-    """Return the distances [n] between two segments: from a - u to a + u, and from b - v to b + v.
+    """Return the distance [n] between each pair of segments: from a - u to a + u, and from b - v to b + v.
 
-    The nearest points of the lines are clamped in turn (C. Ericson, Real-Time Collision Detection, 2005)."""
+    The nearest points on the lines are clamped to the segments, one after the other (C. Ericson, Real-Time Collision Detection,
+    2005)."""
     offset, uu, vv, uv = a - b, (u * u).sum(axis=1), (v * v).sum(axis=1), (u * v).sum(axis=1)
     ou, ov = (offset * u).sum(axis=1), (offset * v).sum(axis=1)
     cross = uu * vv - uv * uv
@@ -182,7 +184,7 @@ def measure_segment_distances(a: Floats, u: Floats, b: Floats, v: Floats) -> Flo
 
 
 def _find_gaps(old: Arrays, new: Arrays, changed: NDArray[np.bool_], terrain: Terrain) -> list[int]:
-    """Return the keys of changed agents that are farther from the ground than before."""
+    """Return the keys of the changed agents that are farther from the ground than before."""
     rows = np.flatnonzero(changed)
     keys = make_agent_keys(new)[rows]
     at, is_there = match_rows(keys, make_agent_keys(old))
@@ -195,7 +197,7 @@ def _find_gaps(old: Arrays, new: Arrays, changed: NDArray[np.bool_], terrain: Te
 
 
 def _measure_heights(arrays: Arrays, rows: NDArray[np.intp], terrain: Terrain) -> Floats:
-    """Return the distances of agents from the ground along their up direction; inf without ground."""
+    """Return the distance of each agent from the ground along its up direction. It is inf without ground."""
     position, orient, length = (np.asarray(arrays[name], np.float64)[rows] for name in ("P", "orient", "pscale"))
     hits = terrain.find_along(position, find_axes(orient)[1], 0.5 * length, _GAP_REACH * length)
     offset = position - hits.position

@@ -1,4 +1,4 @@
-"""Stores edits: in the manifest of their cache, which stays unchanged otherwise, or as a new cache with edited frames."""
+"""Stores edits: in the manifest of their cache, which does not change otherwise, or as a new cache with the edited frames."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from antdsl.outputs.edits.edit_files import encode_edit_arrays
 
 
 def store_edits(folder: Path, entry: EditsEntry | None, arrays: Mapping[str, NDArray[Any]] | None = None) -> bool:
-    """Write edits into the manifest of a cache, or remove them if `entry` is None. Return whether the cache had edits before.
+    """Write edits to the manifest of a cache, or remove them if `entry` is None. Return whether the cache had edits before.
 
-    `arrays`: the meshes and bodies that the edits name. They are written first, into a file next to the manifest. Raises
-    ManifestError if there is no cache, FolderLocked while a run writes to it."""
+    `arrays`: the meshes and bodies that the edits name. They are written first, to a file next to the manifest. Raises
+    ManifestError if the folder contains no cache, and FolderLocked while a run writes to it."""
     with FolderLock(folder):
         manifest = read_manifest(folder)
         if entry is not None and entry.arrays is not None:
@@ -36,10 +36,10 @@ def store_edits(folder: Path, entry: EditsEntry | None, arrays: Mapping[str, NDA
 
 
 def write_cache(cache: Cache, folder: Path, *, force: bool = False) -> Iterator[int]:
-    """Write the frames of a cache with edits as a new cache. Yield the number of each written frame.
+    """Write the frames of a cache with edits as a new cache. Yield the number of each frame that was written.
 
-    The new cache has no checkpoints. Raises CacheError if a frame is damaged; ForeignFolder, PathBlocked and FolderLocked as for
-    a run."""
+    The new cache has no checkpoints. Raises CacheError if a frame is damaged. Raises ForeignFolder, PathBlocked and FolderLocked
+    in the same cases as a run."""
     prepare_folder(folder, force=force)
     with FolderLock(folder):
         clear_folder(folder)
@@ -53,7 +53,7 @@ def write_cache(cache: Cache, folder: Path, *, force: bool = False) -> Iterator[
 
 
 def _write_frames(cache: Cache, folder: Path) -> Iterator[int]:
-    """Write the frames in order, and yield the number of each."""
+    """Write the frames in order. Yield the number of each."""
     states, lines = cache.read_state_hashes(), []
     for number in cache.frames():
         file = make_npz_file(cache.frame(number))
@@ -64,7 +64,7 @@ def _write_frames(cache: Cache, folder: Path) -> Iterator[int]:
 
 
 def _find_scene_path(cache: Cache, folder: Path) -> str | None:
-    """Return the path from another folder to the scene file, or None if it is unknown."""
+    """Return the path of the scene file relative to `folder`. None if the scene file is unknown."""
     if cache.manifest.scene_path is None:
         return None
     return find_relative_path(Path(os.path.normpath(cache.folder.resolve() / cache.manifest.scene_path)), folder)

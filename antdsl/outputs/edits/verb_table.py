@@ -1,4 +1,4 @@
-"""The table of edits, with one row for each verb."""
+"""The table of edits, with one row per verb."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from antdsl.scene.notes.selectors import AgentConditions
 
 
 class EditVerb(NamedTuple):
-    """A verb: the model of its lines, and the class of the view that applies a line.
+    """A verb of edits: the model of its lines, and the class of the view that applies a line.
 
     `is_last`: whether the view reads the result of all other edits."""
 

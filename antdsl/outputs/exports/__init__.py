@@ -1,5 +1,4 @@
-"""Exports of a cache for other programs. The ending of the file selects the export, and options select its form and the
-agents."""
+"""Exports of a cache for other programs. The extension of the file selects the export. Options select its form and the agents."""
 
 from __future__ import annotations
 
@@ -29,15 +28,13 @@ from antdsl.outputs.usd.stage import UsdOptions, XformOptions, export_instances,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExportFormat:
-    """An export to files with some `extensions`.
+    """An export to files with one of the `extensions`.
 
-    `forms`: by name, the functions that write frames of a cache into a file; the first is the default. They return messages about
-        omissions and changes.
-    `per_frame_forms`: the forms that write one file per frame, with the frame number in the name.
-    `coloured_forms`: the forms that write colours of agents, natural colours or those of states.
-    `options`: by form, the dataclass of its additional options.
-    `forbidden_strings`: strings that file names must not contain, because they have a special meaning for the export's
-        libraries."""
+    `forms`: by name, the functions that write frames of a cache to a file. The first is the default. They return messages about
+    what was omitted or changed. `per_frame_forms`: the forms that write one file per frame, with the frame number in its name.
+    `coloured_forms`: the forms that write the colours of agents, either natural colours or those of states. `options`: by form,
+    the dataclass of its additional options. `forbidden_strings`: strings that file names must not contain, because they have a
+    special meaning for the libraries used."""
 
     extensions: tuple[str, ...]
     forms: Mapping[str, Callable[..., Sequence[str] | None]]
@@ -47,11 +44,11 @@ class ExportFormat:
     forbidden_strings: tuple[str, ...] = ()
 
     def paths(self, form: str, path: Path, frames: list[int]) -> list[Path]:
-        """Return the paths of the files that a form writes."""
+        """Return the paths of the files that a form writes for these frames."""
         return [make_numbered_path(path, frame) for frame in frames] if form in self.per_frame_forms else [path]
 
     def list_option_names(self, form: str) -> frozenset[str]:
-        """Return the names of a form's additional options."""
+        """Return the names of the additional options of a form."""
         return frozenset(each.name for each in fields(self.options[form])) if form in self.options else frozenset()
 
 
@@ -92,13 +89,13 @@ ALTERNATIVE_ADVICE = {
 
 
 def find_export(path: Path) -> ExportFormat | None:
-    """Return the export for the ending of a path, in any case; None if there is none."""
+    """Return the export for the extension of a path, in upper or lower case. None if there is none."""
     return next((export for export in EXPORT_FORMATS if path.suffix.lower() in export.extensions), None)
 
 
 @dataclass(frozen=True, eq=False)
 class AgentSubset(CacheView):
-    """A view of another cache that contains only some agents, by their `keys` (`make_agent_keys`). Everything else is
+    """A view of another cache that contains only the agents with these `keys` (`make_agent_keys`). Everything else is
     unchanged."""
 
     keys: frozenset[int]
@@ -108,7 +105,7 @@ class AgentSubset(CacheView):
         return np.array(sorted(self.keys), np.int64)
 
     def frame(self, number: int, names: frozenset[str] | None = None) -> Arrays:
-        """Return the arrays of a frame, limited to the rows of the chosen agents. `names`: the names to return; None for all."""
+        """Return the arrays of a frame with only the rows of the chosen agents. `names`: the arrays to return; None for all."""
         arrays = self.source.frame(number, None if names is None else names | IDENTITY_ARRAYS | _list_id_arrays(names))
         if "id" in arrays:
             arrays = keep_rows(arrays, self.manifest, lambda keys: np.isin(keys, self._sorted_keys))
@@ -116,5 +113,5 @@ class AgentSubset(CacheView):
 
 
 def _list_id_arrays(names: frozenset[str]) -> set[str]:
-    """Return the names of the arrays with ids that belong to these arrays of pairs and events."""
+    """Return the names of the id arrays that belong to the given arrays of pairs and events."""
     return {f"{name.rpartition('.')[0]}.id" for name in names if find_array_subject(name) in ("pair", "event")}

@@ -1,4 +1,4 @@
-"""A cache as keyframes in a text table: one row per agent and frame, with position, angles and scale."""
+"""A cache as keyframes in a text table, with one row per agent and frame: position, angles and scale."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ HEADER_LINE = "id,frame,tx,ty,tz,rx,ry,rz,sx,sy,sz,species"
 def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     """Write the agents of these frames as CSV, atomically, in the scene's units and axes.
 
-    Positions are relative to the scene's zero point. Angles are degrees about x, then y, then z, without jumps between frames.
-    Angles and scale (the body's length) place a body of length 1 along +x with +y up.
+    Positions are relative to the scene's origin. Angles are degrees about x, then y, then z, without jumps between frames. Angles
+    and scale (the body length) transform a body of length 1 that faces +x, with +y up.
 
     Raises CacheError for a damaged frame, OSError if writing fails."""
     row = "%d,%d" + f",{choose_coordinate_format(gallery)}" * 3 + ",%.9g" * 6  # nine digits restore a float32 exactly

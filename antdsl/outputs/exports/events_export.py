@@ -1,7 +1,7 @@
-"""Events of a cache in time order, for effects and sound.
+"""Events of a cache in order of time, for effects and sound.
 
-Births, deaths, state changes and footfalls follow from two consecutive frames. Emits and contacts are in the frames themselves
-(`output: {events: …}`)."""
+Births, deaths, state changes and footfalls are found by comparing consecutive frames. Emitted events and contacts are stored in
+the frames themselves (`output: {events: …}`)."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _COLUMNS = (Column("frame", "derived", "i8"), *CONTACT_COLUMNS[:4], Column("what
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventRows:
-    """Events of one kind in one frame.
+    """Events of one kind in one frame, one row per event.
 
-    `species`: the species number of each agent. `id`: the id of each agent. `P`, `N` (k, 3): position in scene units, and normal.
-    `what`: the number of the new state, of the leg or of the event; -1 for none.
-    `other_species`, `other`, `depth`: for contacts, the other agent and the penetration depth."""
+    `species`, `id`: the species number and the id of the agent. `P`, `N` (k, 3): the position in scene units, and the normal.
+    `what`: the number of the new state, of the leg, or of the emitted event; -1 for none. `other_species`, `other`, `depth`: for
+    contacts, the other agent and the penetration depth."""
 
     kind: str
     species: NDArray[np.int64]
@@ -49,9 +49,9 @@ class EventRows:
 
 
 def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write the events of these frames as a table with one row per event, and return messages about missing events.
+    """Write the events of these frames as a table with one row per event. Return messages about missing events.
 
-    The column `what` has words. Raises CacheError for a damaged frame, OSError if writing fails."""
+    The column `what` contains words. Raises CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)
     names, digits = [entry.name for entry in gallery.manifest.species], choose_coordinate_format(gallery)
     with atomic_file(path) as file:
@@ -71,7 +71,7 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
 
 
 def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write the events of these frames as arrays, and return messages about missing events.
+    """Write the events of these frames as arrays. Return messages about missing events.
 
     Each kind has the arrays `KIND.frame`, `.species`, `.id`, `.P`, `.N` and `.what`. Contacts also have `.other_species`,
     `.other` and `.depth`. `KIND.P` is relative to `origin` float64[3]. Raises CacheError for a damaged frame, OSError if writing
@@ -100,9 +100,9 @@ def _note_missing_events(gallery: Gallery, frames: list[int]) -> list[str]:
 
 
 def _iterate_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, EventRows]]:
-    """Yield each frame number with the events of one kind in this frame, kind after kind.
+    """Yield (frame number, events of one kind in this frame), frame by frame and kind by kind.
 
-    Events of the first frame follow from the frame before it, if that exists."""
+    Events of the first frame are found by comparing it with the frame before it, if that exists."""
     previous: Arrays | None
     try:
         previous = gallery.cache.frame(frames[0] - 1)
@@ -120,7 +120,7 @@ def _iterate_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, 
 
 
 def _compare_frames(gallery: Gallery, previous_arrays: Arrays, arrays: Arrays) -> Iterator[EventRows]:
-    """Yield the events that follow from a comparison of two consecutive frames: births, deaths, state changes and footfalls."""
+    """Yield the events that a comparison of two consecutive frames shows: births, deaths, state changes and footfalls."""
     was, now = make_agent_keys(previous_arrays), make_agent_keys(arrays)
     _, left, right = np.intersect1d(was, now, assume_unique=True, return_indices=True)
     yield _make_events("birth", arrays, np.flatnonzero(~np.isin(now, was)))
@@ -136,7 +136,7 @@ def _compare_frames(gallery: Gallery, previous_arrays: Arrays, arrays: Arrays) -
 def _find_footfalls(gallery: Gallery, body: tuple[int, int, str], previous_arrays: Arrays, arrays: Arrays) -> Iterator[EventRows]:
     """Yield the events of feet that land between two frames, for the agents with one body.
 
-    `body`: the number of the species, the index of the body in it, and the key of the body."""
+    `body`: the number of the species, the index of the body within the species, and the key of the body."""
     number, which, key = body
     down = [each.get(f"feet.{key}.down") for each in (previous_arrays, arrays)]
     positions = arrays.get(f"feet.{key}.P")
@@ -160,9 +160,9 @@ def _make_events(
     event_details: NDArray[Any] | None = None,
     positions: NDArray[np.float64] | None = None,
 ) -> EventRows:
-    """Return events of one kind for the agents in `rows` of a frame. `N` is the agents' up direction.
+    """Return events of one kind for the agents in `rows` of a frame. `N` is the up direction of the agents.
 
-    `event_details`: the values of `what`. `positions`: positions of the events; None for the positions of the agents."""
+    `event_details`: the values of `what`. `positions`: the positions of the events; None for those of the agents."""
     none = np.full(len(rows), -1, np.int64)
     up = rotate_vectors(np.asarray(arrays["orient"], np.float64)[rows], np.tile(_DEFAULT_UP, (len(rows), 1)))
     where = np.asarray(arrays["P"], np.float64)[rows] if positions is None else positions
@@ -172,7 +172,7 @@ def _make_events(
 
 
 def _read_stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> Iterator[EventRows]:
-    """Yield the events that a frame stores. Contacts in `known_pairs`, those of the previous frame, are left out."""
+    """Yield the events that a frame contains. Contacts in `known_pairs`, which the previous frame already has, are omitted."""
     for kind in ("emit", "contact"):
         of = select_by_prefix(arrays, f"events.{kind}.")
         if "id" not in of:
@@ -188,13 +188,13 @@ def _read_stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> It
 
 
 def _list_contact_pairs(arrays: Arrays) -> list[tuple[int, ...]]:
-    """Return the species and ids of both agents, for each contact in a frame."""
+    """Return the species and ids of both agents for each contact in a frame."""
     keys = [f"events.contact.{name}" for name in ("species", "id", "other_species", "other")]
     return list(zip(*(arrays[key].tolist() for key in keys), strict=True)) if keys[-1] in arrays else []
 
 
 def _find_event_words(gallery: Gallery, events: EventRows) -> list[str]:
-    """Return a word for each event: the new state, the landing leg, or the name of the emitted event."""
+    """Return the word in `what` for each event: the new state, the leg that lands, or the name of the emitted event."""
     species, manifest = events.species.tolist(), gallery.manifest
     if events.kind == "state":
         return [manifest.species[s].machines[0].states[k].name for s, k in zip(species, events.what.tolist(), strict=True)]

@@ -1,10 +1,10 @@
 """A cache as Houdini's ASCII geometry (.geo), one file per frame with one point per agent.
 
-The format has no published description. This writer follows open readers (`hgeo.py` of cgdougm/HoudiniObj among others). A file
-is a list of keys and values. Attributes are `tuples`, `arrays`, and tables of `strings` with `indices`.
+The format has no published description. This writer is based on open-source readers (`hgeo.py` of cgdougm/HoudiniObj among
+others). A file is a list of keys and values. Attributes are `tuples`, `arrays`, and tables of `strings` with `indices`.
 
-Points have y up, as in Houdini. `orient` rotates +z, Houdini's forward axis for agents, to the heading. In a world far from the
-zero point, points are relative to the global attribute `origin`, which is in double precision."""
+Points are in axes with y up, as in Houdini. `orient` rotates +z, Houdini's forward axis for agents, to the heading. In a world
+far from the scene's zero, points are relative to the global attribute `origin`, which is in double precision."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def export_geo(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
 
 
 def _make_geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
-    """Return the points of a frame, as the format's list of keys and values."""
+    """Return the points of a frame in the form of the file: a list of keys and values."""
     manifest, count = gallery.manifest, len(arrays["P"])
     points = [
         _format_numbers(name, values, kind) for name, (values, kind) in _make_point_attributes(gallery, frame, arrays).items()
@@ -76,7 +76,7 @@ def _make_geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
 
 
 def _make_point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
-    """Return the numeric attributes of agents by name: their values, and Houdini's type of vector ("" for plain numbers)."""
+    """Return the numeric attributes of agents by name: the values, and Houdini's type of vector ("" for plain numbers)."""
     z_up = gallery.manifest.up == "z"
     turn = normalise_quaternion(np.asarray(arrays["orient"], np.float64))
     attributes = {"P": (_rotate_to_y_up(arrays["P"], z_up), "point")}
@@ -102,7 +102,7 @@ def _make_point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict
 
 
 def _make_text_attributes(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
-    """Return the text attributes of agents by name: a table of texts, and an index per agent (-1 for none)."""
+    """Return the text attributes of agents by name: a table of texts, and for each agent an index in it (-1 for none)."""
     manifest, count = gallery.manifest, len(arrays["P"])
     which = get_species_numbers(arrays)
     species = [entry.name for entry in manifest.species]
@@ -120,8 +120,7 @@ def _make_text_attributes(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[l
 
 
 def _make_clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
-    """Return the attributes `clipN_time` (seconds) and `clipN_weight` of the clips that each agent plays, as numeric
-    attributes."""
+    """Return numeric attributes for the clips that each agent plays: `clipN_time` (seconds) and `clipN_weight`."""
     attributes: dict[str, tuple[NDArray[Any], str]] = {}
     for number, entry, rows, slot, (clip, turns, weight) in _iterate_played_clips(gallery, arrays):
         body = gallery.bodies.numbers(number, get_agent_ids(arrays)[rows])
@@ -132,7 +131,8 @@ def _make_clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDAr
 
 
 def _make_clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
-    """Return the attributes `clipN` (the name of a clip) and `clipN_group` (its transform group), as text attributes."""
+    """Return text attributes for the clips that each agent plays: `clipN` (the clip's name) and `clipN_group` (its transform
+    group)."""
     attributes: dict[str, tuple[list[str], NDArray[np.int64]]] = {}
     for _, entry, rows, slot, (clip, _, _) in _iterate_played_clips(gallery, arrays):
         for name, texts in (("", [each.name for each in entry.clips]), ("_group", [each.on for each in entry.clips])):
@@ -143,9 +143,10 @@ def _make_clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[s
 
 
 def _iterate_played_clips(gallery: Gallery, arrays: Arrays) -> Iterator[tuple[int, SpeciesEntry, NDArray[np.intp], int, Slot]]:
-    """Yield the clips of each species that plays clips, slot by slot.
+    """Yield the clips that agents play, species by species and slot by slot.
 
-    The results are the number of the species, its entry, the rows of its agents, the number of the slot, and the clips in it."""
+    The values are: the number of the species, its entry, the rows of its agents, the number of the slot, and the clips in the
+    slot."""
     for number, entry in enumerate(gallery.manifest.species):
         rows = find_species_rows(arrays, number)
         machines = read_all_machine_clips(entry, arrays, len(rows))
@@ -155,11 +156,11 @@ def _iterate_played_clips(gallery: Gallery, arrays: Arrays) -> Iterator[tuple[in
 
 
 def _make_clip_slots(machines: Iterable[MachineClips], count: int) -> list[Slot]:
-    """Return two slots per machine, first for the outgoing clip, then for the current clip.
+    """Return two slots per machine: first the clip that fades out, then the current clip.
 
-    A slot has the clip numbers, the played cycles and the weights of all agents. Houdini normalises the weights at each joint. In
-    antdsl, a machine's clips replace a share of the earlier machines' clips, equal to their total weight. The returned weights
-    give the same result for up to two machines."""
+    A slot consists of clip numbers, played cycles and weights of all agents. In antdsl, the clips of a machine replace those of
+    earlier machines in proportion to their total weight. Houdini normalises the weights at each joint instead. With the returned
+    weights, the result is the same for up to two machines."""
     slots, below = [], np.zeros(count)
     for machine in machines:
         fade = np.clip(machine.fade, 0, 1).astype(np.float64)
@@ -178,9 +179,9 @@ def _make_clip_slots(machines: Iterable[MachineClips], count: int) -> list[Slot]
 
 
 def _find_clip_durations(gallery: Gallery, number: int, entry: SpeciesEntry) -> Floats:
-    """Return the duration of each clip of a species (s), one row per body.
+    """Return the duration (s) of each clip of a species, with one row per body.
 
-    A clip that the body lacks has the duration 1. A last column of zeros stands for no clip."""
+    A clip that a body does not have gets the duration 1. The last column, all zeros, stands for no clip."""
     bodies = [gallery.load_body(number, 0, which).definition.clips for which in range(len(gallery.bodies.keys(number)))]
     return np.array(
         [[*(clips[each.name].duration if each.name in clips else 1.0 for each in entry.clips), 0.0] for clips in bodies]
@@ -188,9 +189,9 @@ def _find_clip_durations(gallery: Gallery, number: int, entry: SpeciesEntry) -> 
 
 
 def _compute_angular_velocity(gallery: Gallery, frame: int, arrays: Arrays, orientations: Floats) -> Floats:
-    """Return angular velocities (n, 3) in radians per second, from the rotation of each agent to the next frame.
+    """Return the angular velocity (n, 3) of each agent in radians per second, from its rotation until the next frame.
 
-    Without a next frame, the rotation from the previous frame is used."""
+    In the last frame, the rotation since the previous frame is used."""
     for other, sign in ((frame + 1, 1.0), (frame - 1, -1.0)):
         try:
             other_arrays = gallery.cache.frame(other, IDENTITY_ARRAYS | {"orient"})
@@ -216,7 +217,7 @@ def _rotate_to_y_up(vectors: NDArray[Any], z_up: bool) -> Floats:
 
 
 def _format_numbers(name: str, values: NDArray[Any], kind: str = "", storage: str = "fpreal32") -> list[Any]:
-    """Return a numeric attribute of (n,) or (n, k) values, as the format's list of keys and values."""
+    """Return a numeric attribute with values (n,) or (n, k) in the form of the file: a list of keys and values."""
     is_integer = values.dtype.kind == "i"
     storage = "int64" if is_integer else storage
     size = 1 if values.ndim == 1 else values.shape[1]
@@ -232,7 +233,8 @@ def _format_numbers(name: str, values: NDArray[Any], kind: str = "", storage: st
 
 
 def _format_strings(name: str, table: list[str], indices: NDArray[np.int64]) -> list[Any]:
-    """Return a text attribute with values that are indices of a table, as the format's list of keys and values."""
+    """Return a text attribute in the form of the file: a list of keys and values. `indices`: for each agent, the index in
+    `table`."""
     return [
         ["scope", "public", "type", "string", "name", name, "options", {}],
         ["size", 1, "storage", "int32", "strings", table,

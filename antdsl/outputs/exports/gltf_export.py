@@ -1,7 +1,7 @@
 """A cache as one glTF 2.0 file. Each agent is a node with animated joints. Agents with equal definitions share meshes.
 
-Khronos Group, glTF 2.0 Specification, 2021. A node `World` converts the scene to glTF's axes and metres, and moves it by its
-origin. Meshes with a skin are not below this node, since glTF ignores their own transform."""
+Source: Khronos Group, glTF 2.0 Specification, 2021. A node `World` converts the scene to glTF's axes and metres, and moves it by
+its origin. Meshes with a skin are not below this node, because glTF ignores the transforms of their nodes."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ _SpeciesBody = tuple[str, str]  # a species, and the key of one of its bodies
 class GltfOptions:
     """Options of an export to glTF.
 
-    `tolerance`: the largest permitted distance of a joint or mesh point from its pose, as a share of the body's length. 0 writes
-    all keys that differ."""
+    `tolerance`: the greatest permitted error in the position of a joint or mesh point, as a fraction of the body length. With 0,
+    all keys that differ are written."""
 
     tolerance: float = 0.005
 
@@ -50,9 +50,10 @@ _DEFAULT_OPTIONS = GltfOptions()
 
 def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path, options: GltfOptions = _DEFAULT_OPTIONS) -> list[str]:
     """Write agents with joints, meshes, items and the camera, animated over these frames. Return messages about features that
-    glTF lacks.
+    glTF does not support.
 
-    Raises ExportUnavailable beyond the limits of one glTF file, CacheError for a damaged frame, OSError if writing fails."""
+    Raises ExportUnavailable if the limits of a glTF file are exceeded, CacheError for a damaged frame, OSError if writing
+    fails."""
     frames = list(frames)
     crowd = _BodyCollector.gather(gallery, frames)
     states = StateChanges.gather(gallery, frames)
@@ -106,7 +107,7 @@ class _BodyRecord:
             self.arrays.setdefault(name, []).append(values)
 
     def take_sorted_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the rows of all frames, sorted by agent and frame. The collected arrays are freed."""
+        """Return the rows of all frames, sorted by agent and frame. The collected arrays are released."""
         keys = [np.concatenate(self.arrays[name]) for name in ("frame", "id")]
         order = np.lexsort(keys)
         return {name: np.concatenate(self.arrays.pop(name))[order] for name in list(self.arrays)}
@@ -114,14 +115,14 @@ class _BodyRecord:
 
 @dataclass(slots=True, eq=False)
 class _BodyCollector:
-    """Collector of the agents of a cache, by species and body."""
+    """Collects the agents of a cache, by species and body."""
 
     bodies: dict[_SpeciesBody, _BodyRecord]
     recoloured_species: set[str] = field(default_factory=set)  # species with colour changes
 
     @staticmethod
     def gather(gallery: Gallery, frames: list[int]) -> _BodyCollector:
-        """Return the agents of `frames`. Raises ExportUnavailable beyond the limits of agents or bytes."""
+        """Return the agents of `frames`. Raises ExportUnavailable if there are too many agents or bytes."""
         bodies: dict[_SpeciesBody, _BodyRecord] = {}
         output = _BodyCollector(bodies)
         size = 0
@@ -151,7 +152,7 @@ class _BodyCollector:
                 self.recoloured_species.add(species)
 
     def make_notes(self) -> list[str]:
-        """Return messages about features of the agents that glTF lacks."""
+        """Return messages about features of the agents that glTF does not support."""
         messages = [] if self.bodies else [NO_AGENTS_MESSAGE]
         messages += [
             f"agents of `{species}` keep the colour of their first state: glTF has no colours over time"
@@ -169,8 +170,8 @@ class _BodyCollector:
 class _WornShape:
     """A shape that agents wear.
 
-    `outfits`: the numbers of the outfits that have it. `body`: the body of one of these outfits.
-    `meshes`: the numbers of its meshes by colour."""
+    `outfits`: the numbers of the outfits that contain the shape. `body`: the body with one of these outfits. `meshes`: the
+    numbers of its meshes, by colour."""
 
     binding: Binding
     body: PosedBody
@@ -207,7 +208,7 @@ class _AgentWriter:
         self._plan = plan_keys(self._rows, self._measure_tracks(), options.tolerance)
 
     def _measure_tracks(self) -> NodeTracks:
-        """Return the tracks of the agent's node and its joints, in lengths of the body."""
+        """Return the tracks of an agent's node and of its joints, in body lengths."""
         rig, length = self._definition.rig, self._definition.length
         radii = np.zeros(1 + len(rig.names))
         for each in self._shapes:
@@ -223,7 +224,7 @@ class _AgentWriter:
         return NodeTracks([-1, *(rig.parents + 1).tolist()], [top, *joints], radii / length)
 
     def write_agents(self) -> None:
-        """Write the nodes, shapes and keys of all agents."""
+        """Write the nodes, the shapes and the animation keys of all agents."""
         weights = {
             k: each.parts.targets.compute_weights(self._arrays["channels"])
             for k, each in enumerate(self._shapes) if each.parts.targets is not None and each.has_targets
@@ -238,7 +239,7 @@ class _AgentWriter:
                     self._stage.write_weights(node, self._arrays["frame"][rows], weights[k][rows])
 
     def _write_joints(self, agent: int, agent_id: int) -> list[int]:
-        """Write the nodes of an agent and its joints, with their keys, and return the numbers of these nodes."""
+        """Write the nodes of an agent and of its joints, with their keys. Return the numbers of these nodes."""
         stage, name = self._stage, f"{self._species}_{agent_id}"
         nodes = [
             stage.add_agent(
@@ -289,7 +290,7 @@ class _AgentWriter:
 
 
 def _list_shapes(writer: GltfWriter, outfits: list[PosedBody]) -> Iterable[_WornShape]:
-    """Return the shapes of the given outfits, each shape once."""
+    """Return all shapes in the given outfits, each only once."""
     shapes: dict[Binding, _WornShape] = {}
     for number, body in enumerate(outfits):
         for binding in body.bindings:
@@ -306,7 +307,8 @@ def _write_shape(writer: GltfWriter, body: PosedBody, name: str) -> GltfShapeWri
 
 
 def _write_materials(stage: GltfStage, body: PosedBody, shape: str, colour: tuple[float, ...]) -> dict[str, int]:
-    """Return the numbers of a shape's materials, by name. Triangles without a material get the agent's state colour."""
+    """Write the materials of a shape, and return their numbers by name. Triangles without a material have the colour of the
+    agent's state."""
     state = tuple(float(part) for part in decode_srgb(np.array(colour)))
     own: dict[str, Any] = dict(body.definition.materials)
     return {

@@ -1,12 +1,12 @@
-"""The animation keys that a glTF file needs so that poses stay within a tolerance.
+"""Chooses the animation keys of a glTF file, such that the error of poses stays within a tolerance.
 
-A track is one property of one node, in all frames of all agents. Its keys are the first frame of an agent, each n-th frame after
-it, and the last frame. n is the largest power of 2 with errors below the track's share of the tolerance; a track that stays below
-it without keys is constant. Key times with equal steps are equal for many tracks, so they share accessors. Keys at arbitrary
-frames (Ramer, 1972; Douglas and Peucker, 1973) need their own times for each track, which take more than they save: 26 to 37 %
-more bytes and twice the accessors for ants that walk.
+A track is one property of one node, in all frames of all agents. Its keys are at the first frame of an agent, at each n-th frame
+after it, and at the last frame. n is the largest power of 2 with errors below the track's part of the tolerance. If the first
+value alone stays within it, the track is constant. Tracks with the same n have the same key times, and share an accessor for
+these. Keys at arbitrary frames (Ramer, 1972; Douglas and Peucker, 1973) would need separate times for each track. For walking
+ants, this took 26 to 37 % more bytes and twice as many accessors.
 
-All errors are upper bounds of how far a node moves any joint or point, in lengths of the body. Errors of a joint and of its
+An error is an upper bound of how far a node displaces any joint or point, in body lengths. The errors of a joint and its
 ancestors add up, so the tracks of a chain of joints share the tolerance."""
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ _SHORT_ROTATION_ERROR = 4.0 / 32767
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentRows:
-    """The rows of A agents in all frames, sorted by agent and frame.
+    """The rows of A agents in all frames, sorted by agent and then by frame.
 
-    `frames`: int64[r], the frame number of each row.
-    `starts`: int64[A + 1]; agent k has the rows `starts[k]:starts[k + 1]`, at least one."""
+    `frames`: int64[r], the frame number of each row. `starts`: int64[A + 1]; agent k has the rows `starts[k]:starts[k + 1]`, at
+    least one."""
 
     frames: NDArray[np.int64]
     starts: NDArray[np.int64]
@@ -44,20 +44,20 @@ class AgentRows:
         return np.diff(self.starts)
 
     def list_keys(self, agent: int, step: int) -> NDArray[np.int64]:
-        """Return the rows of an agent that become keys: each `step`-th row and the last row."""
+        """Return the rows of an agent that become keys: the first, every `step`-th row after it, and the last."""
         start, end = self.starts[agent : agent + 2]
         keys = np.arange(start, end, step)
         return keys if keys[-1] == end - 1 else np.append(keys, end - 1)
 
     def measure_constant_errors(self, values: NDArray[Any]) -> Floats:
-        """Return, for each agent, the largest distance of its `values` (r, k) from the values in its first row."""
+        """Return, for each agent, the greatest distance of its `values` (r, k) from their value in its first row."""
         first = np.repeat(values[self.starts[:-1]], self.counts, axis=0)
         return np.asarray(np.maximum.reduceat(_measure_distances(values, first), self.starts[:-1]))
 
     def choose_steps(self, values: NDArray[Any], tolerances: Floats) -> NDArray[np.int64]:
-        """Return the number of rows between two keys for each agent: 0 for constant `values` (r, k), 1 for a key in each row.
+        """Return, for each agent, the number of rows from key to key: 0 for constant `values` (r, k), 1 for a key in every row.
 
-        `tolerances` float64[A]: the largest permitted distances. With k = 4, these are distances of quaternions."""
+        `tolerances` float64[A]: the greatest permitted distance for each agent. For k = 4, it is a distance of quaternions."""
         steps = np.where(self.measure_constant_errors(values) <= tolerances, 0, 1)
         agents, step = np.flatnonzero((steps == 1) & (self.counts > 2)), 2
         while len(agents):
@@ -67,10 +67,10 @@ class AgentRows:
         return steps
 
     def _measure_key_errors(self, values: NDArray[Any], agents: NDArray[np.intp], step: int) -> Floats:
-        """Return, for each of `agents`, the largest distance of `values` from the values interpolated between keys at each
+        """Return, for each of `agents`, the greatest distance of `values` from their interpolation between keys at every
         `step`-th row.
 
-        The agents have at least 3 rows."""
+        Each agent must have at least 3 rows."""
         counts = self.counts[agents]
         row_ends = np.cumsum(counts)
         place = np.arange(row_ends[-1]) - np.repeat(row_ends - counts, counts)  # of each row, from the agent's first
@@ -89,7 +89,8 @@ class AgentRows:
 
 
 def _measure_distances(a: NDArray[Any], b: NDArray[Any]) -> Floats:
-    """Return the distances of rows (n, k). For quaternions, this is the distance to the nearer of both signs."""
+    """Return the distance of each row of `a` (n, k) from that of `b`. For quaternions (k = 4), the nearer of both signs
+    counts."""
     wide = a.astype(np.float64)
     distances: Floats = np.sqrt(((wide - b) ** 2).sum(axis=1))
     if a.shape[1] == 4:
@@ -99,20 +100,20 @@ def _measure_distances(a: NDArray[Any], b: NDArray[Any]) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NodeTracks:
-    """The tracks of N nodes, parents before children. The first node is the agent, with transforms in lengths of its size.
+    """The tracks of N nodes, parents before children. The first node is the agent. Transforms are in body lengths.
 
-    `parents`: int64[N], -1 for the first node.
-    `transforms_by_node`: by node, translations (r, 3), rotations (r, 4) and scales (r, 3).
-    `radii`: float64[N], the largest distance from the node of mesh points that follow it, in the space of the node."""
+    `parents`: int64[N], -1 for the first node. `transforms_by_node`: for each node, translations (r, 3), rotations (r, 4) and
+    scales (r, 3). `radii`: float64[N], the greatest distance of a mesh point that follows the node from the node, in the space of
+    the node."""
 
     parents: Sequence[int]
     transforms_by_node: Sequence[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]]
     radii: Floats
 
     def compute_max_displacements_per_unit(self) -> Floats:
-        """Return upper bounds, float64[N, 3], of how far a change by 1 moves a joint or point.
+        """Return upper bounds, float64[N, 3], of how far a joint or point moves if a node changes by 1.
 
-        The columns are changes of a node's translation, quaternion and scale."""
+        The columns are for changes of the node's translation, quaternion and scale."""
         lengths = [
             float(np.sqrt((move.astype(np.float64) ** 2).sum(axis=1)).max(initial=0.0)) for move, _, _ in self.transforms_by_node
         ]
@@ -126,7 +127,8 @@ class NodeTracks:
         return np.stack([growth, 2 * growth * scales * reaches, growth * reaches], axis=1)
 
     def sum_along_chains(self, amounts: NDArray[Any]) -> NDArray[Any]:
-        """Return, for each node, the largest sum of `amounts` (N, …) over a chain from the first node through it to a leaf."""
+        """Return, for each node, the greatest sum of `amounts` (N, …) along any chain from the first node through this node to a
+        leaf."""
         sums = amounts.copy()
         for node in range(1, len(self.parents)):
             sums[node] += sums[self.parents[node]]
@@ -137,9 +139,9 @@ class NodeTracks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyPlan:
-    """The keys of all tracks.
+    """The choice of keys for all tracks.
 
-    `steps`: int64[N, 3, A], by node, path and agent, the rows between two keys, as `AgentRows.choose_steps`.
+    `steps`: int64[N, 3, A], the number of rows from key to key (see `AgentRows.choose_steps`), by node, property and agent.
     `has_short_rotations`: whether rotations are written as int16."""
 
     steps: NDArray[np.int64]
@@ -147,7 +149,7 @@ class KeyPlan:
 
 
 def plan_keys(rows: AgentRows, tracks: NodeTracks, tolerance: float) -> KeyPlan:
-    """Return keys for which no joint or point is farther than `tolerance` from its pose, in lengths of the body."""
+    """Return a choice of keys with which no joint or point is displaced by more than `tolerance`, in body lengths."""
     levers = np.maximum(tracks.compute_max_displacements_per_unit(), 1e-12)
     rounding = float(tracks.sum_along_chains(levers[:, 1] / 2).max()) * _SHORT_ROTATION_ERROR
     has_short_rotations = 1.5 * rounding <= tolerance

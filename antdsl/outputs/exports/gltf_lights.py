@@ -1,7 +1,7 @@
 """The light of a scene in a glTF file: the sun and the lamps, by the extension `KHR_lights_punctual` (Khronos Group, 2018).
 
-A surface of pictures scatters its albedo times the light, so the light 1 is an irradiance of pi W/m². glTF has lux and candela;
-one watt is 683 lumens, as Blender reads them."""
+In pictures, a surface scatters its albedo times the light, so a light of 1 is an irradiance of pi W/m². glTF uses lux and
+candela. One watt is converted to 683 lumens, which Blender also assumes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ _LUX_PER_LIGHT = float(np.pi) * 683
 
 
 def add_lights(stage: GltfStage, picture: Picture) -> None:
-    """Write the sun, and a point light for each lamp of the first picture. Lamps move with their items, but do not shrink."""
+    """Write the sun, and a point light for each lamp of the first picture. The lights move with their items, but do not fade when
+    these shrink."""
     lights: dict[int, dict[str, Any]] = {}  # by node
     settings, up = picture.light, np.asarray(UP_VECTORS[stage.gallery.manifest.up], np.float64)
     if settings.sun > 0:
@@ -49,6 +50,6 @@ def add_lights(stage: GltfStage, picture: Picture) -> None:
 
 
 def _make_strength(colour: NDArray[np.floating], factor: float) -> dict[str, Any]:
-    """Return the colour and the intensity of a light, as glTF entries. The largest component of the colour is 1."""
+    """Return the colour and the intensity of a light as glTF entries. The greatest component of the colour is 1."""
     greatest = float(np.max(colour))
     return {"color": [round(float(part) / greatest, 6) for part in colour], "intensity": _LUX_PER_LIGHT * greatest * factor}

@@ -1,4 +1,4 @@
-"""The scene of a glTF file under construction: animated nodes, meshes of the world, items and the camera."""
+"""The scene of a glTF file while it is built: animated nodes, meshes of the world, items and the camera."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class _MovingNode:
 class GltfStage:
     """The scene of a glTF file. Its methods count frames from 0 in the order of `frames`.
 
-    A frame number missing in `frames` still takes its time in the animation."""
+    If `frames` omits a frame number, the animation still has time for it."""
 
     def __init__(self, gallery: Gallery, frames: list[int]) -> None:
         self.gallery, self.frames = gallery, frames
@@ -70,14 +70,14 @@ class GltfStage:
         self._write_cameras()
 
     def add_note(self, sentence: str) -> None:
-        """Add a message about an omission, unless it was added before."""
+        """Add a message about an omission, unless it has already been added."""
         if sentence not in self.notes:
             self.notes.append(sentence)
 
     # ---- nodes
 
     def _add_node(self, parent: int | None, entry: dict[str, Any]) -> int:
-        """Add a node and return its number. `parent`: the node above it, None for a root."""
+        """Add a node. Return its number. `parent`: the number of its parent node; None for a root."""
         number = self.writer.add_part("nodes", entry)
         if parent is None:
             self.scene["nodes"].append(number)
@@ -86,32 +86,32 @@ class GltfStage:
         return number
 
     def add_agent(self, name: str, extras: dict[str, Any]) -> int:
-        """Add the node of an agent with its `extras`, and return its number."""
+        """Add the node of an agent with its `extras`. Return its number."""
         return self._add_node(self._world_node, {"name": name, "extras": extras})
 
     def add_joint(self, parent: int, name: str) -> int:
-        """Add the node of a joint and return its number."""
+        """Add the node of a joint. Return its number."""
         return self._add_node(parent, {"name": name})
 
     def add_body(self, parent: int | None, name: str, mesh: int, skin: int | None) -> int:
-        """Add a node with a mesh and return its number.
+        """Add a node that has a mesh. Return its number.
 
-        `parent`: the node above it, None for a root. Nodes with a skin must be roots."""
+        `parent`: the number of its parent node; None for a root. Nodes with a skin must be roots."""
         return self._add_node(parent, {"name": name, "mesh": mesh} | ({} if skin is None else {"skin": skin}))
 
     def add_child(self, item: int | None, name: str, move: NDArray[Any] | None = None, turn: NDArray[Any] | None = None) -> int:
-        """Add a node and return its number. It is below the node of the drawn item `item`, or below the world for None.
+        """Add a node. Return its number. Its parent is the node of the drawn item `item`, or the world if `item` is None.
 
-        `move` (3,): its position, relative to the item in radii. `turn` (x y z w): its rotation."""
+        `move` (3,): its position relative to the item, in radii. `turn`: its rotation, a quaternion (x y z w)."""
         entry: dict[str, Any] = {"name": name}
         entry |= {} if move is None else {"translation": [float(part) for part in move]}
         entry |= {} if turn is None else {"rotation": [float(part) for part in turn]}
         return self._add_node(self._world_node if item is None else self._items[item].node, entry)
 
     def write_presence(self, node: int, frames: NDArray[np.int64], scales: Floats | None = None) -> None:
-        """Write keys for the scale of a node that exists only in `frames`. In all other frames the scale is 0.
+        """Write keys for the scale of a node that exists only in `frames`. In all other frames, its scale is 0.
 
-        `scales` (n, 3): the scales in `frames`, by default 1."""
+        `scales` (n, 3): the scales in `frames`, 1 by default."""
         track = np.zeros((len(self.frames), 3))
         track[frames] = 1.0 if scales is None else scales
         keys = np.flatnonzero(np.append(True, (track[1:] != track[:-1]).any(axis=1)))
@@ -124,7 +124,7 @@ class GltfStage:
         self.write_keys(node, "weights", frames, values)
 
     def write_value(self, node: int, path: str, value: NDArray[Any]) -> None:
-        """Write the constant value of a node's property `path`. The default value is left out."""
+        """Write a constant value for a node's property `path`. The default value of the format is omitted."""
         single = np.asarray(value, np.float32)
         if path == "weights" or (single != np.array(_DEFAULT_BY_PATH[path], np.float32)).any():
             digits = 7 if path == "rotation" else 9  # components of rotations are at most 1, so these are float32 too
@@ -134,9 +134,9 @@ class GltfStage:
         self, node: int, path: str, frames: NDArray[np.int64], values: NDArray[Any], interpolation: str = "LINEAR",
         is_short: bool = False,
     ) -> None:  # fmt: skip
-        """Write keys (n, k) of a node's property `path`, and the first key as the value of the node.
+        """Write keys (n, k) for a node's property `path`. The first key is also the static value of the node.
 
-        `is_short`: write int16, for values up to 1."""
+        `is_short`: whether to write int16, for values up to 1."""
         values = align_signs(values) if path == "rotation" else values
         self.write_value(node, path, values[0])
         keys = np.rint(values * 32767).astype(np.int16) if is_short else np.asarray(values, np.float32)
@@ -156,7 +156,7 @@ class GltfStage:
     def find_or_add_material(
         self, name: str, colour: tuple[float, ...], roughness: float = _BODY_ROUGHNESS, metalness: float = 0.0
     ) -> int:
-        """Return the number of the material with this name and base colour (linear). It is added at its first use."""
+        """Return the number of the material with this name and base colour (linear). Add it if it does not exist."""
         key = (name, tuple(round(part, 6) for part in colour))
         if key not in self._materials:
             pbr = {"baseColorFactor": [*key[1], 1.0], "metallicFactor": metalness, "roughnessFactor": roughness}
@@ -168,7 +168,7 @@ class GltfStage:
     # ---- the world
 
     def add_picture(self, picture: Picture) -> None:
-        """Add the meshes and items of a frame, everything except agents."""
+        """Add the meshes and items of a frame, but no agents."""
         frame = self.frames.index(picture.frame) if picture.frame is not None else 0
         dug = {mesh.name for mesh in self.gallery.manifest.meshes if mesh.row.is_dug}
         for solid in picture.solids:
@@ -180,7 +180,7 @@ class GltfStage:
             self._add_item(frame, number, item)
 
     def _add_solid(self, frame: int, solid: Solid) -> None:
-        """Add the node of a mesh at its first frame, and record its motion in later frames."""
+        """Add the node of a mesh in its first frame. In later frames, record its motion."""
         vertices = np.asarray(solid.vertices, np.float64)
         if solid.name not in self._solids:
             node = self.add_body(
@@ -197,7 +197,7 @@ class GltfStage:
         moving.rotations.append(turn)
 
     def _add_item(self, frame: int, number: int, item: Item) -> None:
-        """Add the node of an item at its first frame, and record its motion in later frames."""
+        """Add the node of an item in its first frame. In later frames, record its motion."""
         if item.shape == "none" or item.radius <= 0:
             return
         if number not in self._items:
@@ -219,9 +219,9 @@ class GltfStage:
     def _write_mesh(
         self, name: str, points: Floats, faces: NDArray[Any], kind: str | None, colours: NDArray[Any] | None = None
     ) -> int:
-        """Write a mesh and return its number.
+        """Write a mesh. Return its number.
 
-        `kind`: the kind of surface that selects its material; None for a mesh in the colours of its points."""
+        `kind`: the kind of surface that selects its material; None for a mesh with colours per point."""
         attributes = {
             "POSITION": self.writer.add_accessor(points, "f4", VERTEX_BUFFER_TARGET, bounds=True),
             "NORMAL": self.writer.add_accessor(
@@ -264,7 +264,7 @@ class GltfStage:
             self._write_camera(cameras, name, written_name)
 
     def _write_camera(self, cameras: SceneCameras, name: str, written_name: str) -> None:
-        """Write the camera `name` under the name `written_name`, with its motion."""
+        """Write the scene's camera `name`, with its motion. `written_name`: its name in the file."""
         first = cameras.make_camera(self.frames[0], name)
         assert first is not None
         angle = 2 * np.arctan(SENSOR_WIDTH_MM / _DEFAULT_ASPECT / 2 / first.focal)
@@ -287,8 +287,8 @@ class GltfStage:
 
 
 def _fit_rigid(first: Floats, second: Floats) -> tuple[Floats, Floats, float]:
-    """Return the rotation (x y z w) and the translation that best map the points `first` to `second`, and the largest error
-    (Kabsch, 1976)."""
+    """Return the rotation (x y z w) and the translation that map points `first` to `second` best, and the greatest error (Kabsch,
+    1976)."""
     if np.array_equal(first, second):
         return np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), 0.0
     a, b = first.mean(axis=0), second.mean(axis=0)

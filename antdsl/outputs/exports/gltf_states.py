@@ -1,4 +1,4 @@
-"""The states of agents over the frames of a glTF file, as `extras` of their nodes."""
+"""The states of agents over the frames of a glTF file, written as `extras` of their nodes."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _STATE_ARRAYS = IDENTITY_ARRAYS | {"state"}
 
 @dataclass(slots=True, eq=False)
 class StateChanges:
-    """The state changes of agents: by species and agent id, the frames in which states begin and the names of these states.
+    """The state changes of agents: by species and agent id, the frames in which states begin, and the names of these states.
 
-    Empty if the cache has no states."""
+    Empty if the cache does not contain states."""
 
     changes: dict[tuple[str, int], list[dict[str, Any]]] = field(default_factory=dict)
 
@@ -42,6 +42,6 @@ class StateChanges:
         return output
 
     def describe_agent(self, species: str, agent_id: int) -> dict[str, Any]:
-        """Return the `extras` about the states of an agent; empty if they are unknown."""
+        """Return `extras` with the states of an agent. Empty if its states are unknown."""
         changes = self.changes.get((species, agent_id))
         return {} if changes is None else {"states": changes}

@@ -1,4 +1,5 @@
-"""Posed meshes of agents as a sequence with the same points in every frame, for cloth and for programs without joints."""
+"""Posed meshes of agents as a sequence in which every frame has the same points. For cloth simulation, and for programs without
+joints."""
 
 from __future__ import annotations
 
@@ -36,10 +37,10 @@ _AGENTS_PER_BATCH = 64  # agents that are posed at once
 
 
 def export_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write the posed bodies of agents as one mesh per frame, in scene units. Return messages about agents that are left out.
+    """Write the posed bodies of agents as one mesh per frame, in scene units. Return messages about agents that are omitted.
 
-    Agents are in order of species and id. The n-th point is the same point of the same agent in each frame. Agents that are not
-    in all frames are left out.
+    Agents are sorted by species and id. The n-th point is the same point of the same agent in each frame. Agents that do not
+    exist in all frames are omitted.
 
     Raises ExportUnavailable if no agent is in all frames, or if there are too many points. Raises CacheError for a damaged frame,
     OSError if writing fails."""
@@ -81,7 +82,7 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
 
 
 def _add_usd_mesh(stage_output: StageOutput, part: MeshPart) -> tuple[ValueSamples, ...]:
-    """Add the mesh of an agent, and return its values over time: points, extent and normals."""
+    """Add the mesh of an agent. Return its values over time: points, extent and normals."""
     species, _, number = part.name.rpartition("_")
     import_pxr_module("UsdGeom").Xform.Define(stage_output.stage, f"{ROOT_PATH}/{to_identifier(species)}")
     usd_mesh = add_mesh(
@@ -96,8 +97,9 @@ def _add_usd_mesh(stage_output: StageOutput, part: MeshPart) -> tuple[ValueSampl
 
 
 def _find_common_agents(gallery: Gallery, frames: list[int]) -> tuple[dict[BodyKey, set[int]], list[str]]:
-    """Return the ids of agents that are in all frames with the same layers, by species and layers, and messages about other
-    agents."""
+    """Return the ids of the agents that exist in all frames with the same layers, and messages about all other agents.
+
+    The ids are given by species and layers."""
     common_ids: dict[BodyKey, set[int]] = {}
     all_ids: dict[BodyKey, set[int]] = {}
     for k, frame in enumerate(frames):
@@ -132,7 +134,7 @@ def _pose_meshes(gallery: Gallery, frame: int, common_ids: dict[BodyKey, set[int
 
 
 def _pose_batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[tuple[str, int, MeshPart]]:
-    """Return the posed meshes of the agents in `rows`, each with its species and id."""
+    """Return the posed meshes of the agents in `rows`, as (species, id, mesh)."""
     worn = crowd.body
     assert crowd.ids is not None
     points, normals = crowd.pose_vertices(worn, rows)

@@ -1,4 +1,4 @@
-"""Meshes as PLY (binary) and OBJ files."""
+"""Writes meshes as PLY (binary) and OBJ files."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class MeshPart:
 
 
 def write_mesh(path: Path, parts: Sequence[MeshPart], origin: NDArray[np.float64]) -> None:
-    """Write meshes into one file, one after the other. The suffix selects the format: `.ply`, or `.obj` with one object per mesh.
+    """Write several meshes to one file. The suffix selects the format: `.ply`, or `.obj` with one object per mesh.
 
-    Normals and colours are written if all parts have them (colours only in PLY). The file is not synced to the disk.
-    `origin`: the point that positions are relative to. If it is not 0, positions are written in double precision."""
+    Normals and colours are written if all parts have them (colours only in PLY). The file is not flushed to disk. `origin`: the
+    point to which positions are relative. If it is not 0, positions are written in double precision."""
     starts = np.cumsum([0, *(len(part.points) for part in parts)])
     points: Floats = np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)]).astype(np.float32)
     if origin.any():

@@ -28,7 +28,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def export_arrays(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
-    """Write all arrays of these frames into one NPZ file. Memory holds one array of one frame at a time.
+    """Write all arrays of these frames to one NPZ file. Only one array of one frame is in memory at a time.
 
     Raises CacheError for a damaged frame, OSError if writing fails."""
     cache, frames = gallery.cache, list(frames)
@@ -51,7 +51,8 @@ def export_arrays(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
 
 
 def _compute_row_starts(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the first row of each frame and the total number of rows, int64[F + 1], from the rows per frame."""
+    """Return the first row of each frame and the total number of rows, int64[F + 1]. `counts`: the number of rows of each
+    frame."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
@@ -63,7 +64,7 @@ def _iterate_parts(cache: Cache, frames: list[int], name: str, counts: NDArray[n
 
 
 def _describe_arrays(gallery: Gallery, agents: list[str]) -> dict[str, Any]:
-    """Return the JSON values of `about`. `agents`: the names of the arrays with one row per agent."""
+    """Return the JSON value of `about`. `agents`: the names of the arrays with one row per agent."""
     manifest = gallery.manifest
     species = [each.model_dump(mode="json", include={"name", "machines", "clips", "playing"}) for each in manifest.species]
     return {

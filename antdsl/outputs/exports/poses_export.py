@@ -42,7 +42,7 @@ FEWER_AGENTS_ADVICE = "choose fewer with `--ids 0..20` or `--frames A..B`"
 
 @dataclass(slots=True)
 class _PoseRows:
-    """The rows of all agents with one body. `counts`: the number of rows in each frame. `arrays`: by name, the arrays of each
+    """The rows of all agents with one body. `counts`: the number of rows in each frame. `arrays`: by name, one array per
     frame."""
 
     body: Definition
@@ -54,7 +54,7 @@ NO_AGENTS_MESSAGE = "these frames have no agents"
 
 
 def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write the joint transforms and the channels of each agent.
+    """Write the joint transforms and the channel values of each agent.
 
     Raises ExportUnavailable if the data exceeds the memory limit, CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)
@@ -96,7 +96,7 @@ BodyKey = tuple[str, str, tuple[str, ...]]
 
 
 def list_crowds_by_body(picture: Picture) -> list[tuple[BodyKey, Crowd, PosedBody]]:
-    """Return the crowds of a picture that have agents: the key of a crowd (species, body and layers), the crowd, and its body."""
+    """Return the non-empty crowds of a picture, as (key of species, body and layers; crowd; body)."""
     return [
         ((crowd.species, crowd.body_key or crowd.species, crowd.body.layers), crowd, crowd.body)
         for crowd in picture.crowds
@@ -105,7 +105,7 @@ def list_crowds_by_body(picture: Picture) -> list[tuple[BodyKey, Crowd, PosedBod
 
 
 def compute_placements(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
-    """Return matrices float64[n, 4, 4], one per agent, from the space of the body to the scene, relative to the scene's
+    """Return matrices float64[n, 4, 4], one per agent, that transform the space of the body to the scene, relative to the scene's
     origin."""
     matrices = np.tile(np.eye(4), (len(crowd.position), 1, 1))
     matrices[:, :3, :3] = build_rotation_matrices(np.asarray(crowd.orient, np.float64)) * np.asarray(crowd.scale)[:, None, None]

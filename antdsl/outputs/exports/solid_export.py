@@ -1,4 +1,4 @@
-"""Solids that agents dig, as dug in each frame: meshes, and volumes of signed distances."""
+"""Solids as dug in each frame: meshes of their surfaces, and volumes of signed distances."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def export_solids(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     """Write the surfaces of all solids as one mesh per frame, in scene units. The frame number is inserted into the name of
     `path`.
 
-    Raises ExportUnavailable without solids, CacheError for a damaged frame, OSError if writing fails."""
+    Raises ExportUnavailable if the cache has no solids, CacheError for a damaged frame, OSError if writing fails."""
     dug = DugSolids(gallery.cache, gallery.static)
     for frame in frames:
         solids = dug.at(frame)
@@ -37,14 +37,14 @@ def export_solids(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
 
 
 def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
-    """Write the solids in the last of the frames as dense volumes, in scene units. Return a message that names this frame.
+    """Write the solids as dense volumes, in scene units, for the last of the frames only. Return a message that names this frame.
 
-    `NAME.distance` float32[x, y, z]: signed distances to the surface at lattice points; below 0 in the solid, limited to the
-    band. `NAME.origin` float64[3]: the position of the first lattice point. `NAME.cell` float64: the spacing. `NAME.band`
+    `NAME.distance` float32[x, y, z]: signed distances from the surface at lattice points, negative inside the solid, limited to
+    the band. `NAME.origin` float64[3]: the position of the first lattice point. `NAME.cell` float64: the spacing. `NAME.band`
     float64[2]: the least and the greatest distance.
 
-    Raises ExportUnavailable without solids, or if a volume is too large. Raises CacheError for a damaged frame, OSError if
-    writing fails."""
+    Raises ExportUnavailable if there are no solids, or if a volume is too large. Raises CacheError for a damaged frame, OSError
+    if writing fails."""
     last = list(frames)[-1]
     dug = DugSolids(gallery.cache, gallery.static)
     if not dug.at(last):

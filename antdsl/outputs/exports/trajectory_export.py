@@ -1,5 +1,5 @@
 """A cache as trajectories of people, in the text format of the Pedestrian Dynamics Data Archive (https://ped.fz-juelich.de/da),
-which PedPy reads."""
+which PedPy can read."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _ROW = "%d %d %.6f %.6f %.6f\n"  # micrometres
 def export_trajectories(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
     """Write the positions of all agents in these frames, atomically: id, frame, x, y on the ground and the height, in metres.
 
-    Seen from above, y is to the left of x. A person of several species has the number `id * species + number of the species`.
-    Returns a message if the ids are such numbers.
+    Seen from above, y is to the left of x. With several species, a person has the number `id * species + number of the species`,
+    and a message says so.
 
     Raises CacheError for a damaged frame, OSError if writing fails."""
     manifest = gallery.manifest

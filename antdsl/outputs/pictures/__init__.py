@@ -1,4 +1,5 @@
-"""Pictures of a frame: their content (`Picture`), the view (`Camera`), the ray renderer (`Renderer`), sheets and films."""
+"""Pictures of a frame: their content (`Picture`), the view (`Camera`), the renderer (`Renderer`), sheets of pictures, and
+films."""
 
 from antdsl.outputs.pictures.cameras import make_eye_level_camera, make_overview_camera
 from antdsl.outputs.pictures.image_files import check_film_support, write_film, write_still

@@ -1,4 +1,4 @@
-"""A camera with its rays and its projection."""
+"""A camera prepared for a picture: its rays and its projection."""
 
 from dataclasses import dataclass, replace
 from math import radians, tan
@@ -18,12 +18,10 @@ Array = NDArray[np.float64]
 class CameraView:
     """A camera, prepared for a picture of one size.
 
-    `eye` (3,): its position.
-    `right_axis`, `up_axis`, `forward_axis`: unit axes.
-    `half_extent`: the tangents of half the angle of view across width and height. If `is_parallel`, half the width and height in
-        world units.
-    `is_parallel`: whether rays are parallel.
-    `aperture`: the diameter of the lens in world units, 0 for a pinhole. `focus`: the distance ahead that is in focus."""
+    `eye` (3,): its position. `right_axis`, `up_axis`, `forward_axis`: unit axes. `half_extent`: the tangents of half the
+    angles of view in width and height; if `is_parallel`, half the width and height in world units. `is_parallel`: whether rays
+    are parallel. `aperture`: the diameter of the lens in world units, 0 for a pinhole. `focus`: the distance ahead that is in
+    focus."""
 
     eye: Array
     right_axis: Array
@@ -37,7 +35,7 @@ class CameraView:
     focus: float = 1.0
 
     def interpolate(self, other: "CameraView", share: float) -> "CameraView":
-        """Return the view between this one and another one of the same size; `share` is that of the other one."""
+        """Return the view at the fraction `share` between this view and `other`. Both have the same size."""
 
         def mix(first: Any, second: Any) -> Any:
             return first * (1 - share) + second * share
@@ -60,9 +58,10 @@ class CameraView:
         )
 
     def make_rays(self, pixels: NDArray[np.int64], pixel_x: float = 0.5, pixel_y: float = 0.5) -> tuple[Array, Floats]:
-        """Return ray origins, (n, 3) or (3,), and unit directions float32 (n, 3), for pixels (n,) counted row by row.
+        """Return the origins, (n, 3) or (3,), and the unit directions float32 (n, 3) of rays for `pixels` (n,), which are
+        numbered row by row.
 
-        `pixel_x`, `pixel_y`: the position in a pixel, as shares from its upper left corner."""
+        `pixel_x`, `pixel_y`: the position of the rays in their pixels, as fractions from the upper left corner."""
         row, column = np.divmod(pixels, self.width)
         x = ((column + pixel_x) / self.width * 2 - 1) * self.half_extent[0]
         y = (1 - (row + pixel_y) / self.height * 2) * self.half_extent[1]
@@ -76,8 +75,8 @@ class CameraView:
         return self.eye, towards
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Return pixel positions (n, 2) and distances ahead (n,) of world points. Points with a distance ≤ 0 are not in front of
-        the camera."""
+        """Return the pixel position (n, 2) and the distance ahead (n,) of each point. Points with a distance ≤ 0 are not in front
+        of the camera."""
         offset = np.asarray(points, np.float64) - self.eye
         depth = offset @ self.forward_axis
         safe = 1.0 if self.is_parallel else np.where(depth > 1e-9, depth, 1.0)
@@ -86,12 +85,13 @@ class CameraView:
         return np.stack([(x + 1) * 0.5 * self.width, (1 - y) * 0.5 * self.height], axis=1), depth
 
     def compute_distances(self, points: Array) -> Array:
-        """Return the distance of each point (n, 3) along its ray."""
+        """Return the distance of each point (n, 3) from the camera along its ray."""
         offset = np.asarray(points, np.float64) - self.eye
         return np.asarray(offset @ self.forward_axis if self.is_parallel else np.linalg.norm(offset, axis=1))
 
     def compute_depths(self, distances: Floats) -> Floats:
-        """Return how far ahead of the camera the points at `distances` (h · w,) along the rays of all pixels are."""
+        """Return the distances ahead of the camera for points on the rays of all pixels. `distances` (h · w,): their distances
+        along the rays."""
         if self.is_parallel:
             return distances
         x = ((np.arange(self.width) + 0.5) / self.width * 2 - 1) * self.half_extent[0]
@@ -99,13 +99,13 @@ class CameraView:
         return np.asarray(distances / np.sqrt(1 + x * x + (y * y)[:, None]).reshape(-1))
 
     def compute_pixel_size(self, depth: Any) -> Any:
-        """Return the edge length of a pixel, in world units, at the distance `depth` ahead, a number or an array."""
+        """Return the edge length of a pixel, in world units, at the distance `depth` ahead of the camera. `depth`: a number or an
+        array."""
         return (0.0 * depth + 1.0 if self.is_parallel else depth) * (2 * self.half_extent[0] / self.width)
 
 
 def make_view(camera: Camera, width: int, height: int, up: tuple[float, float, float]) -> CameraView:
-    """Return `camera` prepared for a picture of `width` × `height` pixels. If it is aimed at its own position, it looks along
-    +x."""
+    """Return a camera prepared for a picture of `width` × `height` pixels. If it looks at its own position, it looks along +x."""
     eye = np.asarray(camera.at, np.float64)
     right, top, ahead = compute_view_axes(eye, np.asarray(camera.look_at, np.float64), np.asarray(camera.up or up, np.float64))
     if camera.parallel_width is not None:
@@ -120,6 +120,6 @@ def make_view(camera: Camera, width: int, height: int, up: tuple[float, float, f
 
 
 def to_tuple(values: Array) -> tuple[float, float, float]:
-    """Return a point as three Python floats, for a `Camera`."""
+    """Return a point as three Python floats, as `Camera` expects them."""
     x, y, z = (float(v) for v in values)
     return x, y, z

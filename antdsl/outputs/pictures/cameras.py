@@ -1,4 +1,4 @@
-"""Default cameras: one that shows the complete scene, and one at the eye level of an agent with others nearby."""
+"""Default cameras: one that shows the complete scene, and one at eye level beside an agent that has others nearby."""
 
 from typing import NamedTuple
 
@@ -21,13 +21,13 @@ CAMERA_ANGLES = tuple(np.radians((150.0, -150.0, 35.0, -35.0, 115.0, -115.0, 75.
 
 
 def make_overview_camera(picture: Picture, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
-    """Return a camera that looks down by `slant` degrees and shows every solid, agent and item of the picture."""
+    """Return a camera that looks down by `slant` degrees, and shows every solid, agent and item of the picture."""
     up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
     return make_fitted_camera(_collect_points(picture, up), up, aspect=aspect, focal=focal, slant=slant)
 
 
 def make_top_camera(picture: Picture, *, aspect: float = 16 / 9) -> Camera:
-    """Return a camera straight above with parallel rays that shows everything. The right of the picture is +x."""
+    """Return a camera with parallel rays that looks straight down and shows everything. +x is to the right in the picture."""
     up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
     points = _collect_points(picture, up)
     north = np.array([0.0, 0.0, -1.0]) if abs(up[2]) < 0.5 else np.array([0.0, 1.0, 0.0])
@@ -40,7 +40,8 @@ def make_top_camera(picture: Picture, *, aspect: float = 16 / 9) -> Camera:
 
 
 def make_fitted_camera(points: Array, up: Array, *, aspect: float = 16 / 9, focal: float = 35.0, slant: float = 38.0) -> Camera:
-    """Return a camera that looks down by `slant` degrees and shows points (n, 3) as large as possible. `up`: a unit vector."""
+    """Return a camera that looks down by `slant` degrees, and shows all points (n, 3) as large as possible. `up`: a unit
+    vector."""
     if not len(points):
         points = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
     first = np.roll(up, 1) - up * float(np.roll(up, 1) @ up)
@@ -77,9 +78,9 @@ def _collect_points(picture: Picture, up: Array) -> Array:
 
 
 def _project_points(position: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
-    """Return the horizontal and vertical positions (n, 2) of points in the picture, and their distances ahead (n,).
+    """Return where points are in the picture: horizontal and vertical positions (n, 2), and distances ahead of the camera (n,).
 
-    Positions are within 0..1 where points are visible."""
+    Positions are from 0 to 1 for visible points."""
     camera_view = make_view(
         Camera(to_tuple(position), to_tuple(aim), focal=focal, up=to_tuple(up)), round(1000 * aspect), 1000, to_tuple(up)
     )
@@ -88,14 +89,14 @@ def _project_points(position: Array, aim: Array, points: Array, up: Array, focal
 
 
 def _fits_picture(position: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> bool:
-    """Return whether the points would fit into the picture if it were centred on them."""
+    """Return whether the points fit into the picture if the picture is centred on them."""
     shares, ahead = _project_points(position, aim, points, up, focal, aspect)
     wide = shares.max(axis=0) - shares.min(axis=0)
     return bool((ahead > 0).all() and (wide <= 0.93).all())
 
 
 def _centre_camera(position: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
-    """Return the camera's position and aim, moved sideways so that the points are in the centre of the picture."""
+    """Return the camera's position and aim, moved sideways so that the points are centred in the picture."""
     for _ in range(4):
         shares, _ = _project_points(position, aim, points, up, focal, aspect)
         off = (shares.max(axis=0) + shares.min(axis=0)) / 2 - 0.5
@@ -111,15 +112,15 @@ def make_eye_level_camera(
 ) -> Camera | None:
     """Return a camera beside an agent, at the height of its back. None if there is no such agent.
 
-    Nothing hides the agent, and many agents are behind it. With `close`, the agent fills the picture.
-    `agent`: an id; None chooses an agent with others nearby.
-    `species`: the agent's species; by default, the first that has the id."""
+    The view of the agent is not blocked, and many agents are behind it. With `close`, the agent fills the picture. `agent`: its
+    id; None chooses an agent that has others nearby. `species`: the species of the agent; by default, the first one that has this
+    id."""
     best = find_agent_view(picture, agent, species=species, focal=focal, close=close)
     return best.camera if best else None
 
 
 class AgentView(NamedTuple):
-    """A camera beside an agent. `crowd`, `row`: the crowd of the agent, and the agent's row in it."""
+    """A camera beside an agent. `crowd`, `row`: the crowd of the agent, and its row in the crowd."""
 
     crowd: Crowd
     row: int
@@ -129,7 +130,7 @@ class AgentView(NamedTuple):
 def find_agent_view(
     picture: Picture, agent: int | None = None, *, species: str | None = None, focal: float = EYE_FOCAL_MM, close: bool = False
 ) -> AgentView | None:
-    """Return the camera of `make_eye_level_camera`, and the agent that it shows."""
+    """Return the camera of `make_eye_level_camera`, together with the agent that it shows."""
     crowds = [crowd for crowd in picture.crowds if len(crowd.position) and species in (None, crowd.species)]
     if not crowds:
         return None
@@ -155,7 +156,7 @@ def find_agent_view(
 
 
 def make_ray_scene(picture: Picture) -> RayScene:
-    """Return the solids and items of a picture as a ray scene."""
+    """Return a ray scene of the solids and items of a picture."""
     placed = [
         make_item_mesh(item, picture.up)
         for item in picture.items
@@ -166,7 +167,7 @@ def make_ray_scene(picture: Picture) -> RayScene:
 
 
 def _find_crowded_rows(crowd: Crowd) -> NDArray[np.int64]:
-    """Return the rows of agents that have many others within twelve body lengths. The rows are spread over several positions."""
+    """Return the rows of agents that have many others within twelve body lengths, chosen at several separate positions."""
     from scipy.spatial import cKDTree
 
     points = np.where(np.isfinite(crowd.position), crowd.position, 1e12)
@@ -178,7 +179,7 @@ def _find_crowded_rows(crowd: Crowd) -> NDArray[np.int64]:
 
 
 def score_camera(crowd: Crowd, row: int, scale: float, camera: Camera, rays: RayScene) -> float:
-    """Return a score of how much of the crowd a camera shows. It is far below zero if ground or stone blocks the view.
+    """Return a score for how much of the crowd a camera shows. It is far below zero if ground or rock blocks the view.
 
     `scale`: the longest side of the agent's body."""
     camera_view = make_view(camera, 160, 90, camera.up or (0.0, 1.0, 0.0))

@@ -1,7 +1,7 @@
-"""Cameras that move with one agent. They depend on its positions in a range of frames, never on frames drawn before.
+"""Cameras that move with one agent. They depend on its positions in a range of frames, but not on which frames were drawn before.
 
-The motion of the agent is averaged over some time before and after each frame, so that the camera does not tremble. The camera
-does not turn with the agent: its direction is carried along the agent's path over the ground."""
+The motion of the agent is averaged over some time before and after each frame, so that the camera does not shake. The camera does
+not turn with the agent: its direction is transported along the agent's path over the ground."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ _LEVEL_COSINES = 0.2, 0.8  # of the agent's up: the horizon is level above the s
 
 
 class AgentTrack(NamedTuple):
-    """The track of one agent: `frames` int64[n], ascending, and in each frame the `position` (n, 3) and the `orient` (n, 4)."""
+    """The track of one agent. `frames` int64[n]: ascending. `position` (n, 3), `orient` (n, 4): its pose in each of these
+    frames."""
 
     frames: NDArray[np.int64]
     position: Array
@@ -36,7 +37,7 @@ class AgentTrack(NamedTuple):
 
 
 class BodySize(NamedTuple):
-    """The size of a posed body in world units: its radius to the sides, its height, and the longest side of its box."""
+    """The size of a posed body in world units: its radius sideways, its height, and the longest side of its bounding box."""
 
     radius: float
     height: float
@@ -44,7 +45,7 @@ class BodySize(NamedTuple):
 
 
 def measure_body(crowd: Crowd, row: int) -> BodySize:
-    """Return the size of the bounding box of an agent's body in its pose."""
+    """Return the size of the bounding box of an agent's posed body."""
     points = np.asarray(crowd.pose_vertices(crowd.body, np.array([row]))[0][0], np.float64) * float(crowd.scale[row])
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.full(3, float(crowd.scale[row])))
     length, height, width = np.maximum(high - np.minimum(low, [np.inf, 0.0, np.inf]), 1e-9).tolist()
@@ -52,7 +53,7 @@ def measure_body(crowd: Crowd, row: int) -> BodySize:
 
 
 def take_track(crowd: Crowd, row: int, frame: int) -> AgentTrack:
-    """Return the track of an agent in a single frame."""
+    """Return a track of an agent that consists of one frame."""
     rows = slice(row, row + 1)
     return AgentTrack(np.array([frame]), np.asarray(crowd.position, np.float64)[rows], np.asarray(crowd.orient, np.float64)[rows])
 
@@ -61,9 +62,9 @@ def take_track(crowd: Crowd, row: int, frame: int) -> AgentTrack:
 class StableTrack:
     """The smoothed motion of an agent in n frames.
 
-    `reach`: the number of frames before and after a frame over which the motion is averaged. `position`, `place` (n, 3): the
-    position without and with smoothing. `up` (n, 3): the smoothed unit vector up of the agent. `ahead` (n, 3): the agent's
-    heading in the first frame, carried along the ground. `level` (n, 3): the unit vector to which the top of a picture points."""
+    `reach`: the number of frames before and after each frame over which the motion is averaged. `position`, `place` (n, 3): the
+    position before and after smoothing. `up` (n, 3): the smoothed up direction of the agent. `ahead` (n, 3): the agent's heading
+    in the first frame, transported along the ground. `level` (n, 3): the unit vector that points to the top of the picture."""
 
     frames: NDArray[np.int64]
     reach: float
@@ -75,7 +76,7 @@ class StableTrack:
 
     @classmethod
     def of(cls, track: AgentTrack, reach: float, upright: Array) -> StableTrack:
-        """Return the smoothed motion of a track. `upright`: the world's unit vector up."""
+        """Return the smoothed motion of a track. `upright`: the up direction of the world."""
         up = normalise(
             _smooth_values(rotate_vectors(track.orient, np.tile([0.0, 1.0, 0.0], (len(track.frames), 1))), track.frames, reach)
         )
@@ -102,7 +103,7 @@ class StableTrack:
 def _smooth_values(values: Array, frames: NDArray[np.int64], reach: float, has_trend: bool = False) -> Array:
     """Return values (n, 3) averaged over `reach` frames before and after each frame.
 
-    `has_trend`: the ends do not lag behind a steady motion."""
+    `has_trend`: whether to correct the ends, so that they do not lag behind a steady motion."""
     smooth = np.empty_like(values)
     for row, frame in enumerate(frames.tolist()):
         near = slice(*np.searchsorted(frames, [frame - reach, frame + reach + 1]).tolist())
@@ -122,12 +123,11 @@ def _smooth_values(values: Array, frames: NDArray[np.int64], reach: float, has_t
 class FollowingCamera:
     """A camera that moves with an agent.
 
-    `centre` (n, 3): the points of the smoothed track that the camera follows, never far from the agent.
-    `angle`: the direction from the agent to the camera, to the right of its heading in the first frame, in radians.
-    `is_close`: whether the body fills the picture; otherwise the camera is at eye level, with other agents in view. `offset`
-        (3,): if set, the vector from the agent to the camera, along the axes of the world, in place of `angle`. `rise` (n, 1):
-        how much the camera is raised, along the top of the picture. `nearness` (n, 1): the share of its distance at which the
-        camera is."""
+    `centre` (n, 3): the points of the smoothed track that the camera follows, never far from the agent. `angle`: the direction
+    from the agent to the camera, in radians to the right of its heading in the first frame. `is_close`: whether the body fills
+    the picture; otherwise the camera is at eye level, with other agents in view. `offset` (3,): if set, the vector from the agent
+    to the camera in the axes of the world, used instead of `angle`. `rise` (n, 1): how much the camera is raised, towards the top
+    of the picture. `nearness` (n, 1): the factor by which its distance is multiplied."""
 
     track: StableTrack
     body: BodySize
@@ -149,8 +149,8 @@ class FollowingCamera:
         is_close: bool = True,
         offset: Array | None = None,
     ) -> FollowingCamera:
-        """Return the camera that follows a track. Where smoothing moves the track too far from the agent, the camera moves closer
-        to it."""
+        """Return a camera that follows a track. Where smoothing moves the track too far from the agent, the camera stays nearer
+        to the agent."""
         camera = cls(track, body, focal, track.place, angle, is_close, offset)
         first = camera.make_camera(int(track.frames[0]))
         most = _MAX_OFF_CENTRE * float(np.linalg.norm(np.subtract(first.at, first.look_at)))
@@ -159,7 +159,8 @@ class FollowingCamera:
         return replace(camera, centre=_smooth_values(track.place + shift, track.frames, track.reach / 2, has_trend=True))
 
     def make_camera(self, frame: int) -> Camera:
-        """Return the camera at a frame. Before and after the track, it is the camera of the first and of the last frame."""
+        """Return the camera at a frame. Before the track it is that of the first frame, after the track that of the last
+        frame."""
         track = self.track
         row = min(max(int(np.searchsorted(track.frames, frame, "right")) - 1, 0), len(track.frames) - 1)
         place, up, ahead = self.centre[row], track.up[row], track.ahead[row]
@@ -180,7 +181,8 @@ class FollowingCamera:
         return Camera(to_tuple(eye), to_tuple(aim), focal=self.focal, up=to_tuple(top), focus=max(float(sharp), 1e-9))
 
     def raise_eye(self, heights: Array, shares: Array) -> FollowingCamera:
-        """Return a camera that is raised by at least `heights` (n, 1), and at most at the shares `shares` (n, 1) of its distance.
+        """Return a camera that is raised by at least `heights` (n, 1), and that is nearer: at most at the fractions `shares` (n,
+        1) of its distance.
 
         Both change smoothly from frame to frame."""
         frames, reach = self.track.frames, max(self.track.reach, 1.0)
@@ -193,7 +195,7 @@ class FollowingCamera:
         return replace(self, rise=_smooth_values(highest, frames, reach), nearness=_smooth_values(nearest, frames, reach))
 
     def _find_close_distance(self) -> float:
-        """Return the distance at which the body fills the picture in all its orientations."""
+        """Return the distance at which the body fills the picture, whatever its orientation."""
         wide, high = (share * 36.0 / self.focal for share in _FILLED_SHARES)
         rise = self.body.height / 2 * np.cos(_CLOSE_ELEVATION) + self.body.radius * np.sin(_CLOSE_ELEVATION)
         return float(max(self.body.radius / wide, rise / high))

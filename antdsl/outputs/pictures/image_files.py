@@ -1,4 +1,4 @@
-"""Writes pictures: PNG stills, and films if the extra `[video]` is installed."""
+"""Writes pictures as PNG stills and, if the extra `[video]` is installed, as films."""
 
 import errno
 import io
@@ -26,8 +26,9 @@ def write_still(image: Image, path: Path) -> None:
 
 
 def check_film_support() -> Report:
-    """Return an empty report if films can be written, else a report with an error that names the extra. Call it before
-    drawing."""
+    """Return an empty report if films can be written, else a report with an error that names the missing extra.
+
+    Call this before drawing."""
     report = Report()
     try:
         import imageio_ffmpeg
@@ -40,7 +41,8 @@ def check_film_support() -> Report:
 
 
 def write_film(images: Iterable[Image], path: Path, fps: float) -> Report:
-    """Write pictures (h, w, 3) of one size as an H.264 film. An odd last row or column is left out, as the format requires.
+    """Write pictures (h, w, 3) of equal size as an H.264 film. An odd last row or column is cut off, because the format requires
+    even sizes.
 
     The report has an error if the extra `[video]` is missing, if there are no pictures, or if the file cannot be written."""
     report = check_film_support()
@@ -76,7 +78,8 @@ def write_film(images: Iterable[Image], path: Path, fps: float) -> Report:
 
 
 def _check_frame_count(path: Path, count: int) -> None:
-    """Raise OSError if a film has fewer frames than were drawn, or is truncated. The encoder does not report a full disk."""
+    """Raise OSError if a film has fewer frames than were drawn, or is incomplete. The encoder itself does not report a full
+    disk."""
     import imageio_ffmpeg
 
     try:

@@ -1,4 +1,4 @@
-"""Lamps of pictures: items that emit light, as spheres with soft shadows."""
+"""Lamps in pictures: items that emit light, as spheres that cast soft shadows."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ LAMP_COLOUR = np.array([2.65, 2.20, 1.62], np.float32)  # of the light 1, about 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lamp(LightSphere):
-    """A lamp of a picture. `light`: the light (3,) of an intensity of 1."""
+    """A lamp of a picture. `light` (3,): its light at an intensity of 1."""
 
     light: Floats = field(default_factory=LAMP_COLOUR.copy)
 
     def compute_light(self, points: Floats, normal: Floats, flat_normal: Floats | None = None) -> Floats:
-        """Return the light (n, 3) of the lamp at points with normals (n, 3), without occlusion, as `compute_intensity` does."""
+        """Return the light (n, 3) of the lamp at points with normals (n, 3), without occlusion. For the arguments see
+        `compute_intensity`."""
         return np.asarray(self.compute_intensity(points, normal, flat_normal)[:, None] * self.light, np.float32)
 
     def find_hidden(
@@ -38,7 +39,8 @@ class Lamp(LightSphere):
         count: int,
         threads: int,
     ) -> NDArray[np.bool_]:
-        """Return for each point (n,) whether something hides the lamp's point with number `number` of `count` from it."""
+        """Return a mask of the points (n,) from which one point of the lamp is hidden. `number`: which of `count` points of the
+        lamp."""
         start = points + normal * np.float32(offset)
         aim = self.aim_rays(start, np.full(len(start), number), count)
         hidden = np.zeros(len(start), np.bool_)
@@ -49,7 +51,8 @@ class Lamp(LightSphere):
 
 
 def compute_lamp_colour(colour: tuple[float, float, float] | None) -> Floats:
-    """Return the light (3,) of an intensity of 1 for a colour in display values: as bright as LAMP_COLOUR. None: LAMP_COLOUR."""
+    """Return the light (3,) at an intensity of 1 for a colour in display values, as bright as LAMP_COLOUR. None means
+    LAMP_COLOUR."""
     if colour is None or not max(colour) > 0:
         return LAMP_COLOUR
     tint = decode_srgb(colour)
@@ -57,7 +60,7 @@ def compute_lamp_colour(colour: tuple[float, float, float] | None) -> Floats:
 
 
 def find_lamps(items: Sequence[Item], up: tuple[float, float, float], strength: float) -> tuple[Lamp, ...]:
-    """Return the lamps among items: items that emit light and have a remaining amount. `strength`: the intensity of each lamp."""
+    """Return the lamps among items: those that emit light, and have some amount left. `strength`: the intensity of each lamp."""
     lamps = []
     for item in items:
         size = item.drawn_radius
@@ -82,8 +85,8 @@ def compute_lamp_light(
 ) -> Floats:
     """Return the light (n, 3) of all lamps at points with normals (n, 3), with hard shadows.
 
-    The shadows are those of the point with number `number` of `count` points of each lamp. The mean over these points has soft
-    shadows."""
+    The shadows are those of a single point of each lamp, with the index `number` of `count` points. The mean over all points has
+    soft shadows."""
     light = np.zeros(points.shape, np.float32)
     for lamp in lamps:
         own = lamp.compute_light(points, normal, flat_normal)

@@ -1,7 +1,7 @@
 """The legend next to a picture, and sheets of several pictures.
 
-The legend has the frame number, the states of each species with colours and counts, and fields with a scale of numbers. A sheet
-has equal tiles with a line of text below each."""
+The legend shows the frame number, the states of each species with colours and counts, and fields with a scale of numbers. A sheet
+consists of tiles of equal size, each with a line of text below it."""
 
 from collections.abc import Sequence
 from itertools import groupby
@@ -26,13 +26,13 @@ _TICK_SHARES = (1.0, 0.1, 0.01, 0.001)  # shares of the strongest value
 
 
 def compute_legend_width(picture: Picture, width: int, show: tuple[str, ...]) -> int:
-    """Return the width in pixels of the legend in an image `width` wide; 0 if there is nothing to show."""
+    """Return the width of the legend in pixels, for an image that is `width` pixels wide. 0 if there is nothing to show."""
     has_content = picture.legend or (picture.trails and "trail" in show)
     return min(max(round(_LEGEND_WIDTH_SHARE * width), 120), width // 2) if has_content else 0
 
 
 def add_legend(image: Image, picture: Picture, legend_width: int, show: tuple[str, ...]) -> Image:
-    """Return `image` (h, w, 3) with a legend `legend_width` pixels wide at its right."""
+    """Return `image` (h, w, 3) with a legend of `legend_width` pixels at its right side."""
     if legend_width <= 0:
         return image
     high = image.shape[0]
@@ -68,7 +68,7 @@ def add_legend(image: Image, picture: Picture, legend_width: int, show: tuple[st
 
 
 def _choose_font_size(draw: ImageDraw.ImageDraw, picture: Picture, available_width: int, size: int) -> int:
-    """Return the font size for which every state name fits next to its count, but at least 70 % of `size`."""
+    """Return the font size for which every state name fits next to its count, at least 70 % of `size`."""
     small = size
     while small > max(8, round(0.7 * size)) and any(
         draw.textlength(row.name, font=load_font(small)) + draw.textlength(f"{row.count:,}", font=load_font(small))
@@ -120,9 +120,9 @@ def _draw_scale(
 
 
 def make_contact_sheet(images: Sequence[Image], labels: Sequence[str], *, columns: int | None = None, width: int = 1920) -> Image:
-    """Return a sheet `width` pixels wide with pictures (h, w, 3), each with a label.
+    """Return a sheet of pictures (h, w, 3), each with a label. `width`: the width of the sheet in pixels.
 
-    Raises ValueError without pictures, or if the numbers of pictures and labels differ."""
+    Raises ValueError if there are no pictures, or if the numbers of pictures and labels differ."""
     if not images or len(images) != len(labels):
         raise ValueError("a contact sheet needs at least one picture and one label for each")
     across = max(1, min(columns or round(len(images) ** 0.5 + 0.3), len(images)))

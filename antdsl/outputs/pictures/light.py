@@ -1,4 +1,4 @@
-"""Sun, sky, haze, and the tone curve from light to display values. All values are linear light in float32 until
+"""Sun, sky, haze, and the tone curve from light to display values. All values are linear light in float32, up to
 `apply_tone_curve`."""
 
 from dataclasses import dataclass
@@ -25,9 +25,8 @@ SUN_HALF_ANGLE_TANGENT = 0.03  # wider than the real sun, for soft edges
 class SunLight:
     """The sun and the sky.
 
-    `direction`: the unit vector to the sun. `first_axis`, `second_axis`: unit axes perpendicular to it.
-    `up`: the world's unit vector up.
-    `settings`: the strengths of sun, sky and haze."""
+    `direction`: the unit vector towards the sun. `first_axis`, `second_axis`: unit vectors perpendicular to it. `up`: the up
+    direction of the world. `settings`: the strengths of sun, sky and haze."""
 
     direction: Floats
     first_axis: Floats
@@ -41,11 +40,11 @@ class SunLight:
         return SUN_LIGHT * np.float32(self.settings.sun)
 
     def aim_rays(self, points: Floats, numbers: NDArray[np.integer], count: int) -> Floats:
-        """Return directions (n, 3) to points of the sun's disc: those with the numbers `numbers` (n,) of `count` points."""
+        """Return directions (n, 3) to points on the sun's disc. `numbers` (n,): the indices of these among `count` points."""
         return np.asarray(self.sample_disc(count)[numbers])
 
     def sample_disc(self, count: int) -> Floats:
-        """Return directions (count, 3) to points that cover the sun's disc evenly. Consecutive points are far from each other."""
+        """Return directions (count, 3) to points that cover the sun's disc evenly. Consecutive points are far apart."""
         k = np.arange(count)
         angle = k * (np.pi * (3 - np.sqrt(5)))
         radius = np.sqrt((k + 0.5) / count) * SUN_HALF_ANGLE_TANGENT
@@ -58,7 +57,7 @@ class SunLight:
 
 
 def make_sun(up: NDArray[np.float64], settings: LightSettings = DEFAULT_LIGHT) -> SunLight:
-    """Return the sun and the sky above the plane perpendicular to `up`."""
+    """Return the sun and the sky for a world with the up direction `up`."""
     upward = up / np.linalg.norm(up)
     first = np.roll(upward, 1) - upward * float(np.dot(np.roll(upward, 1), upward))
     first /= np.linalg.norm(first)
@@ -72,8 +71,8 @@ def make_sun(up: NDArray[np.float64], settings: LightSettings = DEFAULT_LIGHT) -
 
 
 def compute_ambient_light(upness: Floats, sun: SunLight) -> Floats:
-    """Return the ambient light (n, 3) of sky and ground for surfaces. `upness` (n,): the vertical component of their normals,
-    −1..1."""
+    """Return the ambient light (n, 3) from sky and ground on surfaces. `upness` (n,): the vertical component of their normals, −1
+    to 1."""
     share = (0.5 + 0.5 * upness)[:, None]
     return (SKY_LIGHT * share + BOUNCE_LIGHT * (1 - share)) * np.float32(sun.settings.sky)
 
@@ -89,7 +88,7 @@ def compute_sky_light(direction: Floats, sun: SunLight) -> Floats:
 
 
 def compute_environment_light(direction: Floats, sun: SunLight) -> Floats:
-    """Return the light (n, 3) that a mirror reflects from directions (n, 3): sky above the horizon, ground below it."""
+    """Return the light (n, 3) that a mirror reflects from directions (n, 3): sky above the horizon, ground below."""
     high = (direction @ sun.up)[:, None]
     share = np.sqrt(np.clip(high, 0.0, 1.0))
     above = HORIZON_COLOUR * (1 - share) + ZENITH_COLOUR * share
@@ -98,9 +97,10 @@ def compute_environment_light(direction: Floats, sun: SunLight) -> Floats:
 
 
 def apply_haze(colour: Floats, distances: Floats, direction: Floats, sun: SunLight, reach: float) -> Floats:
-    """Return the colours (n, 3) as seen through haze of the thickness `distances` (n,). Haze is thin in downward directions.
+    """Return colours (n, 3) as seen through haze. `distances` (n,): the thickness of the haze. Haze is thin in downward
+    directions.
 
-    Haze hides half of the colour at about 0.7 `reach`."""
+    At about 0.7 · `reach`, haze hides half of the colour."""
     level = 1 - np.clip(-(direction @ sun.up), 0.0, 1.0)
     amount = (1 - np.exp(-distances * np.float32(sun.settings.haze / reach))) * level * level * level
     through: Floats = colour + (HORIZON_COLOUR * np.float32(sun.settings.sky) - colour) * amount[:, None]
@@ -108,7 +108,7 @@ def apply_haze(colour: Floats, distances: Floats, direction: Floats, sun: SunLig
 
 
 def apply_tone_curve(light: Floats) -> Floats:
-    """Return display-linear values 0..1: linear in dark and middle tones, compressed softly above 0.7."""
+    """Return display-linear values from 0 to 1: linear for dark and middle tones, softly compressed above 0.7."""
     light = np.maximum(light * np.float32(0.62), 0)
     knee = np.float32(0.7)
     over = np.maximum(light - knee, 0)
@@ -116,7 +116,7 @@ def apply_tone_curve(light: Floats) -> Floats:
 
 
 def encode_srgb(linear: Floats) -> NDArray[np.uint8]:
-    """Return sRGB bytes of display-linear values."""
+    """Return display-linear values as sRGB bytes."""
     return _make_srgb_table().take((np.clip(linear, 0, 1) * np.float32(_SRGB_TABLE_STEPS) + np.float32(0.5)).astype(np.int32))
 
 
@@ -127,12 +127,12 @@ def _make_srgb_table() -> NDArray[np.uint8]:
 
 
 def encode_srgb_values(linear: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return sRGB display values 0..1 of linear values 0..1."""
+    """Return linear values (0 to 1) as sRGB display values (0 to 1)."""
     linear = np.asarray(linear, np.float64)
     return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def decode_srgb(display: NDArray[np.floating] | tuple[float, ...]) -> Floats:
-    """Return linear values of sRGB display values 0..1."""
+    """Return sRGB display values (0 to 1) as linear values."""
     value = np.asarray(display, np.float32)
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)

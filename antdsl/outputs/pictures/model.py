@@ -1,4 +1,4 @@
-"""The content of a picture: solids, crowds, items, trails, flows and a camera. These are plain values; nothing is drawn here."""
+"""The content of a picture: solids, crowds, items, trails, flows and a camera. These are plain data; nothing is drawn here."""
 
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -23,9 +23,8 @@ Array = NDArray[np.float64]
 class Solid:
     """A mesh that does not move between frames: `vertices` (n, 3) in world units, `faces` (m, 3).
 
-    `kind`: a key of SURFACE_KINDS. A `ground` that is not a floor is drawn as a clay figure.
-    `colour`: sRGB display values 0..1, one colour (3,) or one per vertex (n, 3). None, or NaN for a vertex, selects the look of
-        the solid's `kind`."""
+    `kind`: a key of SURFACE_KINDS. A `ground` that is not a floor is drawn like a clay figure. `colour`: sRGB display values
+    0..1, either one colour (3,) or one per vertex (n, 3). None, or NaN for a vertex, means the look of the solid's `kind`."""
 
     name: str
     vertices: Array
@@ -56,15 +55,12 @@ class Crowd:
     """Agents of one species. A species with several bodies, or with agents in different layers, is several crowds.
 
     `position` (n, 3): in world units. `orient` (n, 4): quaternions x, y, z, w that rotate +x to the heading and +y to up. `scale`
-    (n,): body lengths in world units. `colour` (n, 3): display values 0..1, of vertices without a material or with the material
-    `state`. `is_marked` (n,): whether small bodies show `colour` on all parts, because it has a meaning. None: all do.
-    `body`: the body, by default that of an ant.
-    `body_key`: the body's key among the bodies of all species; empty means the species' name.
-    `machine_clips`: the clips that each machine plays.
-    `driven_pose`: channels and looks that states set.
-    `feet`: positions of the feet; None if unknown.
-    `next_crowd`: the same agents, row by row, in the next frame, for motion blur. `ids`, `velocity` (n, 3), `feelers` (k, 2, 3:
-        starts and ends), `paths`: needed only if they are displayed."""
+    (n,): body lengths in world units. `colour` (n, 3): display values 0..1, for vertices without a material or with the material
+    `state`. `is_marked` (n,): whether `colour` has a meaning, so that small bodies show it on all parts; None means that all do.
+    `body`: the body, by default that of an ant. `body_key`: the body's key among the bodies of all species; empty means the
+    species' name. `machine_clips`: the clips that each machine plays. `driven_pose`: channels and looks that states set. `feet`:
+    positions of the feet; None if unknown. `next_crowd`: the same agents, row by row, in the next frame, for motion blur. `ids`,
+    `velocity` (n, 3), `feelers` (k, 2, 3: starts and ends), `paths`: needed only if they are displayed."""
 
     species: str
     position: Array
@@ -84,15 +80,15 @@ class Crowd:
     is_marked: NDArray[np.bool_] | None = None
 
     def compute_poses(self, needs_local: bool = False) -> WorldPoses:
-        """Return transforms and channels of all agents in the space of their body."""
+        """Return the transforms and channels of all agents in the space of their body."""
         count = len(self.position)
         return self.body.compute_poses(
             self.machine_clips, count, self.select_feet(np.arange(count)), driven_pose=self.driven_pose, needs_local=needs_local
         )
 
     def pose_vertices(self, body: PosedBody, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return vertices and unit normals float32[n, v, 3] of the agents in `rows`, in body lengths along the axes of their
-        body.
+        """Return the vertices and unit normals float32[n, v, 3] of the agents in `rows`, in the axes of their bodies, in body
+        lengths.
 
         `body`: the crowd's body, or its `fine_body` or `coarse_body`."""
         return body.pose_vertices(
@@ -103,8 +99,7 @@ class Crowd:
         )
 
     def select_feet(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> BodySpaceFeet | None:
-        """Return the feet of the agents in `rows`, as `PosedBody.pose_vertices` takes them. Return None if the feet are
-        unknown."""
+        """Return the feet of the agents in `rows`, as an argument for `PosedBody.pose_vertices`. None if the feet are unknown."""
         if self.feet is None:
             return None
         return select_record_rows(self.feet, rows).convert_to_body_space(
@@ -112,7 +107,7 @@ class Crowd:
         )
 
     def select_rows(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
-        """Return the crowd with only the agents in `rows`. It has no feelers, since their rows are not agents."""
+        """Return a crowd of only the agents in `rows`. It has no feelers, because these have no rows of agents."""
         return select_record_rows(replace(self, feelers=None), rows)
 
 
@@ -120,9 +115,9 @@ class Crowd:
 class Item:
     """A placed object, such as food or a nest.
 
-    `remaining_share`: the remaining share of its amount, 0..1; the drawn body shrinks with it.
-    `look`: replaces the material of the item's shape.
-    `power`, `colour`: the strength and the colour (display values 0..1) of a lamp; None for those of items with a look."""
+    `remaining_share`: the fraction of its amount that is left, 0..1; the drawn body shrinks with it. `look`: replaces the
+    material of the item's shape. `power`, `colour`: for a lamp, its strength and its colour (display values 0..1); None for the
+    default."""
 
     name: str
     position: tuple[float, float, float]
@@ -135,7 +130,7 @@ class Item:
 
     @property
     def drawn_radius(self) -> float:
-        """Return the radius at which the item's volume is the remaining share of its full volume."""
+        """Return the radius at which the volume of the item is the remaining fraction of its full volume."""
         return compute_drawn_radius(self.radius, self.remaining_share)
 
 
@@ -143,10 +138,9 @@ class Item:
 class Trail:
     """A field on the ground, with all its cells.
 
-    `position` (n, 3): the cells' positions on the surface. `cell`: the edge of a cell. `strength` (n,): 0 for cells without
-    scent, so that scent fades towards them.
-    `full_strength`: the strength that is drawn strongest. None chooses a strength: cells of at least this strength contain 70 %
-        of the scent."""
+    `position` (n, 3): the positions of cells on the surface. `cell`: the edge length of a cell. `strength` (n,): also for cells
+    without scent (0), so that scent fades towards them. `full_strength`: the strength that is drawn with the strongest colour.
+    None chooses one such that cells above it contain 70 % of the scent."""
 
     name: str
     position: Array
@@ -158,7 +152,7 @@ class Trail:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlowArrows:
-    """A flow on the ground: arrows from `position` (n, 3) to `position + displacement`. `colour`: one colour, display values
+    """A flow on the ground, as arrows from `position` (n, 3) to `position + displacement`. `colour`: one colour, display values
     0..255."""
 
     name: str
@@ -171,11 +165,10 @@ class FlowArrows:
 class Camera:
     """A camera with a sensor 36 mm wide.
 
-    `focal`: focal length in mm.
-    `fov`: angle of view across the width in degrees; if set, it overrides `focal`.
-    `parallel_width`: if set, rays are parallel, and the picture is this wide in world units.
-    `aperture`: the diameter of the lens in world units; 0 for a pinhole, with which everything is sharp.
-    `focus`: the distance ahead that is in focus, in world units; None for that of `look_at`."""
+    `focal`: focal length in mm. `fov`: angle of view across the width in degrees; if set, it overrides `focal`. `parallel_width`:
+    if set, rays are parallel, and the picture is this wide in world units. `aperture`: the diameter of the lens in world units; 0
+    for a pinhole, through which everything is sharp. `focus`: the distance ahead that is in focus, in world units; None for the
+    distance of `look_at`."""
 
     at: tuple[float, float, float]
     look_at: tuple[float, float, float]
@@ -189,7 +182,7 @@ class Camera:
 
 @dataclass(frozen=True, slots=True)
 class LegendRow:
-    """One state in the legend: its name, its number of agents, and its colour (display values 0..255) if pictures show it."""
+    """One state in the legend: its name, its number of agents, and its colour (display values 0..255) if the picture shows it."""
 
     name: str
     colour: tuple[int, int, int] | None

@@ -1,4 +1,4 @@
-"""Everything that moves in a frame, as a ray scene: the posed body of each agent, and each item at its size."""
+"""A ray scene of everything that moves in a frame: the posed body of each agent, and each item at its current size."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,9 +36,9 @@ _STEEP_SLOPE_SHARE = 0.8  # share of a pile's slope; steeper neighbouring ground
 class ActorMesh:
     """One or more bodies at one time, as a single mesh.
 
-    `vertices` (n, 3), `faces` (m, 3). `normal` (n, 3): unit normals. `colour` (n, 3): linear colours. `gloss` (n,): 0 (dull) to
-    1. METAL_GLOSS, above 1, means metal. LIGHT_GLOSS, below 0, means a light source.
-    `motion` (n, 3): the displacement of the vertices until the next frame."""
+    `vertices` (n, 3), `faces` (m, 3). `normal` (n, 3): unit normals. `colour` (n, 3): linear colours. `gloss` (n,): from 0 (dull)
+    to 1; METAL_GLOSS (above 1) for metal, LIGHT_GLOSS (below 0) for a light source. `motion` (n, 3): the displacement of the
+    vertices until the next frame."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -50,12 +50,11 @@ class ActorMesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyMesh:
-    """A number b of bodies of one shape with v vertices each.
+    """The b bodies of one shape with v vertices each.
 
-    `local_vertices` float32 (b, v, 3): rotated vertices, relative to the position, at the picture's frame. `positions` (b, 3):
-    the positions of the bodies.
-    `next_frame`: `local_vertices` and `positions` at the next frame; None for static bodies.
-    `faces`: the faces of all bodies. `normal`, `colour`, `gloss`: values of all vertices."""
+    `local_vertices` float32 (b, v, 3): rotated vertices relative to the body's position, at the picture's frame. `positions` (b,
+    3): the positions of the bodies. `next_frame`: both for the next frame; None for static bodies. `faces`: the faces of all
+    bodies. `normal`, `colour`, `gloss`: values for all vertices."""
 
     local_vertices: Floats
     positions: Array
@@ -71,15 +70,14 @@ class BodyMesh:
         return self.next_frame is not None and self.local_vertices.size > 0
 
     def compute_vertices(self, time_offset: float) -> Array:
-        """Return the vertices (b, v, 3) at `time_offset` frames after the picture's frame. Each vertex moves in a straight
-        line."""
+        """Return the vertices (b, v, 3) at `time_offset` frames after the picture's frame. Vertices move in straight lines."""
         if self.next_frame is None or time_offset == 0:
             return self.local_vertices + self.positions[:, None]
         local = self.local_vertices + (self.next_frame[0] - self.local_vertices) * np.float32(time_offset)
         return np.asarray(local + (self.positions + (self.next_frame[1] - self.positions) * time_offset)[:, None])
 
     def compute_motion(self) -> Floats:
-        """Return the displacement (b · v, 3) of the vertices until the next frame."""
+        """Return the displacement (b · v, 3) of each vertex until the next frame."""
         if self.next_frame is None:
             return np.zeros((self.local_vertices.shape[0] * self.local_vertices.shape[1], 3), np.float32)
         shift = (self.next_frame[1] - self.positions).astype(np.float32)
@@ -90,14 +88,13 @@ class BodyMesh:
 class SceneActors:
     """Everything that moves in a frame.
 
-    `times`: the shutter times, in frames after the picture's frame. `rays`: a ray scene for each of them.
-    `lamp_occluders`: the same ray scenes without items that emit light, because a lamp's post does not hide its light.
-    `mesh`: the bodies at the middle of the shutter times. `near_pixels` bool (h · w,): pixels in which a body may be visible.
-        `tiny_body_pixels` bool (h · w,): pixels with a body so small that rays through pixel centres may miss it.
-    `shadow_reach`: the greatest distance in world units at which shadows are searched.
-    `contact_reach`: the distance in world units within which a body darkens the ground.
-    `soft_edge_reach`: the greatest distance in world units for which the softness of shadow edges is computed.
-    `boxes`: lowest and highest corners (b, 3) of the bodies while the shutter is open."""
+    `times`: the shutter times, in frames after the picture's frame. `rays`: one ray scene for each of these times.
+    `lamp_occluders`: the same without items that emit light, because a lamp's post does not hide its light. `mesh`: the bodies at
+    the middle of the shutter times. `near_pixels` bool (h · w,): pixels in which a body may be visible. `tiny_body_pixels` bool
+    (h · w,): pixels with a body so small that rays through pixel centres may miss it. `shadow_reach`: the greatest distance in
+    world units at which shadows are searched. `contact_reach`: the distance in world units within which a body darkens the
+    ground. `soft_edge_reach`: the greatest distance in world units for which the softness of shadow edges is computed. `boxes`:
+    the lowest and highest corners (b, 3) of boxes around the bodies while the shutter is open."""
 
     rays: tuple[PictureRays, ...]
     lamp_occluders: tuple[PictureRays, ...]
@@ -111,9 +108,9 @@ class SceneActors:
     times: tuple[float, ...]
 
     def find_shadable_points(self, points: Floats, sun: SunLight, reaches: Sequence[float]) -> list[NDArray[np.bool_]]:
-        """Return, for each of `reaches`, whether each point (n, 3) may be in the shadow of a box.
+        """Return, for each of `reaches`, a mask of the points (n, 3) that may be in the shadow of a box.
 
-        The box is enlarged by the reach on all sides. Points and boxes are projected along the sun's direction onto a map."""
+        Boxes are enlarged by the reach on all sides. Points and boxes are projected onto a map along the direction of the sun."""
         low, high = self.boxes
         if not len(low):
             return [np.zeros(len(points), np.bool_) for _ in reaches]
@@ -147,11 +144,11 @@ def make_actors(
     ground: StaticSetting | None = None,
     max_enlargement: float = 3.0,
 ) -> SceneActors:
-    """Return everything in `picture` that moves, without invisible agents.
+    """Return everything that moves in a picture, without invisible agents.
 
-    Large agents in the picture use close-up bodies, and agents of a few pixels use few triangles.
-    `min_body_pixels`: shorter bodies are enlarged to this length in pixels, by a factor of at most `max_enlargement`.
-    `ground`: the static surfaces to which loose soil is fitted."""
+    Agents that are large in the picture use close-up bodies. Agents of a few pixels use few triangles. `min_body_pixels`: shorter
+    bodies are enlarged to this length in pixels, by a factor of at most `max_enlargement`. `ground`: the static surfaces to which
+    loose soil is fitted."""
     parts: list[BodyMesh] = []
     lamps: list[BodyMesh] = []
     longest = 0.0
@@ -182,8 +179,8 @@ def make_actors(
 
 
 def _join_parts(parts: list[BodyMesh], time_offset: float, has_motion: bool = False) -> ActorMesh:
-    """Return all bodies as one mesh, at `time_offset` frames after the picture's frame. Its motion is empty without
-    `has_motion`."""
+    """Return all bodies as one mesh, at `time_offset` frames after the picture's frame. Without `has_motion`, its motion is
+    empty."""
     if not parts:
         none = np.zeros((0, 3), np.float32)
         return ActorMesh(none.astype(np.float64), np.zeros((0, 3), np.int32), none, none, none[:, 0], none)
@@ -200,7 +197,7 @@ def _join_parts(parts: list[BodyMesh], time_offset: float, has_motion: bool = Fa
 
 
 def _compute_boxes(parts: list[BodyMesh], blur: float) -> tuple[Array, Array]:
-    """Return the axis-aligned boxes of all bodies while the shutter is open: lowest and highest corners (b, 3)."""
+    """Return axis-aligned boxes around all bodies while the shutter is open, as lowest and highest corners (b, 3)."""
     corners: list[tuple[Array, Array]] = [(np.zeros((0, 3)), np.zeros((0, 3)))]
     for part in parts:
         low, high = part.local_vertices.min(axis=1) + part.positions, part.local_vertices.max(axis=1) + part.positions
@@ -213,9 +210,9 @@ def _compute_boxes(parts: list[BodyMesh], blur: float) -> tuple[Array, Array]:
 
 
 def _find_covered_pixels(boxes: tuple[Array, Array], shutter: Shutter) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the pixels (h · w,) that a box may cover, and those that a very small box may cover.
+    """Return masks of the pixels (h · w,) that any box may cover, and of those that a very small box may cover.
 
-    Rays through pixel centres may miss such small boxes."""
+    Rays through the centres of pixels may miss very small boxes."""
     high, wide = shutter.middle.height, shutter.middle.width
     corners = np.stack([[boxes[bit >> axis & 1][:, axis] for axis in range(3)] for bit in range(8)])  # shape (8, 3, b)
     points = np.moveaxis(corners, 2, 0).reshape(-1, 3)
@@ -239,7 +236,7 @@ def _find_covered_pixels(boxes: tuple[Array, Array], shutter: Shutter) -> tuple[
 
 
 def _fill_rectangles(first: NDArray[np.int64], last: NDArray[np.int64], column_count: int, row_count: int) -> NDArray[np.bool_]:
-    """Return whether each cell (high, wide) of a grid lies in one of n rectangles.
+    """Return a mask of the cells (high, wide) of a grid that are in at least one of n rectangles.
 
     `first`, `last` (n, 2): column and row of the first cell, and of the cell after the last one."""
     count = np.zeros((row_count + 1, column_count + 1), np.int32)
@@ -249,7 +246,7 @@ def _fill_rectangles(first: NDArray[np.int64], last: NDArray[np.int64], column_c
 
 
 def _pose_crowd(crowd: Crowd, view: CameraView, min_body_pixels: float, max_enlargement: float) -> list[BodyMesh]:
-    """Return the posed bodies of a crowd, with more or fewer triangles by their size in the picture."""
+    """Return the posed bodies of a crowd. Bodies that are larger in the picture have more triangles."""
     scale = np.asarray(crowd.scale, np.float64)
     finite = np.isfinite(crowd.position).all(axis=1) & np.isfinite(crowd.orient).all(axis=1) & np.isfinite(scale) & (scale > 0)
     position = np.where(finite[:, None], crowd.position, 0.0)
@@ -276,8 +273,8 @@ def _pose_crowd(crowd: Crowd, view: CameraView, min_body_pixels: float, max_enla
 def _pose_bodies(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, plain: Array) -> BodyMesh:
     """Return the bodies of the agents in `rows`, posed by the clips that they play.
 
-    `size` (n,): the drawn length of each agent of the crowd. `plain` (n,): the share by which coloured parts also take the
-    agent's colour."""
+    `size` (n,): the drawn length of each agent of the crowd. `plain` (n,): how strongly parts with a separate colour take the
+    agent's colour, 0 to 1."""
     turn, long = _make_rotations(crowd, rows), size[rows].astype(np.float32)[:, None, None]
     local, normal = crowd.pose_vertices(body, rows)
     then = None
@@ -296,7 +293,7 @@ def _pose_bodies(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: A
 
 
 def _make_rotations(crowd: Crowd, rows: NDArray[np.int64]) -> Floats:
-    """Return matrices (n, 3, 3) that rotate vertices, as row vectors, to the agents' orientations."""
+    """Return matrices (n, 3, 3) that rotate vertices, given as row vectors, to the orientations of the agents."""
     return np.swapaxes(build_rotation_matrices(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32), 1, 2)
 
 
@@ -309,7 +306,7 @@ def _make_part(
     colour: Floats,
     gloss: float,
 ) -> BodyMesh:
-    """Return a `BodyMesh` of bodies that share `faces`, with one gloss for all vertices."""
+    """Return a `BodyMesh` of bodies that share `faces`. All vertices have the same gloss."""
     bodies, own = local_vertices.shape[:2]
     every = (faces[None] + (np.arange(bodies, dtype=np.int32) * own)[:, None, None]).reshape(-1, 3)
     shine = np.full(bodies * own, gloss, np.float32)
@@ -319,7 +316,7 @@ def _make_part(
 
 
 def _is_in_sight(points: Array, depth: Array, margin: Array, view: CameraView) -> NDArray[np.bool_]:
-    """Return whether a ball of radius `margin` around each point intersects the view pyramid."""
+    """Return a mask of the points with a ball of radius `margin` that intersects the view pyramid."""
     offset = points - view.eye
     inside = np.ones(len(points), np.bool_)
     if view.is_parallel:
@@ -330,7 +327,7 @@ def _is_in_sight(points: Array, depth: Array, margin: Array, view: CameraView) -
 
 
 def make_item_mesh(item: Item, up: tuple[float, float, float], ground: StaticSetting | None = None) -> ActorMesh:
-    """Return an item's body at its position and remaining size. `ground`: the static surfaces to which loose soil is fitted."""
+    """Return the body of an item at its position and remaining size. `ground`: the static surfaces on which loose soil rests."""
     vertices, faces, colour = build_item_mesh(item.shape)
     size = item.drawn_radius
     upward = np.array([up]) / np.linalg.norm(up)
@@ -344,7 +341,7 @@ def make_item_mesh(item: Item, up: tuple[float, float, float], ground: StaticSet
 
 
 def _find_item_material(item: Item, colour: Floats) -> tuple[Floats, float]:
-    """Return linear colours (n, 3) and the gloss of an item, by its look."""
+    """Return the linear colours (n, 3) and the gloss that an item has because of its look."""
     if item.look is None:
         return colour, 0.0 if item.shape == "mound" else 0.5
     kind = KIND_BY_LOOK[item.look]
@@ -354,10 +351,10 @@ def _find_item_material(item: Item, colour: Floats) -> tuple[Floats, float]:
 
 
 def _find_ground_heights(points: Array, base_point: Array, up: Array, size: float, ground: StaticSetting) -> Array:
-    """Return the height (n,) of the ground below each point, relative to `base_point`, limited in slope.
+    """Return the height (n,) of the ground below each point relative to `base_point`, limited in slope.
 
-    It lets a mound follow uneven ground. Ground on which no soil can lie counts as height 0, and so does ground further below
-    than `size`."""
+    So a mound follows uneven ground. Ground that cannot hold soil counts as height 0, as does ground that is lower than `size`
+    below the point."""
     away = points - base_point
     level = points - (away @ up)[:, None] * up
     start = level + size * up

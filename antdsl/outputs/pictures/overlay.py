@@ -1,4 +1,4 @@
-"""Overlays on a drawn picture: agents as discs; paths, velocities and feelers as lines; ids as text."""
+"""Overlays on a picture: agents as discs, paths, velocities and feelers as lines, and ids as text."""
 
 from functools import cache
 
@@ -25,17 +25,17 @@ _PATH_ALPHA_RANGE, _PATH_ALPHA_STEPS = (40, 235), 8  # opacity at the far ends a
 
 @cache
 def load_font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Return Pillow's own typeface at `size` pixels."""
+    """Return Pillow's built-in typeface at `size` pixels."""
     return ImageFont.load_default(size)
 
 
 def draw_overlay(
     image: Image, picture: Picture, view: CameraView, distances: NDArray[np.float32], show: tuple[str, ...], marks: float
 ) -> Image:
-    """Return `image` with the overlays in `show`. Parts behind the ground are left out.
+    """Return `image` with the overlays that `show` names. Parts behind the ground are omitted.
 
-    `distances` (h, w): distance of static surfaces.
-    `marks`: diameter in pixels of the discs that stand for agents; 0 for none."""
+    `distances` (h, w): the distances of static surfaces. `marks`: the diameter in pixels of the discs that represent agents; 0
+    for none."""
     lines = [word for word in ("flow", "velocity", "paths", "feelers", "ids") if word in show]
     if not lines and marks <= 0:
         return image
@@ -67,19 +67,20 @@ def draw_overlay(
 
 
 def _compute_lifted_positions(crowd: Crowd) -> Array:
-    """Return positions slightly above the ground, at the height of the body."""
+    """Return the agents' positions, lifted from the ground to the height of the body."""
     up = rotate_vectors(np.asarray(crowd.orient, np.float64), np.tile([0.0, 1.0, 0.0], (len(crowd.position), 1)))
     return np.asarray(crowd.position, np.float64) + up * 0.25 * np.asarray(crowd.scale, np.float64)[:, None]
 
 
 def _find_visible_agents(crowd: Crowd, view: CameraView, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return whether each agent of a crowd is in the picture and not hidden by a static surface. `depth`: as `_is_unhidden`."""
+    """Return a mask of the agents of a crowd that are in the picture, and not hidden by a static surface. `depth`: see
+    `_is_unhidden`."""
     return _is_unhidden(_compute_lifted_positions(crowd), view, depth) if len(crowd.position) else np.zeros(0, np.bool_)
 
 
 def _is_unhidden(points: Array, view: CameraView, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return whether each point is in the picture and not hidden by a static surface. `depth` (h, w): distances of these
-    surfaces."""
+    """Return a mask of the points that are in the picture, and not hidden by a static surface. `depth` (h, w): distances of
+    static surfaces."""
     pixels, ahead = view.project(points)
     inside = (ahead > 0) & (pixels >= 0).all(axis=1) & (pixels[:, 0] < view.width) & (pixels[:, 1] < view.height)
     column, row = np.where(inside[:, None], pixels, 0).astype(np.int64).T
@@ -89,7 +90,7 @@ def _is_unhidden(points: Array, view: CameraView, depth: NDArray[np.float32]) ->
 
 
 def _draw_lines(draw: ImageDraw.ImageDraw, view: CameraView, end_points: Array, colour: tuple[int, int, int]) -> None:
-    """Draw lines with end points (n, 2, 3). Lines with an end that is not in front of the camera are left out."""
+    """Draw lines with end points (n, 2, 3). A line is omitted if one end is not in front of the camera."""
     if not len(end_points):
         return
     pixels, ahead = view.project(end_points.reshape(-1, 3))
@@ -101,9 +102,9 @@ def _draw_lines(draw: ImageDraw.ImageDraw, view: CameraView, end_points: Array, 
 
 
 def _draw_paths(draw: ImageDraw.ImageDraw, view: CameraView, paths: AgentPathLines, depth: NDArray[np.float32]) -> None:
-    """Draw past positions dark and future positions bright, fainter towards the ends of a path.
+    """Draw paths, with past positions dark and future positions bright, fainter towards the ends.
 
-    Segments with a hidden or missing end are left out. The segments nearest to the current frame are drawn last."""
+    Segments with a hidden or missing end are omitted. The segments nearest to the current frame are drawn last, on top."""
     count, frames = paths.positions.shape[:2]
     points = paths.positions.reshape(-1, 3)
     is_present = np.isfinite(points).all(axis=1)
@@ -129,7 +130,7 @@ def _draw_paths(draw: ImageDraw.ImageDraw, view: CameraView, paths: AgentPathLin
 
 
 def _draw_arrows(draw: ImageDraw.ImageDraw, view: CameraView, flow: FlowArrows, is_visible: NDArray[np.bool_]) -> None:
-    """Draw the arrows of a flow that start at a visible point."""
+    """Draw those arrows of a flow that start at a visible point."""
     start, displacement = flow.position[is_visible], flow.displacement[is_visible]
     if not len(start):
         return
@@ -166,9 +167,9 @@ def _draw_ids(draw: ImageDraw.ImageDraw, view: CameraView, crowd: Crowd, rows: N
 def _draw_marks(
     canvas: PillowImage.Image, picture: Picture, view: CameraView, distances: NDArray[np.float32], diameter: float
 ) -> None:
-    """Draw a disc `diameter` pixels across for each visible agent, in its colour. Near discs cover far ones.
+    """Draw a disc, `diameter` pixels wide, in the colour of each visible agent. Near discs cover far ones.
 
-    For soft edges, discs are drawn enlarged and then scaled down."""
+    For soft edges, the discs are drawn enlarged and then scaled down."""
     times = 4 if view.width * view.height <= 1 << 20 else 2
     sheet = PillowImage.new("RGBA", (view.width * times, view.height * times))
     draw = ImageDraw.Draw(sheet)

@@ -1,4 +1,4 @@
-"""The samples of a picture: one per pixel, then more for pixels with an edge or a moving body (Mitchell, SIGGRAPH 1987)."""
+"""The samples of a picture: first one per pixel, then more in pixels with an edge or a moving body (Mitchell, SIGGRAPH 1987)."""
 
 from dataclasses import dataclass
 
@@ -28,8 +28,8 @@ class FirstPass:
     """The results of one sample at the centre of each pixel.
 
     `light` (h · w, 3): display-linear light. `background_light` (h · w, 3): the light without moving bodies. `open_share` (h ·
-    w,): the unoccluded share of the hemisphere above the surface. `body_distance` (h · w,): the distance of a moving body in
-    front, infinite without one."""
+    w,): the fraction of the hemisphere above the surface that is not occluded. `body_distance` (h · w,): the distance of a moving
+    body in front, infinite if there is none."""
 
     light: Floats
     background_light: Floats
@@ -86,7 +86,7 @@ def sample_centres(static_stage: StaticStage, lighting: PictureLighting, dyes: F
 
 
 def _compute_lamp_light(static_stage: StaticStage, lighting: PictureLighting) -> Floats | None:
-    """Return the light (h · w, 3) of lamps at the pixels' surfaces, with soft shadows; None without lamps."""
+    """Return the light (h · w, 3) of lamps at the surface in each pixel, with soft shadows. None if there are no lamps."""
     if not lighting.lamps:
         return None
     samples, light = static_stage.centre_samples, np.zeros_like(static_stage.centre_samples.direction)
@@ -110,7 +110,7 @@ def find_moving_hits(
 ) -> tuple[Rows, PictureHits]:
     """Return the rows of the rays that hit a moving body nearer than `max_distances`, and these hits.
 
-    `position_in_pixel`: the position of a ray in its pixel, as shares from the upper left corner."""
+    `position_in_pixel`: the position of the ray in its pixel, as fractions from the upper left corner."""
     start, direction = static_stage.view.make_rays(pixels, *position_in_pixel)
     hits = lighting.actors.rays[0].find_first_hits(start, direction, lighting.threads)
     rows = np.flatnonzero(hits.t < max_distances)
@@ -122,7 +122,7 @@ def refine_pixels(
 ) -> tuple[PictureLayer, PictureLayer]:
     """Return the layers of static surfaces and of moving bodies. With an open shutter, there are no bodies.
 
-    Pixels with edges have the mean of several samples, at most 2 · `samples`². Other pixels have the light of `first`."""
+    Pixels with edges get the mean of several samples, at most 2 · `samples`². All other pixels get the light in `first`."""
     is_body, max_samples = np.isfinite(first.body_distance), 2 * samples**2 if samples > 1 else 1
     static = PictureLayer(first.background_light.copy(), np.ones(len(is_body), np.float32), static_stage.centre_samples.distance)
     bodies = PictureLayer(np.where(is_body[:, None], first.light, np.float32(0)), is_body.astype(np.float32), first.body_distance)
@@ -159,10 +159,10 @@ def refine_pixels(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _EdgeSample:
-    """Sample `number` of `count` of all pixels that need several samples.
+    """Sample `number` of `count` in all pixels that need several samples.
 
-    `position_in_pixel`: the position of its rays in their pixels. `time_index`: its shutter time.
-    `sun_point`: its point on the sun's disc."""
+    `position_in_pixel`: the position of its rays in their pixels. `time_index`: the index of its shutter time. `sun_point`: its
+    point on the sun's disc."""
 
     stage: StaticStage
     lighting: PictureLighting
@@ -173,7 +173,7 @@ class _EdgeSample:
     count: int
 
     def compute_light(self, dyes: FieldColours, first: FirstPass, samples: SurfaceSamples) -> Floats:
-        """Return display-linear light (n, 3) of samples of static surfaces."""
+        """Return the display-linear light (n, 3) of samples of static surfaces."""
         visible = compute_sun_visibility(self.lighting, samples, self.time_index, self.sun_point)
         shot, lamps = self.lighting, None
         if shot.lamps:
@@ -188,7 +188,7 @@ class _EdgeSample:
         )
 
     def add_bodies(self, pixels: Rows, max_distances: Floats, sums: Floats) -> None:
-        """Add moving bodies to `sums` (h · w, 5): light, a count and the distance.
+        """Add the samples of moving bodies to `sums` (h · w, 5): light (3 columns), count, and distance.
 
         `max_distances` (n,): the distances of the static surfaces at `pixels`, which hide bodies behind them."""
         near = np.flatnonzero(self.lighting.actors.near_pixels[pixels])
@@ -205,7 +205,8 @@ class _EdgeSample:
 def _find_unsettled_pixels(static_stage: StaticStage, first: FirstPass, tiny_body_pixels: NDArray[np.bool_]) -> Rows:
     """Return the pixels that need more samples.
 
-    These are pixels in which surfaces meet or a tiny body may be, and pixels of a body that differ from their neighbours."""
+    These are pixels in which two surfaces meet or a tiny body may be, and pixels with a body that differ from their
+    neighbours."""
     high, wide = static_stage.view.height, static_stage.view.width
     unsettled = tiny_body_pixels.copy().reshape(high, wide)
     front = np.isfinite(first.body_distance).reshape(high, wide)

@@ -1,6 +1,6 @@
-"""Renders a `Picture` from a `Camera`. Rays determine visibility, sunlight and light from the open sky.
+"""Renders a `Picture` as seen by a `Camera`. Rays determine visibility, sunlight, and light from the open sky.
 
-Samples of static surfaces are cached. Use one `Renderer` for a film, `render_frame` for a single picture."""
+Samples of static surfaces are cached. Use one `Renderer` for all frames of a film, and `render_frame` for a single picture."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ DISPLAY_OPTIONS = ("trail", "flow", "feelers", "velocity", "paths", "ids", "stat
 
 @dataclass(slots=True)
 class _CameraCache:
-    """The cached samples of static surfaces for one camera, and the colours of fields on them."""
+    """The cached samples of static surfaces for one camera, and the colours that fields give them."""
 
     stage: StaticStage
     field_colours: FieldColours
@@ -45,10 +45,9 @@ class Renderer:
     """Renderer of pictures of one size. Rays to static surfaces are cast again only if the solids or the camera change.
 
     Each pixel is one ray through its centre. A pixel with an edge or motion is the mean of 2 · `samples`² or more rays.
-    `threads`: number of threads for rays; the result does not depend on it.
-    `least`: shorter bodies are enlarged to this length in pixels, by a factor of at most `enlarged`.
-    `marks`: if not 0, bodies are discs of this diameter in pixels.
-    `blur`: the share of a frame for which the shutter is open."""
+    `threads`: the number of threads for rays; the result does not depend on it. `least`: smaller bodies are enlarged to this
+    length in pixels, by a factor of at most `enlarged`. `marks`: if not 0, bodies are drawn as discs of this diameter in pixels.
+    `blur`: the fraction of a frame for which the shutter is open."""
 
     def __init__(
         self,
@@ -82,8 +81,8 @@ class Renderer:
     ) -> Image:
         """Return the picture as sRGB bytes (height, width, 3).
 
-        `show`: words of DISPLAY_OPTIONS. `next_camera`: the camera in the next frame, for motion blur; None for the same one.
-        Raises ValueError for another word."""
+        `show`: words of DISPLAY_OPTIONS. `next_camera`: the camera in the next frame, for motion blur; None if it does not move.
+        Raises ValueError for any other word."""
         options = tuple(show)
         wrong = [word for word in options if word not in DISPLAY_OPTIONS]
         if wrong:
@@ -101,7 +100,7 @@ class Renderer:
     ) -> tuple[Floats, StaticStage]:
         """Return the display-linear light (height, width, 3) of a picture, and the samples of its static surfaces.
 
-        There is one sample per pixel, then more samples at edges and moving bodies, then blur."""
+        Each pixel gets one sample, then more samples at edges and moving bodies. Blur is applied last."""
         up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
         sun = make_sun(up, picture.light)
         shutter = make_shutter(picture, camera, next_camera, (self.width, self.height), self.blur)
@@ -125,9 +124,9 @@ class Renderer:
         return light.reshape(self.height, self.width, 3), stage
 
     def _get_setting(self, picture: Picture, up: Array) -> StaticSetting:
-        """Return the ray scene of the solids, from the cache if they are the same.
+        """Return the ray scene of the picture's solids, from the cache if it was built before.
 
-        The cache also holds the solids, so that their ids, which are its keys, cannot be reused."""
+        The keys of the cache are ids of the solids. It also holds the solids themselves, so that their ids cannot be reused."""
         key = tuple(id(solid.vertices) for solid in picture.solids) + tuple(hash(float(v)) for v in up)
         for known, still_setting, _ in self._cached_settings:
             if known == key:
@@ -145,8 +144,8 @@ class Renderer:
         sun: SunLight,
         scales: PictureScales,
     ) -> _CameraCache:
-        """Return the cached samples for a camera, which are computed at its first use. `cameras`: those of the picture's frame
-        and of the next one."""
+        """Return the cached samples for a camera. They are computed at first use. `cameras`: for the picture's frame and the next
+        one."""
         key = (id(setting), cameras, picture.up, picture.light, scales)
         if key not in self._cached_stages:
             new_stage = make_stage(setting, camera_view, sun, scales, self.threads)
@@ -168,15 +167,15 @@ def render_frame(
     show: Iterable[str] = ("trail",),
     threads: int = 1,
 ) -> Image:
-    """Return one picture as sRGB bytes (height, width, 3). For a film, one `Renderer` is faster."""
+    """Return one picture as sRGB bytes (height, width, 3). For all frames of a film, one `Renderer` is faster."""
     return Renderer(width, height, samples=samples, threads=threads).draw(picture, camera, show=show)
 
 
 def _choose_grain(picture: Picture, extent: float) -> float:
-    """Return the reference length of grain and shade, in world units, limited to values that suit the extent.
+    """Return the reference length of grain and shade in world units, limited to values that suit the extent of the scene.
 
-    It is the grain of the picture, else the body length of the first crowd. This length is rounded, so that growth does not
-    invalidate the stage."""
+    It is the `grain` of the picture, or the body length of the first crowd. The body length is rounded, so that growth of agents
+    does not invalidate the cached samples."""
     if picture.grain is not None and picture.grain > 0:
         return float(min(max(picture.grain, extent / 2000), extent / 20))
     lengths = [float(np.median(crowd.scale)) for crowd in picture.crowds if len(crowd.scale)]

@@ -1,4 +1,4 @@
-"""Bodies at the seam of a periodic world: the parts beyond one side are drawn on the opposite side too."""
+"""Bodies at the seam of a periodic world. A part that extends beyond one side is also drawn at the opposite side."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ _BODY_REACH = 1.0  # body lengths from an agent's position within which its body
 
 
 def add_seam_images(crowds: tuple[Crowd, ...], box: PeriodicBox | None) -> tuple[Crowd, ...]:
-    """Return crowds with the images of their agents that reach into the box of a periodic world (scene units); None: no box.
+    """Return crowds together with the images of agents that extend into the box of a periodic world (scene units).
 
-    In the next frame, an agent that wraps continues its way, so that motion blur does not lead back through the world."""
+    None as box means that the world is not periodic. For the next frame, an agent that wraps continues straight on, so that
+    motion blur does not lead back across the world."""
     if box is None:
         return crowds
     moving = [_continue_motion(crowd, box) for crowd in crowds]
@@ -24,7 +25,7 @@ def add_seam_images(crowds: tuple[Crowd, ...], box: PeriodicBox | None) -> tuple
 
 
 def _continue_motion(crowd: Crowd, box: PeriodicBox) -> Crowd:
-    """Return a crowd of which the next positions are the nearest images."""
+    """Return a crowd in which positions of the next frame are replaced by their nearest images."""
     if crowd.next_crowd is None:
         return crowd
     step = crowd.next_crowd.position - crowd.position
@@ -33,7 +34,7 @@ def _continue_motion(crowd: Crowd, box: PeriodicBox) -> Crowd:
 
 
 def _iterate_images(crowd: Crowd, box: PeriodicBox) -> Iterator[Crowd]:
-    """Yield the agents of a crowd near the sides of the box at their images, one crowd for each image of the box."""
+    """Yield the images of the agents near the sides of the box, as one crowd for each image of the box."""
     widths, low = np.array(box.widths), np.array(box.low)
     wraps, reach = widths > 0, (_BODY_REACH * crowd.scale)[:, None]
     for image in box.list_images()[1:]:

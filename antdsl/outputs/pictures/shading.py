@@ -1,4 +1,4 @@
-"""The light of samples: of static surfaces with the shadows of moving bodies, of moving bodies, of sky and haze."""
+"""The light of samples: static surfaces with the shadows of moving bodies, the moving bodies themselves, sky and haze."""
 
 from dataclasses import dataclass
 
@@ -25,10 +25,10 @@ _RAY_OFFSET_EXTENTS = 2e-5  # extents; distance of ray origins from a surface
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureLighting:
-    """The inputs for the light of a frame.
+    """Everything that determines the light in a frame.
 
-    `actors`: the moving bodies. `ground`: the rays to static surfaces. `view`: the camera in the middle of the time for which
-        the `shutter` is open. `lamps`: items that emit light."""
+    `actors`: the moving bodies. `ground`: the rays to static surfaces. `view`: the camera halfway through the exposure by the
+    `shutter`. `lamps`: items that emit light."""
 
     actors: SceneActors
     ground: PictureRays
@@ -41,7 +41,7 @@ class PictureLighting:
 
     @property
     def ray_offset(self) -> float:
-        """Return the distance of ray origins from a surface, in world units."""
+        """Return the distance between a surface and the origins of rays from it, in world units."""
         return _RAY_OFFSET_EXTENTS * self.scales.extent
 
 
@@ -56,8 +56,8 @@ def compute_static_light(
 ) -> Floats:
     """Return the light (n, 3) of the samples `rows` of static surfaces.
 
-    `albedo` (n, 3): their colours. `sun_share`, `open_share` (n,): the share of the sun and of the sky that reaches the samples.
-    `lamp_light` (n, 3): the light of lamps at the samples; None for no lamps."""
+    `albedo` (n, 3): their colours. `sun_share`, `open_share` (n,): the fractions of sunlight and skylight that reach the samples.
+    `lamp_light` (n, 3): the light of lamps at the samples; None if there are none."""
     sun, extent = lighting.sun, lighting.scales.extent
     far, direction = samples.distance[rows], samples.direction[rows]
     direct = samples.sun_cosine[rows] * sun_share
@@ -79,7 +79,7 @@ def compute_static_light(
 
 
 def compute_headlamp_light(facing: Floats, direct_light: Floats, open_share: Floats) -> Floats:
-    """Return the light (n, 3) of a lamp next to the camera, at points without light from the sun or the sky.
+    """Return the light (n, 3) of a lamp next to the camera, at points that get no light from the sun or the sky.
 
     It makes tunnels and chambers visible."""
     dark = np.clip(1.15 - 1.5 * open_share, 0, 1) * np.clip(1 - 3 * direct_light, 0, 1)
@@ -87,9 +87,9 @@ def compute_headlamp_light(facing: Floats, direct_light: Floats, open_share: Flo
 
 
 def compute_sun_visibility(lighting: PictureLighting, samples: SurfaceSamples, time_index: int, sun_point: Floats) -> Floats:
-    """Return 1 for samples (n,) in sunlight, and 0 for samples in the shadow of a moving body.
+    """Return 1 for samples (n,) in sunlight, 0 for samples in the shadow of a moving body.
 
-    `sun_point`: the point of the sun's disc. `time_index`: the shutter time."""
+    `sun_point`: the point of the sun's disc. `time_index`: the index of the shutter time."""
     visible = np.ones(len(samples), np.float32)
     if lighting.actors.contact_reach > 0:
         lit = np.flatnonzero(samples.sun_cosine > 0)
@@ -105,7 +105,8 @@ def compute_moving_light(
 ) -> Floats:
     """Return the light (n, 3) along rays from `start` in `direction` (n, 3) that hit a moving body, at one shutter time.
 
-    A material is a matt body with a coat that reflects sky, ground and sun; metal, which reflects more; or a light source."""
+    A material is one of three kinds: matt with a coat that reflects sky, ground and sun; metal, which reflects more; a light
+    source."""
     mesh, sun = lighting.actors.mesh, lighting.sun
     corners = mesh.faces[hits.face]
     normal = normalise_rows(interpolate_vertices(mesh.normal, corners, hits.u, hits.v))
@@ -153,7 +154,7 @@ def compute_moving_light(
 
 
 def _apply_shadow(lighting: PictureLighting, facing: Floats, points: Floats, time_index: int, sun_point: Floats) -> None:
-    """Set the sunlight `facing` (n,) to 0 at points (n, 3) from which a body or surface hides the sun."""
+    """Set the sunlight `facing` (n,) to 0 at points (n, 3) from which the sun is hidden by a body or a surface."""
     cast, threads = lighting.actors, lighting.threads
     lit = np.flatnonzero(facing > 0)
     aim = np.broadcast_to(sun_point, (len(lit), 3))

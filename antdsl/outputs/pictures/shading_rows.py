@@ -1,6 +1,6 @@
-"""Operations on rows of float32 vectors, for millions of rows. Work is split into pieces that fit into a core's cache.
+"""Operations on rows of float32 vectors, fast for millions of rows.
 
-Pieces run on several threads."""
+Work is split into pieces that fit into a core's cache, and run on several threads."""
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -21,15 +21,14 @@ def compute_dot_products(a: Floats, b: Floats) -> Floats:
 
 
 def normalise_rows(a: Floats) -> Floats:
-    """Return rows (n, 3) scaled to unit length; a zero row stays zero."""
+    """Return rows (n, 3) scaled to unit length. A zero row remains zero."""
     return a * (1 / np.maximum(np.sqrt(compute_dot_products(a, a)), np.float32(1e-12)))[:, None]
 
 
 def interpolate_vertices(table: Floats, corners: NDArray[np.int32], u: Floats, v: Floats) -> Floats:
-    """Return values (n, c) of a per-vertex `table`, interpolated within faces.
+    """Return values (n, c) interpolated within faces, from a `table` of values per vertex.
 
-    `corners` (n, 3): the vertices of each face.
-    `u`, `v` (n,): the weights of the second and third corner."""
+    `corners` (n, 3): the vertices of each face. `u`, `v` (n,): the weights of the second and the third corner."""
     total = table.take(corners[:, 0], axis=0)
     total *= (1 - u - v)[:, None]
     total += table.take(corners[:, 1], axis=0) * u[:, None]
@@ -38,12 +37,12 @@ def interpolate_vertices(table: Floats, corners: NDArray[np.int32], u: Floats, v
 
 
 def split_rows(count: int) -> list[slice]:
-    """Return slices that cut `count` rows into pieces."""
+    """Return slices that divide `count` rows into pieces."""
     return [slice(start, min(start + SAMPLES_PER_CHUNK, count)) for start in range(0, count, SAMPLES_PER_CHUNK)]
 
 
 def run_each(work: Callable[[Any], None], parts: Iterable[Any], threads: int) -> None:
-    """Call `work` for every part, on several threads. Each part must write to separate positions."""
+    """Call `work` for each part, on several threads. Different parts must write to different memory."""
     if threads == 1:
         for part in parts:
             work(part)

@@ -1,7 +1,8 @@
-"""Soft edges of shadows and of shade, without noise.
+"""Soft edges of shadows and of ambient shade, without noise.
 
-Neighbouring pixels cast rays in different directions. Pixels of one surface share their results. This is interleaved sampling
-(Keller and Heidrich, Eurographics Workshop on Rendering, 2001). The weights of its filters cancel the pattern."""
+Neighbouring pixels cast rays in different directions, and pixels on the same surface share their results. This is interleaved
+sampling (Keller and Heidrich, Eurographics Workshop on Rendering, 2001). The weights of the filters cancel the sampling
+pattern."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,9 +26,9 @@ _WIDE_TAPS, _NARROW_TAPS = np.array([1, 2, 2, 2, 1], np.float32) / 8, np.array([
 class PixelGrid:
     """The samples of static surfaces at pixel centres.
 
-    `point`, `normal` float32 (h · w, 3). `hits_surface` bool (h · w,): whether the ray hits a surface. `is_edge` bool (h · w,):
-    whether the surface ends at a neighbour pixel.
-    `ray_offset`: the offset of ray origins from the surface, in world units."""
+    `point`, `normal` float32 (h · w, 3). `hits_surface` bool (h · w,): whether the pixel's ray hits a surface. `is_edge` bool
+    (h · w,): whether the surface ends next to the pixel. `ray_offset`: the distance of ray origins from the surface, in world
+    units."""
 
     view: CameraView
     point: Floats
@@ -37,7 +38,7 @@ class PixelGrid:
     ray_offset: float
 
     def make_half_grid(self) -> "PixelGrid":
-        """Return the grid of every second pixel of every second row."""
+        """Return the grid of every second pixel in every second row."""
         high, wide = self.view.height, self.view.width
         taken = (np.arange(0, high, 2)[:, None] * wide + np.arange(0, wide, 2)).reshape(-1)
         edge = self._find_near_edges(1)[::2, ::2].reshape(-1)
@@ -46,28 +47,28 @@ class PixelGrid:
         )
 
     def _find_near_edges(self, reach: int) -> NDArray[np.bool_]:
-        """Return whether each pixel (h, w) has an edge or the sky within `reach` pixels."""
+        """Return a mask of the pixels (h, w) that have an edge or the sky within `reach` pixels."""
         from scipy.ndimage import maximum_filter
 
         broken = (self.is_edge | ~self.hits_surface).reshape(self.view.height, self.view.width)
         return np.asarray(maximum_filter(broken, 2 * reach + 1))
 
     def is_near_edge(self, pixels: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
-        """Return whether each of `pixels` (n,) has an edge or the sky within `reach` pixels."""
+        """Return a mask of those `pixels` (n,) that have an edge or the sky within `reach` pixels."""
         return np.asarray(self._find_near_edges(reach).reshape(-1)[pixels])
 
 
 def _make_half_view(view: CameraView) -> CameraView:
-    """Return the same camera for a picture of half the width and half the height in pixels."""
+    """Return the same camera for a picture with half the width and half the height in pixels."""
     high, wide = (view.height + 1) // 2, (view.width + 1) // 2
     return CameraView(view.eye, view.right_axis, view.up_axis, view.forward_axis, view.half_extent, wide, high, view.is_parallel)
 
 
 class LightSource(Protocol):
-    """A light with an extent, so that the edges of its shadows are soft."""
+    """A light with a size, so that its shadows have soft edges."""
 
     def aim_rays(self, points: Floats, numbers: NDArray[np.integer], count: int) -> Floats:
-        """Return vectors (n, 3) from `points` towards points of the light: those with the numbers `numbers` (n,) of `count`
+        """Return vectors (n, 3) from `points` to points of the light. `numbers` (n,): the indices of these among `count`
         points."""
         ...
 
@@ -81,12 +82,12 @@ def compute_visible_share(
     threads: int,
     candidates: NDArray[np.bool_] | None = None,
 ) -> Floats:
-    """Return the share (h · w,) of a light that each pixel's surface sees. It is 1 for surfaces that face away.
+    """Return the fraction (h · w,) of a light that is visible from the surface in each pixel. 1 for surfaces that face away.
 
-    `facing` (h · w,): cosine of the angle to the light; surfaces face away where it is ≤ 0.
-    `occluders`: ray scenes of the occluders at several times; pixels are distributed over them.
-    `max_distance`: the greatest distance of occluders, in lengths of what `source.aim_rays` returns.
-    `candidates` (h · w,): the pixels that may be occluded; None for all."""
+    `facing` (h · w,): the cosine of the angle to the light; surfaces with a value ≤ 0 face away. `occluders`: ray scenes of
+    the occluders at several times; pixels are distributed over them. `max_distance`: the greatest distance of occluders, as a
+    multiple of the vectors that `source.aim_rays` returns. `candidates` (h · w,): the pixels that may be occluded; None for
+    all."""
     high, wide = grid.view.height, grid.view.width
     lit = grid.hits_surface & (facing > 0)
     pixels = np.flatnonzero(lit if candidates is None else lit & candidates)
@@ -119,7 +120,7 @@ def compute_visible_share(
 def _find_occluded(
     grid: PixelGrid, pixels: NDArray[np.int64], directions: Floats, occluder: PictureRays, max_distance: float, threads: int
 ) -> NDArray[np.bool_]:
-    """Return whether something hides the light from each of `pixels`, for rays in `directions`."""
+    """Return a mask of the `pixels` from which a ray in `directions` hits something before the light."""
     occluded = np.zeros(len(pixels), np.bool_)
 
     def fill_pixels(chunk: slice) -> None:
@@ -132,7 +133,7 @@ def _find_occluded(
 
 
 def _find_partly_hidden(is_hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether each pixel (h, w) has both hidden and visible pixels nearby."""
+    """Return a mask of the pixels (h, w) that have both hidden and visible pixels nearby."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     values = is_hidden.astype(np.uint8)
@@ -145,7 +146,8 @@ def _filter_values(
 ) -> Floats:
     """Return weighted means (n,) of `values` (h, w) around `pixels` (n,), over neighbours on the same surface.
 
-    `taps`: the weights of a row or column of neighbours. `is_counted`: the pixels that count in the means; None for all."""
+    `taps`: the weights along a row or column of neighbours. `is_counted`: a mask of the pixels that enter the means; None for
+    all."""
     from scipy.ndimage import convolve1d
 
     even = convolve1d(convolve1d(values, taps, axis=0, mode="nearest"), taps, axis=1, mode="nearest")
@@ -158,7 +160,7 @@ def _filter_values(
 def _filter_at_edges(
     values: Floats, pixels: NDArray[np.int64], grid: PixelGrid, taps: Floats, is_counted: NDArray[np.bool_] | None
 ) -> Floats:
-    """Return the means of `_filter_values` for pixels near which the surface may end."""
+    """Return the same means as `_filter_values`, for pixels near which the surface may end."""
     high, wide = values.shape
     row, column = np.divmod(pixels, wide)
     normal, point = grid.normal[pixels], grid.point[pixels]
@@ -181,7 +183,7 @@ def _filter_at_edges(
 
 
 def _compute_plane_tolerance(grid: PixelGrid, point: Floats) -> Floats:
-    """Return how far a neighbour may be from the plane through each point: the width of some pixels, in world units."""
+    """Return how far a neighbour may be from the plane through each point: the width of a few pixels, in world units."""
     depth = np.maximum((point - grid.view.eye.astype(np.float32)) @ grid.view.forward_axis.astype(np.float32), 0)
     return np.asarray(6 * grid.view.compute_pixel_size(depth), np.float32)
 
@@ -189,7 +191,7 @@ def _compute_plane_tolerance(grid: PixelGrid, point: Floats) -> Floats:
 def _is_same_surface(
     grid: PixelGrid, neighbour: NDArray[np.int64], point: Floats, normal: Floats, tolerance: Floats
 ) -> NDArray[np.bool_]:
-    """Return whether the surface at each `neighbour` pixel continues the surface at `point` with `normal`."""
+    """Return a mask of the `neighbour` pixels where the surface continues the one at `point` with `normal`."""
     alike = compute_dot_products(normal, grid.normal[neighbour]) > _SAME_SURFACE_COSINE
     alike &= np.abs(compute_dot_products(grid.point[neighbour] - point, normal)) < tolerance
     return np.asarray(alike)
@@ -198,10 +200,10 @@ def _is_same_surface(
 def compute_open_share(
     grid: PixelGrid, rays: PictureRays, reach: float, count: int, threads: int, candidates: NDArray[np.bool_] | None = None
 ) -> Floats:
-    """Return the share (h · w,) of directions above each pixel's surface that have no obstacle within `reach` (world units).
+    """Return the fraction (h · w,) of directions above the surface in each pixel that hit nothing within `reach` (world units).
 
-    `count` rays are cast at every second pixel of every second row. Values between are interpolated along surfaces.
-    `candidates` (h · w,): the pixels that may have an obstacle nearby; None for all."""
+    `count` rays are cast at every second pixel in every second row. Values between them are interpolated along surfaces.
+    `candidates` (h · w,): a mask of the pixels that may have an obstacle nearby; None for all."""
     high, wide = grid.view.height, grid.view.width
     small = grid.make_half_grid()
     small_mask = None if candidates is None else candidates.reshape(high, wide)[::2, ::2].reshape(-1)
@@ -224,7 +226,8 @@ def _sample_open_share(
     count: int,
     threads: int,
 ) -> Floats:
-    """Return the unoccluded share of the hemisphere above each of `pixels`, by `count` rays in the directions `ray_picks`."""
+    """Return the unoccluded fraction of the hemisphere above each of `pixels`, sampled by `count` rays. `ray_picks`: which
+    directions."""
     directions = _make_hemisphere_directions(count)
     opened = np.empty(len(pixels), np.float32)
 
@@ -254,9 +257,9 @@ def _fill_open_share(
     threads: int,
     candidates: NDArray[np.bool_] | None = None,
 ) -> Floats:
-    """Return the unoccluded share for all pixels from `shade`, the share for every second pixel of every second row.
+    """Return the unoccluded fraction for all pixels. `shade`: this fraction at every second pixel in every second row.
 
-    Where no neighbour is on the same surface, rays are cast."""
+    Where no such pixel nearby is on the same surface, rays are cast."""
     high, wide = grid.view.height, grid.view.width
     full = _upsample_values(shade.reshape(half_grid.view.height, half_grid.view.width), high, wide)
     full[~grid.hits_surface] = 1
@@ -291,7 +294,7 @@ def _fill_open_share(
 
 
 def _upsample_values(coarse_values: Floats, row_count: int, column_count: int) -> Floats:
-    """Return values (h · w,) of all pixels, interpolated linearly from `coarse_values` of every second pixel."""
+    """Return values (h · w,) for all pixels, interpolated linearly from `coarse_values` at every second pixel."""
     rows = np.empty((2 * coarse_values.shape[0], coarse_values.shape[1]), np.float32)
     rows[::2] = coarse_values
     rows[1::2] = (coarse_values + np.concatenate([coarse_values[1:], coarse_values[-1:]])) / 2
@@ -302,9 +305,9 @@ def _upsample_values(coarse_values: Floats, row_count: int, column_count: int) -
 
 
 def _make_hemisphere_directions(count: int) -> Floats:
-    """Return directions (count · 16, 3) over the upper hemisphere, denser towards its pole.
+    """Return directions (count · 16, 3) over the upper hemisphere, denser towards the pole.
 
-    Each 16 consecutive directions differ as much as possible."""
+    Any 16 consecutive directions are as different as possible."""
     k = np.arange(count * 16)
     order = (k % 16) * count + k // 16
     turn = 2 * np.pi * np.mod(k * 0.6180339887498949, 1.0)
@@ -314,8 +317,8 @@ def _make_hemisphere_directions(count: int) -> Floats:
 
 
 def _make_tangent_axes(normal: Floats) -> tuple[Floats, Floats]:
-    """Return two unit axes perpendicular to each normal (Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1),
-    2017)."""
+    """Return two unit vectors perpendicular to each normal and to each other (Duff et al., Building an Orthonormal Basis,
+    Revisited, JCGT 6(1), 2017)."""
     x, y, z = normal.T
     sign = np.where(z >= 0, np.float32(1), np.float32(-1))
     a = -1 / (sign + z)

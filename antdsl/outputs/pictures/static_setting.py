@@ -1,7 +1,7 @@
-"""All static surfaces as one ray scene: the solids, the cut edge below open ground, and the table under them.
+"""All static surfaces as one ray scene: the solids, the cut edge below open ground, and the table below everything.
 
-Near a close camera, the ground has grains and pebbles, for a sense of scale. They exist in pictures only, and are sunk so far
-that agents walk over them."""
+Near a close camera, the ground has grains and pebbles, to give a sense of scale. They exist only in pictures, and are sunk into
+the ground so far that agents walk over them."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -39,7 +39,7 @@ _TABLE_DEPTH_SHARE_WITHOUT_FLOOR = 0.001  # the same without a floor: things are
 class SettingPart:
     """A mesh of one `kind` (an index in KIND_NAMES).
 
-    `vertex_colours` (n, 4): the linear colour of each vertex and its weight, None for a mesh without such colours."""
+    `vertex_colours` (n, 4): the linear colour of each vertex, and its weight. None for a mesh without such colours."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -51,10 +51,9 @@ class SettingPart:
 class StaticSetting:
     """The ray scene of all static surfaces.
 
-    `rays`: the ray scene of `faces` (m, 3). `normal` (n, 3): smooth normals of vertices. `vertex_colours` (n, 4): the linear
-        colour of each vertex, and its weight (0 or 1). `kind` (m,): the kind of each face, an index in KIND_NAMES.
-    `centre`, `extent`: centre and diagonal of the solids.
-    `table_height`: the height of the table along `up`."""
+    `rays`: the ray scene with the faces `faces` (m, 3). `normal` (n, 3): smooth normals of vertices. `vertex_colours` (n, 4): the
+    linear colour of each vertex, and its weight (0 or 1). `kind` (m,): the kind of each face, an index in KIND_NAMES. `centre`,
+    `extent`: centre and diagonal of the solids. `table_height`: the height of the table along `up`."""
 
     rays: PictureRays
     faces: NDArray[np.int32]
@@ -69,7 +68,7 @@ class StaticSetting:
 
 
 def make_setting(solids: tuple[Solid, ...], up: Array) -> StaticSetting:
-    """Return the ray scene of the solids. Without solids, it has only the table."""
+    """Return the ray scene of the solids. Without solids, it contains only the table."""
     parts: list[SettingPart] = []
     everything = np.concatenate([solid.vertices for solid in solids if len(solid.vertices)] or [np.zeros((1, 3))])
     low, high = everything.min(axis=0), everything.max(axis=0)
@@ -95,7 +94,7 @@ def make_setting(solids: tuple[Solid, ...], up: Array) -> StaticSetting:
 
 
 def add_pebbles(setting: StaticSetting, view: CameraView, scales: PictureScales) -> StaticSetting:
-    """Return the setting with pebbles on its ground if `view` is near enough to show them, else unchanged."""
+    """Return the setting with pebbles on its ground. If `view` is too far away to show them, return the setting unchanged."""
     up = setting.up.astype(np.float64)
     pebbles = [
         scatter_pebbles(part.vertices, part.faces, up, view, scales)
@@ -126,14 +125,14 @@ def _assemble_setting(parts: tuple[SettingPart, ...], middle: Array, extent: flo
 
 
 def is_floor(vertices: Array, faces: NDArray[np.int32], up: Array) -> bool:
-    """Return whether most of a surface faces up. A closed surface, such as an animal, is not a floor."""
+    """Return whether most of a surface faces upwards. A closed surface, such as that of an animal, is not a floor."""
     corners = np.asarray(vertices, np.float64)[faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return float((across @ up).sum()) >= 0.5 * float(np.linalg.norm(across, axis=1).sum())
 
 
 def _make_edge_walls(vertices: Array, faces: NDArray[np.int32], up: Array, base: float) -> list[SettingPart]:
-    """Return walls from the open border of a floor down to the table at the height `base`."""
+    """Return walls that go from the open border of a floor down to the table at height `base`."""
     pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     key = np.minimum(pairs[:, 0], pairs[:, 1]) * len(vertices) + np.maximum(pairs[:, 0], pairs[:, 1])
     _, first, count = np.unique(key, return_index=True, return_counts=True)
@@ -150,7 +149,7 @@ def _make_edge_walls(vertices: Array, faces: NDArray[np.int32], up: Array, base:
 
 
 def _make_table(middle: Array, up: Array, base: float, reach: float) -> SettingPart:
-    """Return the table: a square at the height `base` along `up`, with the half edge `reach`."""
+    """Return the table: a square at height `base` along `up`. `reach`: half the length of its edge."""
     centre = middle - up * (float(middle @ up) - base)
     first = np.roll(up, 1) - up * float(np.roll(up, 1) @ up)
     first = first / np.linalg.norm(first)
@@ -161,7 +160,7 @@ def _make_table(middle: Array, up: Array, base: float, reach: float) -> SettingP
 
 @cache
 def _make_pebble_shapes(detail: int) -> tuple[Array, NDArray[np.int32]]:
-    """Return unit pebbles (k, n, 3) and the faces that they share."""
+    """Return pebbles of unit size (k, n, 3), and the faces that they have in common."""
     stones = [build_stone(70 + k, (1.0, 0.62, 0.8), detail=detail, roughness=0.2) for k in range(_PEBBLE_SHAPES)]
     return np.stack([vertices for vertices, _ in stones]), stones[0][1]
 
@@ -169,10 +168,10 @@ def _make_pebble_shapes(detail: int) -> tuple[Array, NDArray[np.int32]]:
 def scatter_pebbles(
     vertices: Array, faces: NDArray[np.int32], up: Array, view: CameraView, scales: PictureScales
 ) -> tuple[Array, NDArray[np.int32]] | None:
-    """Return pebbles on the ground near the camera, as one mesh. Return None if no pebble would be larger than a speck.
+    """Return the pebbles on the ground near the camera as one mesh. None if no pebble would be larger than a speck.
 
-    The pebbles of a size class on a triangle depend on neither camera nor crowd, so pictures of one ground have the same ones.
-    Pebbles are sunk into the ground, because agents walk over them as if there were none."""
+    The pebbles of a size class on a triangle depend on neither camera nor crowd, so all pictures of a ground show the same ones.
+    Pebbles are sunk into the ground, because agents walk as if there were none."""
     corners = vertices[faces]
     away = np.linalg.norm(corners.mean(axis=1) - view.eye, axis=1)
     if not len(faces):
@@ -202,7 +201,8 @@ def scatter_pebbles(
 def _draw_pebbles(area: Array, camera_distances: Array, size_class: int) -> tuple[NDArray[np.int64], Array]:
     """Return the triangle of each pebble of a size class near the camera, and five random numbers for each pebble.
 
-    `area`: the area of each triangle, 0 if it has no pebbles. `camera_distances`: distances of the triangles from the camera."""
+    `area`: the area of each triangle, 0 if it has no pebbles. `camera_distances`: the distance of each triangle from the
+    camera."""
     radius, own = 2.0**size_class, np.arange(len(area))
     patch, rest = _draw_random_numbers(own, np.full(len(area), _MAX_PEBBLES_PER_FACE), size_class)[:, :2].T
     mean = area * (_PEBBLES_PER_SQUARE_RADIUS / radius**2) * (0.35 + 1.3 * patch**2)
@@ -216,7 +216,7 @@ def _draw_pebbles(area: Array, camera_distances: Array, size_class: int) -> tupl
 
 
 def _draw_random_numbers(face: NDArray[np.int64], rank: NDArray[np.int64], size_class: int) -> Array:
-    """Return five random numbers within 0..1 for each pebble. They depend only on its triangle, its rank on it and its size
+    """Return five random numbers from 0 to 1 for each pebble. They depend only on its triangle, its rank there, and its size
     class."""
     own = (face * (_MAX_PEBBLES_PER_FACE + 1) + rank).astype(np.uint64)[:, None]
     key: NDArray[np.uint64] = np.add(own * np.uint64(5), np.arange(5, dtype=np.uint64), dtype=np.uint64)
@@ -229,7 +229,8 @@ def _draw_random_numbers(face: NDArray[np.int64], rank: NDArray[np.int64], size_
 
 
 def _place_pebbles(positions: Array, normal: Array, size: Array, chance: Array, detail: int) -> tuple[Array, NDArray[np.int32]]:
-    """Return the mesh of pebbles at `positions`, sunk into the ground along `normal`. `chance`: five random numbers for each."""
+    """Return the mesh of pebbles at `positions`, sunk into the ground along `normal`. `chance`: five random numbers per
+    pebble."""
     shapes, faces = _make_pebble_shapes(detail)
     side = np.cross(normal, np.array([0.31, 0.72, 0.62]))
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-12)

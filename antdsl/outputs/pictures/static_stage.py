@@ -1,6 +1,6 @@
-"""Samples of static surfaces for one camera, cached from frame to frame while neither surfaces nor camera move.
+"""Samples of static surfaces for one camera, cached from frame to frame as long as neither surfaces nor camera move.
 
-There is one sample at the centre of each pixel, and several samples for pixels in which one surface ends before another."""
+Each pixel has one sample at its centre. Pixels in which one surface ends in front of another have several samples."""
 
 from dataclasses import dataclass, field
 
@@ -33,11 +33,10 @@ _EDGE_STEP_PIXELS = 4.0  # pixel widths; a neighbour farther off the plane is on
 class SurfaceSamples:
     """n samples of static surfaces, one per ray.
 
-    `pixel` int64: the pixel of the ray. `direction` (n, 3), `distance`: unit direction and length of the ray (inf: sky). `point`,
-    `normal`, `albedo` (n, 3): position, smooth normal and colour.
-    `sun_cosine`: cosine of the angle between the sun and the normal; 0 in shadow.
-    `up_cosine`, `view_cosine`: cosines of the normal with up, and with the direction back to the camera.
-    `kind`: an index in KIND_NAMES. `extra_light` (n, 3): emitted and reflected light."""
+    `pixel` int64: the pixel of the ray. `direction` (n, 3), `distance`: the unit direction and the length of the ray (inf for the
+    sky). `point`, `normal`, `albedo` (n, 3): position, smooth normal and colour of the surface. `sun_cosine`: cosine of the angle
+    between the sun and the normal; 0 in shadow. `up_cosine`, `view_cosine`: cosines of the normal with up, and with the direction
+    back to the camera. `kind`: an index in KIND_NAMES. `extra_light` (n, 3): emitted and reflected light."""
 
     pixel: NDArray[np.int64]
     direction: Floats
@@ -56,7 +55,7 @@ class SurfaceSamples:
 
     @property
     def colourable_rows(self) -> NDArray[np.int64]:
-        """Return the rows of samples on surfaces that show field colours."""
+        """Return the rows of the samples on surfaces that show colours of fields."""
         return np.flatnonzero(np.isfinite(self.distance) & np.isin(self.kind, surface_materials.TRAIL_KINDS))
 
 
@@ -64,10 +63,9 @@ class SurfaceSamples:
 class StaticStage:
     """The samples of static surfaces for one camera.
 
-    `centre_samples`: one sample per pixel. `edge_pixels` (e,): pixels with several surfaces.
-    `edge_sample_cache`: by sample number and count, the samples of all edges. `open_share` (h · w,): the unoccluded share of each
-        pixel's surroundings.
-    `is_reused`: whether the stage is used for several frames; then samples are cached."""
+    `centre_samples`: one sample per pixel. `edge_pixels` (e,): the pixels with several surfaces. `edge_sample_cache`: the samples
+    of all edges, by sample number and count. `open_share` (h · w,): the unoccluded fraction of the hemisphere above each pixel's
+    surface. `is_reused`: whether samples are cached, because the stage is used for several frames."""
 
     setting: StaticSetting
     view: CameraView
@@ -81,7 +79,7 @@ class StaticStage:
     is_reused: bool = False
 
     def sample_edges(self, number: int, count: int, threads: int) -> SurfaceSamples:
-        """Return sample `number` of `count` of all pixels at edges."""
+        """Return sample `number` of `count` for all pixels with edges."""
         key = (number, count)
         sample_set = self.edge_sample_cache.get(key) or self.sample_pixels(self.edge_pixels, number, count, threads)
         if self.is_reused and key not in self.edge_sample_cache:
@@ -91,7 +89,7 @@ class StaticStage:
         return sample_set
 
     def sample_pixels(self, pixels: NDArray[np.int64], number: int, count: int, threads: int) -> SurfaceSamples:
-        """Return sample `number` of `count` of the given pixels, each with its own ray to the sun."""
+        """Return sample `number` of `count` for the given pixels. Each has a different ray to the sun."""
         across, down = compute_pixel_offset(number, count)
         samples = _sample_position(self.setting, self.view, pixels, (across, down), self.sun, self.scales, threads)
         lit = np.flatnonzero(samples.sun_cosine > 0)
@@ -102,9 +100,9 @@ class StaticStage:
 
 
 def compute_pixel_offset(number: int, count: int) -> tuple[float, float]:
-    """Return the position of sample `number` of `count` in its pixel, as shares from the upper left corner.
+    """Return the position of sample `number` of `count` in its pixel, as fractions from the upper left corner.
 
-    The positions are the lattice of Roberts' sequence R2, which is even for any count."""
+    The positions form the lattice of Roberts' sequence R2, which is even for any count."""
     return (0.5 + (number + 1) * 0.7548776662466927) % 1.0, (0.5 + (number + 1) * 0.5698402909980532) % 1.0
 
 
@@ -129,7 +127,7 @@ def _sample_position(
     scales: PictureScales,
     threads: int,
 ) -> SurfaceSamples:
-    """Return samples of `pixels` at the position `pixel_position` in each pixel, before shadows."""
+    """Return samples of `pixels` at the same position in each pixel, `pixel_position`, before shadows are applied."""
     n = len(pixels)
     three = [np.zeros((n, 3), np.float32) for _ in range(5)]
     direction, point, normal, albedo, glow = three
@@ -166,7 +164,7 @@ def _make_surface_materials(
     hit_rows: NDArray[np.int64],
     scales: PictureScales,
 ) -> tuple[surface_materials.SurfaceMaterial, Floats]:
-    """Return the materials of the samples that hit a surface, and their smooth normals (n, 3) without grain."""
+    """Return the materials of the samples that hit a surface, and the smooth normals (n, 3) of these samples, without grain."""
     face = hits.face[hit_rows]
     corners = setting.faces[face]
     flat, u, v = hits.normal[hit_rows], hits.u[hit_rows], hits.v[hit_rows]
@@ -181,7 +179,7 @@ def _make_surface_materials(
 
 
 def _find_edges(view: CameraView, middle: SurfaceSamples, solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether another surface begins next to each pixel (h · w,), on either side."""
+    """Return a mask of the pixels (h · w,) that have another surface next to them, on either side of the edge."""
     high, wide = view.height, view.width
     edges = np.zeros((high, wide), np.bool_)
     normal, point = middle.normal.reshape(high, wide, 3), middle.point.reshape(high, wide, 3)

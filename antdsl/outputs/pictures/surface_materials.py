@@ -1,6 +1,6 @@
 """Colour and grain of static surfaces: soil, rock, the cut edge of the ground, and the table below it.
 
-Soil and stone are made of solid noise from small tables: smooth values with their gradient, and packed grains."""
+Soil and stone use solid noise from small tables: smooth values with gradients, and packed grains."""
 
 from dataclasses import dataclass
 
@@ -56,7 +56,7 @@ LIGHT_BRIGHTNESS = 2.6  # brightness of a light source; several times that of a 
 
 @dataclass(frozen=True, slots=True)
 class PictureScales:
-    """Reference lengths of a picture, in world units. `extent`: the diagonal of the complete set. `grain`: about one body
+    """Reference lengths of a picture, in world units. `extent`: the diagonal of the complete scene. `grain`: about one body
     length."""
 
     extent: float
@@ -82,9 +82,9 @@ def make_surface_material(
 ) -> SurfaceMaterial:
     """Return the material of n samples.
 
-    `kind` (n,): an index in KIND_NAMES. `points`, `normal` (n, 3): positions and smooth normals. `pixel_width` (n,): width of a
-    pixel at the sample, in world units. `vertex_colours` (n, 4): the colour of the mesh at the sample, and its weight (0 or
-    1)."""
+    `kind` (n,): indices in KIND_NAMES. `points`, `normal` (n, 3): positions and smooth normals. `pixel_width` (n,): the width
+    of a pixel at the sample, in world units. `vertex_colours` (n, 4): the colour of the mesh at the sample, and its weight (0
+    or 1)."""
     upness = normal @ up
     large, _ = compute_value_noise(points, scales.extent / 9, 1)
     patch, _ = compute_value_noise(points, scales.extent / 34, 2)
@@ -100,15 +100,16 @@ def make_surface_material(
 def make_soil_material(
     albedo: Floats, normal: Floats, points: Floats, pixel_width: Floats, scales: PictureScales
 ) -> SurfaceMaterial:
-    """Return the material of loose soil with the colour `albedo` (n, 3), including its grain."""
+    """Return the material of loose soil with the colour `albedo` (n, 3), including grain."""
     return _add_grain(albedo, normal, np.full(len(points), HILL_KIND, np.uint8), points, pixel_width, scales)
 
 
 def _add_grain(
     albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: PictureScales
 ) -> SurfaceMaterial:
-    """Return the material of a surface with bumps and specks. Each size is added only where pixels are small enough to
-    show it: bumps, and grains of sand on soil, coarse ones in patches."""
+    """Return the material of a surface with bumps and specks: bumps, and grains of sand on soil, with patches of coarse grains.
+
+    Grain of each size is added only where pixels are small enough to show it."""
     count = len(points)
     points, pixel = np.ascontiguousarray(points, np.float32), np.ascontiguousarray(pixel, np.float32)
     bumpy = GrainedSamples(points, normal, albedo, pixel, _BUMPS[kind])
@@ -130,7 +131,7 @@ def _add_grain(
 
 
 def _mix_colours(first_colour: Floats, second_colour: Floats, share: Floats) -> Floats:
-    """Return the mix of two colours; `share` is that of the second colour."""
+    """Return a mix of two colours. `share`: the fraction of the second colour."""
     mixed: Floats = first_colour + (second_colour - first_colour) * np.clip(share, 0.0, 1.0)[:, None]
     return mixed
 
@@ -192,7 +193,7 @@ def _colour_light(points: Floats, upness: Floats, noise: Floats, patch: Floats, 
 
 
 def _colour_wood(points: Floats, upness: Floats, noise: Floats, patch: Floats, up: Floats, scales: PictureScales) -> Floats:
-    """Return the colour of planed wood: annual rings around a long axis, wavy by noise."""
+    """Return the colour of planed wood: annual rings around a long axis, made wavy by noise."""
     axis = PATTERN_ROTATION[0]
     across = points - (points @ axis)[:, None] * axis
     rings = np.linalg.norm(across, axis=1) / np.float32(scales.grain * 0.35) + 1.4 * noise + 0.5 * patch
@@ -249,7 +250,7 @@ _COLOUR_FUNCTIONS = tuple(_COLOUR_FUNCTION_BY_KIND[name] for name in KIND_NAMES)
 def compute_glow(kind: NDArray[np.uint8], look: SurfaceMaterial, direction: Floats, sun: SunLight) -> Floats:
     """Return the light (n, 3) that samples send along rays in addition to scattered light. `direction`: the rays from the camera.
 
-    It consists of reflections of metal and leaves, and of emission."""
+    It consists of reflections from metal and leaves, and of emission."""
     light = np.zeros((len(kind), 3), np.float32)
     for code, colour, least in ((METAL_KIND, STEEL_COLOUR, 0.75), (LEAF_KIND, np.ones(3, np.float32), 0.04)):
         rows = np.flatnonzero(kind == code)
@@ -261,15 +262,15 @@ def compute_glow(kind: NDArray[np.uint8], look: SurfaceMaterial, direction: Floa
 
 
 def compute_reflection(normal: Floats, direction: Floats, sun: SunLight) -> Floats:
-    """Return the reflections (n, 3) of sky and ground at surfaces with `normal` (n, 3), for rays along `direction` (n, 3)."""
+    """Return the reflections (n, 3) of sky and ground on surfaces with `normal` (n, 3), for rays with `direction` (n, 3)."""
     back = np.clip(-compute_dot_products(normal, direction), 0, 1)
     return compute_environment_light(direction + normal * (2 * back)[:, None], sun)
 
 
 def compute_reflected_share(normal: Floats, direction: Floats, min_share: float) -> Floats:
-    """Return the reflected share (n,) of light: `min_share` for perpendicular rays, 1 at a grazing angle.
+    """Return the fraction (n,) of light that is reflected: `min_share` for perpendicular rays, up to 1 at a grazing angle.
 
-    Schlick, Computer Graphics Forum 13(3), 1994."""
+    Source: Schlick, Computer Graphics Forum 13(3), 1994."""
     return np.asarray(
         min_share + (1 - min_share) * (1 - np.clip(-compute_dot_products(normal, direction), 0, 1)) ** 5, np.float32
     )

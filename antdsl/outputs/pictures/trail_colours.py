@@ -1,4 +1,4 @@
-"""Colours of the ground from fields. The values of cells are smoothed along the surface."""
+"""Colours that fields give to the ground. The values of cells are smoothed along the surface."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ _GRAIN_BRIGHTNESS_RANGE = (0.5, 1.6)  # factors of the light of soil
 class TrailVoxels:
     """The voxels that contain a trail, between the corners `low` and `high` (3,).
 
-    They are created once per camera and filled for each frame."""
+    They are created once per camera, and filled again for each frame."""
 
     def __init__(self, low: Array, high: Array, cell: float) -> None:
         self.cell = cell
@@ -30,7 +30,7 @@ class TrailVoxels:
         self._trail_cells: Array | None = None
 
     def add_trail(self, trail: Trail) -> None:
-        """Distribute a trail over the voxels. Cells are not on a lattice, so each is distributed over the eight voxels around
+        """Distribute a trail over the voxels. Its cells are not on a lattice, so each is distributed over the eight voxels around
         it."""
         if self._trail_cells is not trail.position:
             self._trail_cells = trail.position
@@ -39,9 +39,9 @@ class TrailVoxels:
         self._cover_sums = self._spread.spread_values(compute_ground_cover(trail))
 
     def interpolate_cover(self, points: Floats) -> Floats:
-        """Return the share of the ground (n,), 0..1, that the trail covers at points (n, 3).
+        """Return the fraction of the ground (n,), 0 to 1, that the trail covers at points (n, 3).
 
-        It is a mean of cells, in which near cells have more weight."""
+        It is a mean of the cells around the point, in which nearer cells have more weight."""
         scaled = (points - self.low.astype(np.float32)) * np.float32(1 / self.cell) - np.float32(0.5)
         corner = np.clip(np.floor(scaled), 0, np.asarray(self.shape, np.float32) - 2)
         part = np.clip(scaled - corner, 0, 1)
@@ -53,9 +53,9 @@ class TrailVoxels:
         )
 
     def _interpolate_voxels(self, voxels: Floats, lowest_voxels: NDArray[np.int32], fractions: Floats) -> Floats:
-        """Return values that are interpolated between the eight voxels around each point.
+        """Return values interpolated between the eight voxels around each point.
 
-        `lowest_voxels`: the lowest of these voxels. `fractions` (n, 3): the point's position between the voxels."""
+        `lowest_voxels`: the lowest of these voxels. `fractions` (n, 3): the position of the point between the voxels."""
         _, b, c = self.shape
         x, y, z = fractions.T
         rows = []
@@ -67,7 +67,8 @@ class TrailVoxels:
 
 
 class FieldColours:
-    """The colours of fields on everything that one camera shows. All coloured points must be near the points of `middle`."""
+    """The colours of fields on everything that one camera shows. All points to be coloured must be near the points of
+    `middle`."""
 
     def __init__(self, centre_samples: SurfaceSamples) -> None:
         self._centre_samples, self._colourable_rows = centre_samples, centre_samples.colourable_rows
@@ -87,7 +88,7 @@ class FieldColours:
             cloth.add_trail(trail)
 
     def colour_samples(self, samples: SurfaceSamples) -> Floats:
-        """Return the colours (n, 3) of samples, with the trails on them."""
+        """Return the colours (n, 3) of samples, including the trails on them."""
         if not self._trails:
             return samples.albedo
         rows = self._colourable_rows if samples is self._centre_samples else samples.colourable_rows
@@ -102,7 +103,7 @@ class FieldColours:
 
 
 class _TrilinearSpread:
-    """The voxels around the cells at `position` (n, 3), eight for each cell, and the weights of these voxels."""
+    """The eight voxels around each cell at `position` (n, 3), and the weights of these voxels."""
 
     def __init__(self, position: Array, low: Array, cell: float, shape: tuple[int, ...]) -> None:
         scaled = (np.asarray(position, np.float64) - low) / cell - 0.5
@@ -117,7 +118,7 @@ class _TrilinearSpread:
         self.weights = [(sides[0][i] * sides[1][j] * sides[2][k]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
 
     def spread_values(self, values: Floats) -> Floats:
-        """Return a value for each voxel: the weighted sum of the `values` (n,) of the cells near it."""
+        """Return a value for each voxel: the weighted sum of the `values` (n,) of cells near it."""
         voxels = np.zeros(self.size, np.float32)
         for step, weight in zip(self.steps, self.weights, strict=True):
             np.add.at(voxels, self.first + step, (weight * values[self.inner_rows]).astype(np.float32))
@@ -125,36 +126,37 @@ class _TrilinearSpread:
 
 
 def estimate_full_strength(strength: Array) -> float:
-    """Return the strength that should be drawn strongest; 0 without scent.
+    """Return the strength to draw with the strongest colour. 0 if there is no scent.
 
-    Cells of at least this strength contain 70 % of all scent, so that the extent of faint scent has little effect."""
+    Cells with at least this strength contain 70 % of all scent, so the extent of faint scent hardly affects it."""
     held = np.sort(np.asarray(strength, np.float64)[np.asarray(strength) > 0])
     return float(held[np.searchsorted(np.cumsum(held), 0.3 * held.sum())]) if len(held) else 0.0
 
 
 def choose_full_strength(trail: Trail) -> float:
-    """Return the strength of a trail that is drawn strongest."""
+    """Return the strength of a trail that is drawn with the strongest colour."""
     return trail.full_strength if trail.full_strength is not None else estimate_full_strength(trail.strength)
 
 
 def compute_ground_cover(trail: Trail) -> Floats:
-    """Return the share of the ground (n,) that the scent of each cell covers."""
+    """Return the fraction of the ground (n,) that the scent in each cell covers."""
     return compute_cover(trail.strength, choose_full_strength(trail))
 
 
 def compute_cover(strength: Array, max_strength: float) -> Floats:
-    """Return the shares (n,) of the ground that strengths (n,) cover. `max_strength`: the strength that is drawn strongest.
+    """Return the fraction (n,) of the ground that each strength (n,) covers. `max_strength`: the strength with the strongest
+    colour.
 
-    Scent spans many powers of ten, and agents also follow faint scent. With the exponent 0.4, a thousandth of the strongest
-    covers a sixteenth."""
+    Scent spans many powers of ten, and agents follow even faint scent. With the exponent 0.4, a thousandth of the strongest value
+    covers a sixteenth of the ground."""
     share = np.clip(np.asarray(strength, np.float64) / max(max_strength, 1e-30), 0.0, 1.0) ** 0.4
     return np.asarray(share, np.float32)
 
 
 def colour_ground(albedo: Floats, share: Floats, trail: Trail) -> Floats:
-    """Return linear ground colours (n, 3) with a trail on them. `share` (n,): the share of the ground that the trail covers.
+    """Return linear ground colours (n, 3) with a trail on them. `share` (n,): the fraction of the ground that the trail covers.
 
-    The strongest part replaces two thirds of the ground's colour. The trail follows the brightness of the grains below it."""
+    At its strongest, the trail replaces two thirds of the ground's colour. Its brightness varies with the grains below it."""
     light = np.clip((albedo @ LUMINANCE_WEIGHTS) / np.float32(SOIL_COLOUR @ LUMINANCE_WEIGHTS), *_GRAIN_BRIGHTNESS_RANGE)
     return np.asarray(
         albedo + (decode_srgb(trail.colour) * light[:, None] - albedo) * (_MAX_GROUND_COVER * share)[:, None], np.float32

@@ -1,8 +1,8 @@
-"""An agent definition as UsdSkel: a skeleton, and the shapes of a layer bound to it, with their materials.
+"""An agent definition as UsdSkel: skeletons, and the shapes of a layer bound to them, with their materials.
 
-A shape is static if all its points follow its joint. UsdSkel has one bind pose per skeleton. So shapes captured in a different
-pose get a separate skeleton with the same joints. UsdSkel first blends shapes, then skins them, linearly or by dual quaternions.
-Other features of a definition are left out and reported."""
+A shape is static if all its points follow its joint. UsdSkel has one bind pose per skeleton. So shapes captured in another pose
+get a separate skeleton with the same joints. UsdSkel first applies blend shapes, then skinning, either linear or with dual
+quaternions. Other features of a definition are omitted and reported."""
 
 from __future__ import annotations
 
@@ -34,12 +34,10 @@ _SAME_POSE_TOLERANCE = 1e-5  # body lengths; bind poses that differ less are mer
 class SkelDefinition:
     """A body that was written to the stage.
 
-    `path`: the prim that agents are instances of.
-    `joints`: paths of the joints, in the rig's order.
-    `channels`: the channels that weight blend shapes.
-    `tinted_meshes`: meshes below `path` in the colour of the agent.
-    `notes`: messages about features that UsdSkel cannot represent.
-    `number`: the index of the body among those of its species, from 1."""
+    `path`: the prim of which agents are instances. `joints`: the paths of the joints, in the order of the rig. `channels`: the
+    channels that are weights of blend shapes. `tinted_meshes`: the meshes below `path` that have the colour of the agent.
+    `notes`: messages about features that UsdSkel cannot represent. `number`: the index of the body among those of its species,
+    from 1."""
 
     path: str
     joints: tuple[str, ...]
@@ -50,10 +48,10 @@ class SkelDefinition:
 
 
 def write_definition(stage: Any, path: str, body: PosedBody, looks: MaterialBinder, close: bool = False) -> SkelDefinition:
-    """Write a body as a SkelRoot at `path`, in the space of agents: length 1 along +x, up +y.
+    """Write a body as a SkelRoot at `path`, in the space of agents: a length of 1 along +x, with +y up.
 
     `looks`: the body's materials. A body with a `fine_body` has a variant set `detail` with the variants `crowd` and `close`.
-    `close`: select the variant `close`."""
+    `close`: whether to select the variant `close`."""
     skel, definition = import_pxr_module("UsdSkel"), body.drawn_definition
     root = skel.Root.Define(stage, path)
     joints = make_joint_paths(definition)
@@ -100,7 +98,7 @@ def _add_variants(prim: Any, names: list[str], selected_variant: str) -> None:
 
 
 def make_joint_paths(definition: Definition) -> tuple[str, ...]:
-    """Return the joints of a rig as paths from its roots, with names valid in USD. Equal names get numbers."""
+    """Return the joints of a rig as paths from its roots, with names that are valid in USD. Equal names get numbers."""
     paths: list[str] = []
     taken: set[str] = set()
     for name, parent in zip(definition.rig.names, definition.rig.parents.tolist(), strict=True):
@@ -119,16 +117,16 @@ def compute_rest_matrices(definition: Definition) -> Array:
 
 
 class _SkeletonTable:
-    """The skeletons of a definition: one for each bind pose in which shapes were captured."""
+    """The skeletons of a definition, one for each bind pose in which shapes were captured."""
 
     def __init__(self, stage: Any, path: str, definition: Definition, joints: tuple[str, ...]) -> None:
         self._stage, self._path, self._definition, self._joints = stage, path, definition, joints
         self._rest_matrices, self._skeletons = compute_rest_matrices(definition), list[tuple[str, Array, Array, Any]]()
 
     def find_or_add(self, shape: SkinShape) -> str:
-        """Return the path of a skeleton with the bind pose of a shape. It is added if no existing skeleton fits.
+        """Return the path of a skeleton with the bind pose of a shape. If no skeleton fits, add one.
 
-        Joints of an existing skeleton that had no bind pose yet get the pose of this shape."""
+        Joints that have no bind pose yet in an existing skeleton get the pose of this shape."""
         capture = shape.capture
         numbers = [self._definition.rig.find_joint(name) for name in capture.names] if capture else []
         target = np.linalg.inv(capture.inverse_matrices) if capture else np.zeros((0, 4, 4))
@@ -150,7 +148,7 @@ class _SkeletonTable:
         return path
 
     def find_bind_pose(self, path: str, joint: int) -> Array:
-        """Return the bind pose of a joint. It must not change afterwards."""
+        """Return the bind pose of a joint, which must not change from then on."""
         _, bind, known, _ = next(each for each in self._skeletons if each[0] == path)
         known[joint] = True
         pose: Array = bind[joint]
@@ -194,7 +192,7 @@ def _write_shape(
 
 
 def _add_difference_notes(skel_definition: SkelDefinition, binding: Binding, shape: SkinShape, steps: list[str]) -> None:
-    """Add notes about the differences between a binding and its form in UsdSkel."""
+    """Add messages about differences between a binding and its form in UsdSkel."""
     if "dualquatblendskinning" in steps:
         skel_definition.notes.append(
             f"`{shape.name}` blends linear and dual quaternion skinning, but UsdSkel has no blend: it gets dual quaternions"
@@ -210,7 +208,7 @@ def _add_difference_notes(skel_definition: SkelDefinition, binding: Binding, sha
 
 
 def _write_capture(api: Any, definition: Definition, shape: SkinShape) -> None:
-    """Write the joints that the points of a shape follow, and their weights."""
+    """Write which joints the points of a shape follow, with weights."""
     capture = shape.capture
     assert capture is not None
     numbers = np.array([definition.rig.find_joint(name) for name in capture.names], np.int32)
@@ -221,7 +219,7 @@ def _write_capture(api: Any, definition: Definition, shape: SkinShape) -> None:
 
 
 def _write_blend_shapes(stage: Any, path: str, api: Any, definition: Definition, shape: SkinShape) -> None:
-    """Write each input of a blend shape as a USD BlendShape prim. The channel of the same name is its weight."""
+    """Write each input of a blend shape as a USD BlendShape. Its weight is the channel of the same name."""
     blend, skel = shape.blend, import_pxr_module("UsdSkel")
     assert blend is not None
     targets: list[Any] = []
@@ -250,7 +248,7 @@ def _write_blend_shapes(stage: Any, path: str, api: Any, definition: Definition,
 def _compute_blend_offsets(
     base: SkinShape, target: SkinShape, name: str, rows: Array, other: Array, blended_attributes: tuple[str, ...]
 ) -> Array:
-    """Return how the attribute `name` differs between the points of `base` and `target`, float32[P, 3]."""
+    """Return the differences of the attribute `name` between the points of `base` and `target`, float32[P, 3]."""
     offsets = np.zeros((len(base.points), 3), np.float32)
     if (
         name in blended_attributes

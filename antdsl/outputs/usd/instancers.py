@@ -1,8 +1,8 @@
-"""A crowd as a point instancer. Poses of its bodies are prototypes, agents are instances.
+"""A crowd as a point instancer. Prototypes are the poses of its bodies; instances are its agents.
 
-Positions, orientations, velocities and angular velocities have a sample at every time. Readers use velocities only at the times
-of positions and orientations. Other arrays have samples when they change. The signs of quaternions follow the previous
-sample."""
+Positions, orientations, velocities and angular velocities have a sample at every time, because readers use velocities only at
+times that have positions and orientations. Other arrays have samples only when they change. The sign of a quaternion is that
+nearest to the previous sample."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class InstancerWriter:
             self._prototype_count = len(self._bank.paths)
 
     def _choose_prototypes(self, agents: SpeciesSample, shutter_agents: SpeciesSample) -> NDArray[np.int32]:
-        """Return the prototype of each agent. It does not change while the shutter is open, since motion blur needs one
+        """Return the prototype of each agent. While the shutter is open, it does not change, because motion blur needs a single
         mesh."""
         prototypes = self._bank.find_prototypes(agents)
         if agents.ids is not shutter_agents.ids:
@@ -90,7 +90,7 @@ class InstancerWriter:
         return prototypes
 
     def _align_signs(self, agents: SpeciesSample) -> NDArray[np.float64]:
-        """Return orientations as quaternions, each with the sign nearer to the agent's previous sample."""
+        """Return orientations as quaternions with the signs that are nearest to each agent's previous sample."""
         turn = agents.orient.copy()
         at, is_matched = match_ids(agents.ids, self._previous_quaternions[0])
         if is_matched.any():
@@ -117,7 +117,7 @@ class InstancerWriter:
         self._samples[name].set(time, values)
 
     def _write_primvar(self, time: float, name: str, values: Any) -> None:
-        """Write one value per agent as a primvar. States are written as indices of their names."""
+        """Write one value per agent as a primvar. States are written as indices in the list of state names."""
         if name not in self._samples:
             types, vt = import_pxr_module("Sdf").ValueTypeNames, import_pxr_module("Vt")
             is_integer = np.asarray(values).dtype.kind in "iu"

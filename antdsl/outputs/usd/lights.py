@@ -1,7 +1,7 @@
 """The light of a scene as UsdLux: a distant light for the sun, a dome for the sky, and a sphere for each lamp.
 
-Intensities have the ratios of pictures, where a surface scatters its albedo times the light. A sphere of radiance L and radius r
-gives the irradiance pi L (r / d)^2 at a distance d, and a dome of radiance L gives pi L."""
+The ratios of intensities are those of antdsl's own pictures, where a surface scatters its albedo times the light. A sphere of
+radiance L and radius r has the irradiance pi L (r / d)^2 at a distance d. A dome of radiance L has pi L."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SUN_ANGLE_DEGREES = 3.4  # of the sun's disc, as in pictures
 
 
 class LightWriter:
-    """Writer of the lights. Lamps move and shrink with their items."""
+    """Writer of the lights. Lamps move with their items, and shrink with them."""
 
     def __init__(self, stage_output: StageOutput, gallery: Gallery) -> None:
         self._out, self._lamps, self._settings = stage_output, list[tuple[ValueSamples, ValueSamples]](), gallery.light
@@ -42,7 +42,7 @@ class LightWriter:
             _set_colour(lux.DomeLight.Define(stage, f"{ROOT_PATH}/lights/sky"), SKY_LIGHT * (self._settings.sky / np.pi))
 
     def frame(self, frame: int, picture: Picture) -> None:
-        """Write the lamps of a frame. Lamps that no longer exist have the radius 0."""
+        """Write the lamps of a frame. Lamps that no longer exist get the radius 0."""
         lamps = find_lamps(picture.items, picture.up, picture.light.lamps)
         while len(self._lamps) < len(lamps):
             self._lamps.append(self._add_lamp(len(self._lamps), lamps[len(self._lamps)]))
@@ -52,7 +52,7 @@ class LightWriter:
             radius.set(frame, [lamps[number].radius if number < len(lamps) else 0.0])
 
     def _add_lamp(self, number: int, lamp: Lamp) -> tuple[ValueSamples, ValueSamples]:
-        """Add the light of a lamp, and return its positions and its radii over time."""
+        """Add the light of a lamp. Return its positions and its radii over time."""
         sphere = import_pxr_module("UsdLux").SphereLight.Define(self._out.stage, f"{ROOT_PATH}/lights/lamp_{number}")
         _set_colour(sphere, lamp.light * (lamp.strength * UNIT_DISTANCE_IN_RADII**2 / np.pi))
         vector = import_pxr_module("Gf").Vec3d

@@ -1,4 +1,4 @@
-"""Materials as UsdPreviewSurface. Each has one colour, or takes the colour of the prim that it is bound to."""
+"""Materials as UsdPreviewSurface. A material has one colour, or takes the colour of the prim to which it is bound."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _DEFAULT_COLOUR = (0.35, 0.35, 0.35)  # for surfaces without a colour
 
 
 class MaterialBinder:
-    """The materials below one prim. Each is created at its first use.
+    """The materials below one prim, each created at first use.
 
-    `colours`: linear colours by name.
-    `finishes`: roughness and metalness by name, where they differ from those of bodies."""
+    `colours`: linear colours by name. `finishes`: roughness and metalness by name, for materials that differ from those of
+    bodies."""
 
     def __init__(
         self,
@@ -41,8 +41,7 @@ class MaterialBinder:
         self._materials: dict[str, Any] = {}
 
     def bind_material(self, prim: Any, name: str) -> bool:
-        """Bind the material `name` to a prim. Return whether the material takes the primvar displayColor, because it has no
-        colour."""
+        """Bind the material `name` to a prim. Return whether the material has no colour, and so uses the primvar displayColor."""
         own = name in self._colour_by_material and name != STATE_MATERIAL
         known = name if own else STATE_MATERIAL
         if known not in self._materials:
@@ -53,9 +52,10 @@ class MaterialBinder:
         return not own
 
     def bind_faces(self, mesh: Any, names: tuple[str, ...], material: Array) -> bool:
-        """Bind materials to the faces of a mesh. Return whether one of them takes the primvar displayColor.
+        """Bind materials to the faces of a mesh. Return whether any of them uses the primvar displayColor.
 
-        `material` int[m]: indices of `names`. If all faces have the same material, it is bound to the mesh itself."""
+        `material` int[m]: for each face, the index in `names`. If all faces have the same material, it is bound to the mesh
+        itself."""
         used = np.unique(material).tolist() if len(material) else [0]
         if len(used) == 1:
             return self.bind_material(mesh.GetPrim(), names[used[0]])
@@ -69,7 +69,7 @@ class MaterialBinder:
 
 
 def _make_material(stage: Any, path: str, colour: tuple[float, float, float] | None, roughness: float, metalness: float) -> Any:
-    """Return a material of one colour (linear). If `colour` is None, it takes the colour of the primvar displayColor."""
+    """Return a material with one linear colour. If `colour` is None, it uses the primvar displayColor."""
     shade, types, gf = import_pxr_module("UsdShade"), import_pxr_module("Sdf").ValueTypeNames, import_pxr_module("Gf")
     material = shade.Material.Define(stage, path)
     surface = shade.Shader.Define(stage, f"{path}/surface")
@@ -90,11 +90,10 @@ def _make_material(stage: Any, path: str, colour: tuple[float, float, float] | N
 
 
 class MaterialBodyMesh:
-    """The mesh of a posed body, with its materials by triangle, normals and texture coordinates.
+    """The mesh of a posed body, with a material per triangle, normals and texture coordinates.
 
-    `faces`: int32[m, 3].
-    `material`: int64[m], indices of `names`.
-    `uvs`: float32[v, 2], texture coordinates; None if no shape has any."""
+    `faces`: int32[m, 3]. `material`: int64[m], indices of `names`. `uvs`: float32[v, 2], texture coordinates; None if no shape
+    has any."""
 
     def __init__(self, body: PosedBody) -> None:
         self.body = body
@@ -126,14 +125,15 @@ class MaterialBodyMesh:
         return np.stack([middle - half, middle + half])
 
     def _iterate_clips(self) -> Iterator[tuple[MachineClips, ...]]:
-        """Yield no clips, which means the rest pose, then each clip of the body at evenly spaced times."""
+        """Yield no clips (the rest pose) first, then each clip of the body at evenly spaced times."""
         yield ()
         for number in range(len(self.body.clips)):
             yield (make_single_clips(np.full(_EXTENT_SAMPLES, number), np.arange(_EXTENT_SAMPLES) / _EXTENT_SAMPLES),)
 
 
 def make_single_clips(clip: NDArray[np.integer], turns: NDArray[np.floating]) -> MachineClips:
-    """Return the clips of agents that play one clip each (-1 for none), with full weight and no fade. `turns`: played cycles."""
+    """Return the clips of agents that play one clip each (-1 for none), with full weight and without a fade. `turns`: played
+    cycles."""
     chosen = np.asarray(clip, np.int16)
     none, one = np.zeros(len(clip), np.float32), np.ones(len(clip), np.float32)
     return MachineClips(chosen, np.asarray(turns, np.float32), one, np.full(len(clip), -1, np.int16), none, none, none)

@@ -1,9 +1,8 @@
 """A bank of poses: for each species, the prototypes of its agents' instances, created at first use.
 
-A pose consists of the topmost clip on the complete body and the clip on each transform group. Each clip is at the nearest of a
-few times in its cycle. A clip counts if it has most of its machine's weight. An agent that walks on its feet but plays no walking
-clip gets one. This clip is chosen by the agent's speed, at the phase of its gait. A prototype is a pose in the colour of a
-state."""
+A pose consists of the topmost clip on the complete body, and the clip on each transform group. A clip is included if it has most
+of its machine's weight. Its time is the nearest of a few steps in its cycle. An agent that walks on its feet but plays no walking
+clip gets one, chosen by its speed, at the phase of its gait. A prototype is a pose in the colour of a state."""
 
 from __future__ import annotations
 
@@ -43,7 +42,7 @@ _MAX_FINE_TRIANGLES = 1500  # the coarse body is used if the fine one has more t
 
 
 class PrototypeBank:
-    """The poses of one species, as class prims, and its prototypes below the path of its instancer."""
+    """The poses of one species as class prims, and the prototypes below the path of its instancer."""
 
     def __init__(self, stage_output: StageOutput, species: SpeciesEntry, close: bool = False) -> None:
         self._out, self._stage, self._species, self._uses_close_bodies = stage_output, stage_output.stage, species.name, close
@@ -60,14 +59,14 @@ class PrototypeBank:
         self._states = [to_identifier(state.name) for state in states]
 
     def find_prototypes(self, agents: SpeciesSample) -> NDArray[np.int32]:
-        """Return the prototype of each agent as an index of `paths`, int32[n]."""
+        """Return the prototype of each agent as an index in `paths`, int32[n]."""
         found = np.zeros(len(agents.ids), np.int32)
         for rows, keys, which in self._make_pose_keys(agents):
             found[rows] = np.array([self._find_or_write_prototype(*key) for key in keys], np.int32)[which]
         return found
 
     def find_pose_paths(self, agents: SpeciesSample) -> list[str]:
-        """Return the path of each agent's pose."""
+        """Return the path of the pose of each agent."""
         pose_paths = [""] * len(agents.ids)
         for rows, keys, which in self._make_pose_keys(agents):
             paths = [self._find_or_write_pose(body, *played) for body, _, *played in keys]
@@ -78,9 +77,9 @@ class PrototypeBank:
     def _make_pose_keys(
         self, agents: SpeciesSample
     ) -> Iterator[tuple[NDArray[np.intp], list[tuple[int, ...]], NDArray[np.intp]]]:
-        """Yield, for each worn body: the rows of its agents, the distinct keys, and the index of each agent's key among them.
+        """Yield, for each worn body: the rows of its agents, the distinct keys of poses, and the index of each agent's key.
 
-        A key consists of the body, the state, and the codes of the played clips."""
+        A key consists of the body, the state, and the codes of the clips played."""
         state = np.full(len(agents.ids), -1) if agents.state is None or self._colours is None else agents.state
         for crowd, rows in agents.parts:
             if crowd.body is None:
@@ -93,7 +92,7 @@ class PrototypeBank:
             yield rows, [(body, *kind) for kind in kinds.tolist()], which
 
     def _find_or_add_body(self, body: PosedBody, key: str) -> int:
-        """Return the number of a body in the bank, which is added at its first use. `key`: the key of the body."""
+        """Return the number of a body in the bank. Add it if it is new. `key`: the key of the body."""
         for number, (known, _) in enumerate(self._bodies):
             if known is body:
                 return number
@@ -102,7 +101,7 @@ class PrototypeBank:
         return len(self._bodies) - 1
 
     def _find_or_write_pose(self, body: int, *played: int) -> str:
-        """Return the path of the mesh for a body with the clip codes `played`. It is written at its first use."""
+        """Return the path of the mesh for a body that plays the given clip codes. Write the mesh if it does not exist."""
         key = (body, *played)
         if key not in self._path_by_pose:
             self._path_by_pose[key], reach = self._bodies[body][1].write_pose(list(played))
@@ -110,9 +109,7 @@ class PrototypeBank:
         return self._path_by_pose[key]
 
     def _find_or_write_prototype(self, body: int, state: int, *played: int) -> int:
-        """Return the index of the prototype with a pose. It has the colour of `state`, unless that is -1.
-
-        It is written at its first use."""
+        """Return the index of the prototype for a pose in the colour of `state` (-1 for none). Write it if it does not exist."""
         key = (body, state, *played)
         if key not in self._prototype_by_key:
             self._prototype_by_key[key] = len(self.paths)
@@ -131,7 +128,7 @@ class PrototypeBank:
 def add_coloured_mesh(stage: Any, path: str, pose: str) -> Any:
     """Add a mesh for a pose. Return its display colour, which the materials of states use.
 
-    The mesh is a payload, so it is loaded only where it is drawn."""
+    The mesh is a payload, so that it is loaded only where it is drawn."""
     prim = stage.DefinePrim(path, "Mesh")
     prim.GetPayloads().AddInternalPayload(pose)
     return (
@@ -142,7 +139,7 @@ def add_coloured_mesh(stage: Any, path: str, pose: str) -> Any:
 
 
 class _PoseBody:
-    """A body from which poses are written."""
+    """A body of which poses are written."""
 
     def __init__(self, stage: Any, name: str, posed_body: PosedBody, close: bool) -> None:
         self._stage, self._path = stage, f"{BODIES_PATH}/{name}"
@@ -172,14 +169,14 @@ class _PoseBody:
         return path, float(np.linalg.norm(points, axis=1).max(initial=0.0))
 
     def _name_pose(self, clip_codes: list[int]) -> str:
-        """Return a name with the clips of a pose and the steps of their cycles, such as `walk_05`."""
+        """Return a name from the clips of a pose and the steps in their cycles, such as `walk_05`."""
         played = (divmod(code, POSES_PER_CLIP + 1) for code in clip_codes if code)
         words = [f"{self._clips[number - 1]}_{step:02d}" for number, step in played]
         return make_unique(to_identifier("_".join(words) or "rest"), self._pose_names)
 
 
 def list_bank_clips(body: PosedBody) -> list[PlayedClip]:
-    """Return the clips for the poses of a bank: the clips that the species plays, the idle clip, and the walking clips."""
+    """Return the clips for the poses of a bank: those that the species plays, the idle clip, and the walking clips."""
     clips = body.definition.clips
     strides = [PlayedClip(name) for name, clip in clips.items() if clip.loop and clip.stride > 0 and clip.duration > 0]
     return [*(PlayedClip(*each) for each in body.clips), PlayedClip(body.definition.idle), *strides]
@@ -188,12 +185,12 @@ def list_bank_clips(body: PosedBody) -> list[PlayedClip]:
 def compute_clip_codes(body: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> list[NDArray[np.int64]]:
     """Return codes int64[n] of the clips that the bodies of a crowd play, as a list of arrays.
 
-    The first array is the topmost clip on the complete body. The others are, by machine, the clip on a transform group. A code is
-    0 for no clip, else (clip + 1) · (POSES_PER_CLIP + 1) + the nearest step of the cycle. `clip` is an index of
-    `list_bank_clips`.
+    The first array is for the topmost clip on the complete body. The others are for the clips on transform groups, one array per
+    machine. A code is 0 for no clip, else (clip + 1) · (POSES_PER_CLIP + 1) + the nearest step of the cycle. `clip` is an index
+    in `list_bank_clips`.
 
-    `speed` [n]: body lengths per second, or None. An agent that moves, but plays no walking clip, gets the walking clip nearest
-    to its speed. The phase is that of its feet."""
+    `speed` [n]: body lengths per second, or None. An agent that moves but plays no walking clip gets the walking clip nearest to
+    its speed, at the phase of its feet."""
     clips = [body.definition.clips.get(each.clip) for each in list_bank_clips(body)]
     loops = np.array([clip is not None and clip.loop for clip in clips] + [False])
     groups = np.array([bool(each.group) for each in list_bank_clips(body)] + [False])
@@ -219,9 +216,9 @@ def compute_clip_codes(body: PosedBody, crowd: Crowd, speed: NDArray[np.float64]
 
 
 def _encode_clip(clip: NDArray[np.int64], turns: NDArray[np.float64], loops: Array, steps: Array) -> NDArray[np.int64]:
-    """Return one number for each clip and the nearest step of its cycle.
+    """Return one number for each clip together with the nearest step of its cycle.
 
-    `turns`: played cycles. `loops`: whether the clip loops. `steps`: the number of steps of its cycle."""
+    `turns`: played cycles. `loops`: whether the clip loops. `steps`: the number of steps in its cycle."""
     part = np.where(loops[clip], turns - np.floor(turns), np.clip(turns, 0.0, 1.0))
     step = np.rint(part * steps[clip]).astype(np.int64)
     step = np.where(loops[clip], step % steps[clip], step) * (POSES_PER_CLIP // steps[clip])
@@ -236,7 +233,7 @@ def _add_walking_clips(
     phase: NDArray[np.float64],
     speed: NDArray[np.float64],
 ) -> NDArray[np.int64]:
-    """Return the clip codes `body_codes`, with a walking clip for bodies that move but play none."""
+    """Return the clip codes `body_codes`, with a walking clip added for bodies that move but play none."""
     first = len(body.clips) + 1
     speeds = np.array([clip.stride / clip.duration / body.definition.length for clip in clips[first:] if clip is not None])
     clip = body_codes // (POSES_PER_CLIP + 1) - 1
@@ -249,7 +246,7 @@ def _add_walking_clips(
 
 
 def _find_unique_rows(table: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
-    """Return the distinct rows of a table, and the index of each row among them."""
+    """Return the distinct rows of a table, and for each row its index among them."""
     packed = np.zeros(len(table), np.int64)
     for column in table.T:
         low = int(column.min(initial=0))

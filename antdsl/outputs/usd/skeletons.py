@@ -1,4 +1,4 @@
-"""A crowd as UsdSkel: each agent is an instance of its body's definition, with a separate SkelAnimation."""
+"""A crowd as UsdSkel. Each agent is an instance of the definition of its body, with a separate SkelAnimation."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ _MAX_IGNORED_SHEAR = 1e-4  # shear of a joint; larger values are reported, becau
 
 
 class SkeletonWriter:
-    """Writer of the agents of one species, each with its animation as a sibling.
+    """Writer of the agents of one species. The animation of an agent is a sibling of the agent.
 
-    With `has_instances`, agents are instances of their body. Otherwise they are copies, and their meshes have the colours of
-    agents, for programs that do not pose instances or inherit primvars."""
+    With `has_instances`, agents are instances of their body. Otherwise they are copies, with meshes in the colours of agents.
+    These are for programs that do not pose instances, or do not inherit primvars."""
 
     def __init__(
         self, stage_output: StageOutput, species: SpeciesEntry, number: int, has_instances: bool = True, close: bool = False
@@ -61,7 +61,7 @@ class SkeletonWriter:
         return messages
 
     def sample(self, time_sample: TimeSample) -> None:
-        """Write the agents at a time. Agents that are missing at this time are hidden."""
+        """Write the agents at a time. Agents that do not exist at this time are hidden."""
         agents = time_sample.agents(self._number)
         self._first = time_sample.time if self._first is None else self._first
         visible_keys = set[tuple[int, int]]()
@@ -97,7 +97,7 @@ class SkeletonWriter:
         return self._agents[name, body.number]
 
     def _find_or_write_body(self, body: PosedBody, key: str) -> tuple[PosedBody, SkelDefinition]:
-        """Return a body and its written definition. It is written at its first use. `key`: the key of the body."""
+        """Return a body together with its written definition. Write it if this is its first use. `key`: the key of the body."""
         if id(body) not in self._bodies:
             number = len(self._bodies) + 1
             name = self._out.name_body(self._species.name, body, key)
@@ -111,8 +111,7 @@ class SkeletonWriter:
 class _JointSamples:
     """The local transforms of the joints of n agents.
 
-    `values`: translations, rotations (x y z w) and scales, float32[n, J, 3 or 4].
-    `channels`: float32[n, C]."""
+    `values`: translations, rotations (x y z w) and scales, each float32[n, J, 3 or 4]. `channels`: float32[n, C]."""
 
     def __init__(self, poses: WorldPoses) -> None:
         assert poses.local_transforms is not None
@@ -126,9 +125,9 @@ class _JointSamples:
         self.channels = np.asarray(poses.channels, np.float32)
 
     def interpolate_rows(self, rows: NDArray[np.bool_], other: _JointSamples, other_rows: NDArray[np.intp], share: float) -> None:
-        """Interpolate or extrapolate the joints in `rows` towards those of `other` by `share`, linearly.
+        """Interpolate or extrapolate the joints in `rows` linearly towards those of `other`, by the fraction `share`.
 
-        `other_rows`: the row of each agent in `other`. Rotations take the smaller angle."""
+        `other_rows`: the row of each agent in `other`. Rotations follow the smaller angle."""
         for k, (mine, theirs) in enumerate(zip(self.values, other.values, strict=True)):
             towards = theirs[other_rows[rows]]
             if k == 1:
@@ -142,7 +141,7 @@ class _JointSamples:
 def _sample_joints(time_sample: TimeSample, number: int, part: int, body: PosedBody) -> _JointSamples:
     """Return the joints of the agents with one body at a time. After the last frame, the last motion continues.
 
-    `number`: the species. `part`: the index of the crowd in its `parts`."""
+    `number`: the species. `part`: the index of the crowd in the species' `parts`."""
     agents = time_sample.species[number]
     crowd, rows = agents.parts[part]
     joints = _JointSamples(crowd.compute_poses(needs_local=True))
@@ -228,7 +227,7 @@ class _AgentPrim:
         self._visibility = Visibility(stage_output, root, first, time)
 
     def write_placement(self, time: float, agents: SpeciesSample, row: int, colour: NDArray[np.floating]) -> None:
-        """Write position, orientation, scale, velocities, colour, state and numbers at a time."""
+        """Write position, orientation, scale, velocities, colour, state and other numbers at a time."""
         self._translations.set(time, agents.position[row])
         turn = agents.orient[row] * (-1.0 if agents.orient[row] @ self._previous_values[0] < 0 else 1.0)
         self._previous_values = (turn, self._previous_values[1])
@@ -273,5 +272,5 @@ class _AgentPrim:
         self._numbers[name].set(time, np.reshape(value, 1))
 
     def write_hidden(self, time: float) -> None:
-        """Hide the agent from a time on."""
+        """Hide the agent from this time on."""
         self._visibility.set(time, False)

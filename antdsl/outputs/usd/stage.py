@@ -1,7 +1,7 @@
 """A cache as a USD stage: crowds in one of three forms, and the world, frame by frame.
 
-Values over time may be in separate files of a fixed number of frames each (USD's value clips). So the stage stays small, and a
-program opens only the files of the frames that it shows.
+Values over time may be in separate files with a fixed number of frames each (USD's value clips). So the stage itself stays small,
+and programs open only the files for the frames that they show.
 
 `shot.usdc` names the files `shot.values.0001.usdc`, `shot.values.0025.usdc` …, numbered by their first frames. It also names
 `shot.values.manifest.usda`, which lists their attributes. Each file ends with the first sample of the next file, so that values
@@ -45,10 +45,9 @@ _SAME_TIME_FRAMES = 1e-6  # frames
 class XformOptions:
     """Options of an export to USD.
 
-    `shutter`: the interval around each frame, in frames, over which agents have samples; None for samples at frames only.
-    `samples`: the number of samples in this interval.
-    `chunk`: the number of frames per file of values; 0 writes all values into the stage itself.
-    `close`: whether agents have their close-up bodies."""
+    `shutter`: the interval around each frame, in frames, within which agents have samples; None for one sample per frame.
+    `samples`: the number of samples in this interval. `chunk`: the number of frames per file of values; 0 writes all values to
+    the stage itself. `close`: whether agents have their close-up bodies."""
 
     shutter: tuple[float, float] | None = None
     samples: int = 3
@@ -60,10 +59,9 @@ class XformOptions:
 class UsdOptions(XformOptions):
     """Options of an export to USD with instances.
 
-    `skeletons`: the largest number of agents of a species for which each agent has its own skeleton. More agents are instances
-        from a bank of poses.
-    `target`: the program to write for, a key of `POSES_INSTANCES_BY_TARGET`. Agents with skeletons are instances for a program
-        that poses these, else copies."""
+    `skeletons`: species of up to this many agents are written with a skeleton per agent. The agents of larger species are
+    instances from a bank of poses. `target`: the program that will read the file, a key of `POSES_INSTANCES_BY_TARGET`. Agents
+    with skeletons are instances if this program poses instances, else copies."""
 
     skeletons: int = MAX_SKELETON_AGENTS
     target: str = DEFAULT_TARGET
@@ -74,7 +72,7 @@ CrowdWriter = InstancerWriter | SkeletonWriter | XformWriter
 
 
 def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, options: UsdOptions = _DEFAULT_OPTIONS) -> list[str]:
-    """Write these frames into a USD file, atomically. Return messages about features that USD cannot represent.
+    """Write these frames to a USD file, atomically. Return messages about features that USD cannot represent.
 
     A species of few agents is written as skeletons, a species of many as a point instancer.
 
@@ -91,12 +89,12 @@ def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, option
 
 
 def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path, options: XformOptions = _DEFAULT_OPTIONS) -> list[str]:
-    """Write the stage with one Xform per agent, for programs that animate objects one by one."""
+    """Write the stage with one Xform per agent, for programs that animate single objects."""
     return _export_stage(gallery, list(frames), path, options, lambda number: partial(XformWriter, close=options.close))
 
 
 def _count_max_agents(gallery: Gallery, frames: list[int]) -> list[int]:
-    """Return, for each species, the maximum number of its agents in any frame."""
+    """Return, for each species, the greatest number of its agents in any frame."""
     count = len(gallery.manifest.species)
     most = np.zeros(count, np.int64)
     for frame in frames:
@@ -107,7 +105,7 @@ def _count_max_agents(gallery: Gallery, frames: list[int]) -> list[int]:
 
 
 def compute_sample_times(frame: int, options: XformOptions) -> list[float]:
-    """Return the times at which agents have samples for a frame: the frame itself, and times in the shutter interval."""
+    """Return the times of the samples of agents for a frame: the frame itself, and times in the shutter interval."""
     around = np.linspace(*options.shutter, options.samples) if options.shutter else np.zeros(1)
     sample_times: list[float] = sorted({round(frame + part, 6) for part in (0.0, *around.tolist())})
     return sample_times
@@ -120,9 +118,9 @@ def _export_stage(
     options: XformOptions,
     choose_writer: Callable[[int], Callable[..., CrowdWriter]],
 ) -> list[str]:
-    """Write these frames as a stage, and return messages about features that USD cannot represent.
+    """Write these frames as a stage. Return messages about features that USD cannot represent.
 
-    `choose_writer`: returns the class of the writer for a species, by its largest number of agents."""
+    `choose_writer`: returns the class that writes a species, given the greatest number of its agents."""
     with raise_disk_errors(path), atomic_path(path, path.suffix) as part:
         try:
             stage = import_pxr_module("Usd").Stage.CreateNew(str(part))
@@ -149,7 +147,7 @@ class _FrameWriters:
     time_samples: TimeSamples
 
     def write_time(self, time: float, frame: int) -> None:
-        """Write the agents at a time. If the time is that of the frame itself, also write the world."""
+        """Write the agents at a time. If it is the time of the frame itself, also write the world."""
         time_sample = self.time_samples.build_sample(time, frame)
         if time == frame:
             self.world.frame(frame, time_sample.picture)
@@ -158,7 +156,7 @@ class _FrameWriters:
 
 
 def _write_frames(shot: _FrameWriters, files: ValueFiles, frames: list[int], options: XformOptions, stage: Any) -> None:
-    """Write the samples of all frames, in files of values if these are requested."""
+    """Write the samples of all frames. If files of values are requested, write them to these files."""
     written = -np.inf
     for number, frame in enumerate(frames):
         for time in compute_sample_times(frame, options):
@@ -194,7 +192,7 @@ def _write_metadata(stage: Any, gallery: Gallery, frames: list[int]) -> None:
 
 
 class ValueFiles:
-    """The files of values of a stage that is written to `path`."""
+    """The files with the values of a stage that is written to `path`."""
 
     def __init__(self, stage_output: StageOutput, path: Path, frames: list[int], chunk: int) -> None:
         self._out, self._path, self._frames = stage_output, path, frames
@@ -210,7 +208,7 @@ class ValueFiles:
         return frame in self._first_frames[1:]
 
     def begin(self, frame: int) -> None:
-        """Begin the file of values for this frame and the next ones. Raises OSError if that fails."""
+        """Begin the file of values for this frame and those after it. Raises OSError if this fails."""
         if not self._first_frames:
             return
         self._save_file()
@@ -239,7 +237,7 @@ class ValueFiles:
         self._unfinished_files.__exit__(kind, problem, trace)
 
     def link_files(self) -> None:
-        """Write the names of all files of values into the stage."""
+        """Write the names of all files of values to the stage."""
         self._save_file()
         if not self._first_frames:
             return
@@ -261,5 +259,5 @@ class ValueFiles:
         clips.SetClipTimes(vt.Vec2dArray([gf.Vec2d(end, end) for end in ends]), _DEFAULT_CLIP_SET)
 
     def _make_file_path(self, extension: str) -> Path:
-        """Return the path of the file of values that is numbered by `extension`."""
+        """Return the path of a file of values. `extension`: its number and suffix."""
         return self._path.with_name(f"{self._path.stem}.values.{extension}")

@@ -1,8 +1,8 @@
-"""Agents of a species at any time of a cache, by id: in a frame or between two frames.
+"""The agents of a species at any time of a cache, by id, in a frame or between two frames.
 
 Between two frames, positions and scales are interpolated linearly. Orientations rotate at a constant rate by the smaller angle.
-This matches the velocities and angular velocities, which lead from a frame to the next. An agent missing from the next frame
-continues at its own velocity."""
+This matches the velocities and angular velocities, which lead from a frame to the next. An agent that the next frame does not
+contain continues at its last velocity."""
 
 from __future__ import annotations
 
@@ -26,15 +26,11 @@ _CACHED_FRAMES = 3  # frames in memory: the previous, the current and the next
 class SpeciesSample:
     """The agents of a species at one time, by ascending id.
 
-    `ids`: int64[n]. `position` [n, 3], `orient` [n, 4] (unit quaternions x y z w), `scale` [n].
-    `colour`: float64[n, 3], display values.
-    `velocity`: [n, 3], units per second.
-    `angular_velocity`: [n, 3], degrees per second about world axes.
-    `own_velocity`: [n, 3], velocity relative to the ground, as in the cache.
-    `state`: int64[n], or None.
-    `numbers`: further values, by name.
-    `parts`: crowds with one body each, and the rows of their agents.
-    `is_visible`: bool[n], whether the agent has a position that can be drawn."""
+    `ids`: int64[n]. `position` [n, 3], `orient` [n, 4] (unit quaternions x y z w), `scale` [n]. `colour`: float64[n, 3], display
+    values. `velocity`: [n, 3], units per second. `angular_velocity`: [n, 3], degrees per second about world axes. `own_velocity`:
+    [n, 3], velocity relative to the ground, as in the cache. `state`: int64[n], or None. `numbers`: other values, by name.
+    `parts`: crowds with one body each, together with the rows of their agents. `is_visible`: bool[n], whether the position of the
+    agent can be drawn."""
 
     ids: NDArray[np.int64]
     position: Floats
@@ -73,7 +69,7 @@ class TimeSample:
     shutter_agents: tuple[SpeciesSample, ...]
 
     def agents(self, number: int) -> SpeciesSample:
-        """Return the agents of a species at this time."""
+        """Return the agents of species `number` at this time."""
         agents = self.species[number]
         if not self.share:
             return agents
@@ -82,7 +78,7 @@ class TimeSample:
 
 @dataclass(slots=True)
 class TimeSamples:
-    """Samples of a cache at times, which must be requested in order."""
+    """Samples of a cache at any times. They must be requested in order of time."""
 
     gallery: Gallery
     _frame_numbers: set[int] = field(default_factory=set)
@@ -93,7 +89,7 @@ class TimeSamples:
         self._frame_numbers = set(self.gallery.cache.frames())
 
     def build_sample(self, time: float, frame: int) -> TimeSample:
-        """Return the agents at `time`, which belongs to `frame`, a frame of the cache. Raises CacheError if a frame is
+        """Return the agents at `time`, which belongs to the frame `frame` of the cache. Raises CacheError if a frame is
         damaged."""
         first = int(np.floor(time + 1e-9))
         first = first if first in self._frame_numbers else frame
@@ -105,13 +101,13 @@ class TimeSamples:
         )
 
     def _read_adjacent_frames(self, frame: int) -> tuple[tuple[SpeciesSample, ...] | None, tuple[SpeciesSample, ...] | None]:
-        """Return the agents of the next frame, or None, and the agents of the previous frame if there is no next frame, else
-        None."""
+        """Return the agents of the next frame or, if there is none, those of the previous frame: (next, None), (None, previous)
+        or (None, None)."""
         next_agents = self._read_frame(frame + 1)[1] if frame + 1 in self._frame_numbers else None
         return next_agents, self._read_frame(frame - 1)[1] if next_agents is None and frame - 1 in self._frame_numbers else None
 
     def _read_with_velocities(self, frame: int) -> tuple[SpeciesSample, ...]:
-        """Return the agents of a frame, by species, with velocities that lead to the next frame."""
+        """Return the agents of a frame, by species, with the velocities that lead to the next frame."""
         if frame not in self._samples_with_velocities:
             agents, beside = self._read_frame(frame)[1], self._read_adjacent_frames(frame)
             self._samples_with_velocities = dict(list(self._samples_with_velocities.items())[1 - _CACHED_FRAMES :])
@@ -170,7 +166,7 @@ def _read_agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int
 
 
 def _find_part_rows(crowd: Crowd, ids: NDArray[np.int64]) -> tuple[Crowd, NDArray[np.intp]]:
-    """Return a crowd, and its agents' rows among `ids`."""
+    """Return a crowd, and the rows of its agents within `ids`."""
     if crowd.ids is None or len(crowd.position) == len(ids):
         return crowd, np.arange(len(crowd.position))
     return crowd, np.searchsorted(ids, crowd.ids)
@@ -179,8 +175,8 @@ def _find_part_rows(crowd: Crowd, ids: NDArray[np.int64]) -> tuple[Crowd, NDArra
 def _compute_velocities(
     agents: SpeciesSample, dt: float, next_agents: SpeciesSample | None, previous_agents: SpeciesSample | None
 ) -> SpeciesSample:
-    """Return the agents with velocities that lead to the next frame. In the last frame, these are the velocities from the
-    previous frame."""
+    """Return the agents with the velocities that lead to the next frame. In the last frame, use the velocities from the previous
+    frame."""
     other = next_agents or previous_agents
     if other is None or not len(agents.ids):
         return agents
@@ -200,9 +196,9 @@ def _compute_velocities(
 
 
 def compute_rotation_vectors(first: Floats, second: Floats) -> Floats:
-    """Return the rotations from the orientations `first` to `second` (n, 4: x y z w, unit), by the smaller angle.
+    """Return the rotation from each orientation in `first` to that in `second` (n, 4: x y z w, unit), by the smaller angle.
 
-    The results (n, 3) are world axes times radians."""
+    The result (n, 3) is the axis in world coordinates times the angle in radians."""
     a, b = first, second * np.where((first * second).sum(axis=1) < 0, -1.0, 1.0)[:, None]
     real = (a * b).sum(axis=1)
     axis = a[:, 3:] * b[:, :3] - b[:, 3:] * a[:, :3] - np.cross(b[:, :3], a[:, :3])
@@ -225,7 +221,7 @@ def rotate_orientations(orient: Floats, rotation_vectors: Floats) -> Floats:
 
 
 def _interpolate_agents(agents: SpeciesSample, next_agents: SpeciesSample | None, share: float, dt: float) -> SpeciesSample:
-    """Return agents at the fraction `share` of the time to the next frame."""
+    """Return the agents at the fraction `share` of the time until the next frame."""
     scale = agents.scale
     if next_agents is not None:
         at, is_matched = match_ids(agents.ids, next_agents.ids)

@@ -1,4 +1,4 @@
-"""Values over time, arrays and names in the form of USD. Messages of USD about a failing disk become an OSError."""
+"""Values over time, arrays and names in the form that USD requires. USD's messages about disk failures become an OSError."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ Array = NDArray[Any]
 
 
 def add_root(stage: Any, origin: NDArray[np.float64]) -> Any:
-    """Return the root prim of a stage, moved in double precision by `origin` (scene units), which its positions are relative
-    to."""
+    """Return the root prim of a stage. It is moved in double precision by `origin` (scene units), to which positions are
+    relative."""
     world = import_pxr_module("UsdGeom").Xform.Define(stage, ROOT_PATH)
     if origin.any():
         world.AddTranslateOp(import_pxr_module("UsdGeom").XformOp.PrecisionDouble, "origin").Set(
@@ -41,8 +41,8 @@ def add_root(stage: Any, origin: NDArray[np.float64]) -> Any:
 class ValueSamples:
     """The values of one attribute over time.
 
-    A constant value is written at its start and end, since USD interpolates linearly. `always`: write a value at every time,
-    because some readers use the attribute only at the times of other attributes."""
+    A value that does not change is written at its start and at its end, because USD interpolates linearly. `always`: whether to
+    write a value at every time, because some readers use the attribute only at the times of other attributes."""
 
     def __init__(
         self, stage_output: StageOutput, attribute: Any, convert: Callable[[Array], Any], array_type: Any, always: bool
@@ -55,7 +55,7 @@ class ValueSamples:
         self._file_number = -1
 
     def set(self, time: float, values: Any) -> None:
-        """Set the value that applies from a time on. Times must ascend."""
+        """Set the value that applies from this time on. Times must ascend."""
         value = np.ascontiguousarray(values, self._array_type)
         new = self._file_number != self._out.file_number
         if new or self._writes_always or self._value is None or not np.array_equal(self._value, value):
@@ -77,7 +77,7 @@ class ValueSamples:
         layer.SetTimeSample(self._path, time, self._convert(value))
 
     def _declare_attribute(self, layer: Any) -> None:
-        """Add the attribute to a layer that lacks it."""
+        """Add the attribute to a layer if the layer does not contain it."""
         kind = self._attribute.GetTypeName()
         import_pxr_module("Sdf").JustCreatePrimAttributeInLayer(
             layer, self._path, kind, import_pxr_module("Sdf").VariabilityVarying
@@ -89,9 +89,8 @@ class ValueSamples:
 class StageOutput:
     """The stage, and the layer that receives values over time.
 
-    `shows_states`: whether agents have the colours of their states, not natural colours.
-    `clip`: the layer that receives values; None for the stage itself.
-    `manifest_layer`: a layer that lists all attributes with values in clips."""
+    `shows_states`: whether agents have the colours of their states instead of natural colours. `clip`: the layer to which values
+    are written; None for the stage itself. `manifest_layer`: a layer that lists all attributes with values in clips."""
 
     def __init__(self, stage: Any, shows_states: bool = False) -> None:
         self.stage: Any = stage
@@ -104,15 +103,15 @@ class StageOutput:
         self._body_names = set[str]()
 
     def name(self, kind: str, name: str) -> str:
-        """Return the name of a prim below the root for a thing, with a number if another thing has this name."""
+        """Return a name for the prim of a thing below the root. A number is added if another thing already has the name."""
         if (kind, name) not in self._name_by_thing:
             self._name_by_thing[kind, name] = make_unique(to_identifier(name), self._used_names)
         return self._name_by_thing[kind, name]
 
     def name_body(self, species: str, body: PosedBody, key: str) -> str:
-        """Return a name for a body of a species that tells it from the other ones, such as `worker_with_crumb`.
+        """Return a name for a body of a species that distinguishes it from all others, such as `worker_with_crumb`.
 
-        `key`: the key of the body. If the species has several bodies, the name of the body is a part of the result."""
+        `key`: the key of the body. If the species has several bodies, the result contains the name of the body."""
         words = [self.name("species", species), *([body.name] if key not in ("", species) else [])]
         words += [part for layer in body.list_worn_layers() for part in ("with", layer)]
         return make_unique(to_identifier("_".join(words)), self._body_names)
@@ -124,12 +123,12 @@ class StageOutput:
         return ValueSamples(self, attribute, convert, array_type, always)
 
     def begin(self, layer: Any) -> None:
-        """Write values into another layer from now on. Each attribute is written again at its next time."""
+        """Write values to another layer from now on. Each attribute is written again at its next time."""
         self.clip, self.file_number = layer, self.file_number + 1
 
 
 class Visibility:
-    """The visibility of a prim over time. A prim that appears after the first time is hidden before it."""
+    """The visibility of a prim over time. A prim that first appears later than the first time sample is hidden until then."""
 
     def __init__(self, stage_output: StageOutput, prim: Any, first: float, time: float) -> None:
         self._samples = stage_output.add_samples(
@@ -139,7 +138,7 @@ class Visibility:
             self._samples.set(first, [False])
 
     def set(self, time: float, is_visible: bool) -> None:
-        """Set whether the prim is visible from a time on."""
+        """Set whether the prim is visible from this time on."""
         self._samples.set(time, [is_visible])
 
 
@@ -154,23 +153,23 @@ def to_integer_array(values: Array) -> Any:
 
 
 def to_usd_matrix(columns: Array) -> Any:
-    """Return a matrix (4, 4) for column vectors in USD's form for row vectors."""
+    """Return a matrix (4, 4) for column vectors as a USD matrix, which is for row vectors."""
     return import_pxr_module("Gf").Matrix4d(*np.asarray(columns, np.float64).T.ravel().tolist())
 
 
 def to_usd_matrices(columns: Array) -> Any:
-    """Return matrices (n, 4, 4) for column vectors as USD's array of matrices for row vectors."""
+    """Return matrices (n, 4, 4) for column vectors as USD's array of matrices, which are for row vectors."""
     turned = np.ascontiguousarray(np.asarray(columns, np.float64).transpose(0, 2, 1))
     return import_pxr_module("Vt").Matrix4dArray.FromNumpy(turned)
 
 
 def compute_box(points: Array) -> Array:
-    """Return the lowest and the highest corner (2, 3) of the box around all points."""
+    """Return the lowest and the highest corner (2, 3) of the bounding box of all points."""
     return np.stack([points.min(axis=0), points.max(axis=0)]) if len(points) else np.zeros((2, 3))
 
 
 def add_mesh(stage: Any, path: str, points: Array, faces: Array, normals: Array | None = None, uvs: Array | None = None) -> Any:
-    """Add a static mesh of triangles and return it. `normals` (n, 3) and `uvs` (n, 2) are per point."""
+    """Add a static mesh of triangles. Return the mesh. `normals` (n, 3) and `uvs` (n, 2): one per point."""
     usd_mesh = import_pxr_module("UsdGeom").Mesh.Define(stage, path)
     usd_mesh.CreatePointsAttr(to_vector_array(points))
     usd_mesh.CreateFaceVertexCountsAttr(to_integer_array(np.full(len(faces), 3)))
@@ -188,7 +187,7 @@ def add_mesh(stage: Any, path: str, points: Array, faces: Array, normals: Array 
 
 
 def write_state_names(prim: Any, species: SpeciesEntry) -> None:
-    """Write the names of the state numbers into a prim's custom data."""
+    """Write the names of states, by state number, to the custom data of a prim."""
     for machine in species.machines:
         name = "states" if machine is species.machines[0] else f"{machine.name}.states"
         prim.SetCustomDataByKey(
@@ -197,7 +196,7 @@ def write_state_names(prim: Any, species: SpeciesEntry) -> None:
 
 
 def make_unique(name: str, used_names: set[str]) -> str:
-    """Return the name, or the name with a number if it is in `used_names`. The result is added to `used_names`."""
+    """Return `name`, with a number added if it is in `used_names`. The result is added to `used_names`."""
     unique_name, number = name, 1
     while unique_name in used_names:
         number += 1
@@ -214,9 +213,9 @@ def to_identifier(name: str) -> str:
 
 @contextmanager
 def raise_disk_errors(path: Path) -> Iterator[None]:
-    """Raise an OSError that names `path` if the disk fails while USD writes. All other errors pass unchanged.
+    """Raise an OSError that names `path` if the disk fails while USD writes. All other errors propagate unchanged.
 
-    USD reports the system's message only in its own errors."""
+    USD includes the system's message only in its own errors."""
     try:
         yield
     except import_pxr_module("Tf").ErrorException as problem:

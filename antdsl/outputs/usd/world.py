@@ -81,7 +81,7 @@ class WorldWriter:
             camera.frame(frame)
 
     def _write_item(self, frame: int, number: int, item: Item) -> None:
-        """Write the body of an item at its position. Its size shows the remaining amount, as in pictures.
+        """Write the body of an item at its position. Its size shows how much of its amount is left, as in pictures.
 
         `number`: the index of the item among all items."""
         if item.shape == "none" or item.radius <= 0:
@@ -107,7 +107,7 @@ class WorldWriter:
 
 
 def _list_surfaces() -> tuple[dict[str, tuple[float, float, float]], dict[str, tuple[float, float]]]:
-    """Return the linear colours of the kinds of surfaces, and their roughness and metalness."""
+    """Return the linear colours of the kinds of surfaces, and their roughness and metalness, by kind."""
     colours = {kind: tuple(decode_srgb(row.colour).tolist()) for kind, row in SURFACE_KINDS.items()}
     return colours, {kind: (row.roughness, row.metalness) for kind, row in SURFACE_KINDS.items()}
 
@@ -185,7 +185,7 @@ class _MeshWriter:
 
 
 class _FieldWriter:
-    """Writer of a field as points in its colour, at the cells with some strength. The width of a point shows the strength."""
+    """Writer of a field as coloured points at all cells with some strength. The width of a point shows the strength."""
 
     def __init__(self, stage_output: StageOutput, trail: Trail) -> None:
         geom = import_pxr_module("UsdGeom")
@@ -224,8 +224,8 @@ class _FieldWriter:
 
 
 def compute_creased_normals(points: Array, faces: Array) -> Array:
-    """Return unit normals float32[3 m, 3] of the corners of triangles. They are smooth, except where a face deviates by over 40
-    degrees."""
+    """Return unit normals float32[3 m, 3] for the corners of m triangles. They are smooth, except where a face deviates by more
+    than 40 degrees."""
     corners = np.asarray(points, np.float64)[faces]
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = normalise_or_fallback(flat, np.array([0.0, 1.0, 0.0]))
@@ -236,7 +236,7 @@ def compute_creased_normals(points: Array, faces: Array) -> Array:
 
 
 def _map_from_above(points: Array, up: int) -> Array:
-    """Return texture coordinates (n, 2) for a view from above. Along the longer side, they range from 0 to 1."""
+    """Return texture coordinates (n, 2) for points seen from above. Along the longer side, they range from 0 to 1."""
     flat = np.delete(np.asarray(points, np.float64), up, axis=1)
     if not len(flat):
         return np.zeros((0, 2), np.float32)
@@ -246,7 +246,7 @@ def _map_from_above(points: Array, up: int) -> Array:
 
 
 def _map_around_centre(points: Array) -> Array:
-    """Return texture coordinates (n, 2) by the direction from the centre of a body: longitude and latitude."""
+    """Return texture coordinates (n, 2) for points by their direction from the body's centre: longitude and latitude."""
     low, high = compute_box(points)
     offset = points - (low + high) / 2
     size = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)
@@ -255,7 +255,7 @@ def _map_around_centre(points: Array) -> Array:
 
 
 def _rotate_to_z_up(directions: Array) -> Array:
-    """Return vectors (n, 3) of a world with y up in the axes of a world with z up."""
+    """Return vectors (n, 3) of a world with y up, in the axes of a world with z up."""
     return np.stack([directions[:, 0], -directions[:, 2], directions[:, 1]], axis=1)
 
 

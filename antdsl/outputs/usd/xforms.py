@@ -1,6 +1,6 @@
 """A crowd as one Xform per agent, with samples of translation, angles and scale.
 
-Programs that animate objects read these samples as keyframes."""
+Programs that animate single objects read these samples as keyframes."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from antdsl.scene.geometry.usd import import_pxr_module
 
 
 class XformWriter:
-    """Writer of the agents of one species, each as an Xform above the body in the agent's first pose.
+    """Writer of the agents of one species. Each is an Xform with the body in the agent's first pose below it.
 
-    Agents in the same pose share this body."""
+    Agents with the same first pose share this body."""
 
     notes: tuple[str, ...] = ()
 
@@ -33,7 +33,7 @@ class XformWriter:
         self._file_number = stage_output.file_number
 
     def sample(self, time_sample: TimeSample) -> None:
-        """Write the agents at a time. Agents that are missing at this time are hidden."""
+        """Write the agents at a time. Agents that do not exist at this time are hidden."""
         agents, time = time_sample.agents(self._number), time_sample.time
         self._first_time = time if self._first_time is None else self._first_time
         turn = self._euler_angles.compute_angles(agents.ids, agents.orient)
@@ -86,5 +86,5 @@ class _AgentPrim:
         self._visibility.set(time, True)
 
     def write_hidden(self, time: float) -> None:
-        """Hide the agent from a time on."""
+        """Hide the agent from this time on."""
         self._visibility.set(time, False)

@@ -1,1 +1,1 @@
-"""The edits: one `EditLayer` and one model of its line for each verb."""
+"""The edits. Each verb has an `EditLayer`, and a model of its line."""

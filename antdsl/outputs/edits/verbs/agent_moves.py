@@ -1,4 +1,4 @@
-"""Moves agents in a frame, with their feet, velocities and events, and interpolates agents between two frames."""
+"""Moves agents in a frame together with their feet, velocities and events, and interpolates agents between two frames."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class AgentMoves:
     """New positions, orientations and sizes of m agents in a frame.
 
     `rows`: the rows of the agents in the frame. `position` [m, 3]: the new positions in scene units. `rotation` [m, 4]: the
-    rotation from the old to the new orientation, x y z w, in the scene's axes. `size` [m]: the factor of body lengths. `speed`
-    [m]: the factor of velocities."""
+    rotation from the old to the new orientation, a quaternion x y z w in the axes of the scene. `size` [m], `speed` [m]: factors
+    by which body lengths and velocities are multiplied."""
 
     rows: NDArray[np.intp]
     position: Floats
@@ -39,7 +39,7 @@ class AgentMoves:
     speed: Floats
 
     def scale(self, share: float, position: Floats) -> AgentMoves:
-        """Return the moves reduced to `share`. `position` [m, 3]: the old positions."""
+        """Return the moves reduced to the fraction `share`. `position` [m, 3]: the old positions."""
         if share >= 1:
             return self
         one = np.broadcast_to(IDENTITY, self.rotation.shape)
@@ -55,9 +55,9 @@ class AgentMoves:
 def make_moves(
     rows: NDArray[np.intp], position: Floats, rotation: Floats | None = None, size: float = 1.0, speed: float = 1.0
 ) -> AgentMoves:
-    """Return moves of the agents in `rows` to positions [m, 3].
+    """Return moves of the agents in `rows` to `position` [m, 3].
 
-    `rotation`: one [4], or one for each agent [m, 4]. `size`, `speed`: one factor for all agents."""
+    `rotation`: one quaternion [4], or one for each agent [m, 4]. `size`, `speed`: one factor for all agents."""
     count = len(rows)
     turns = np.broadcast_to(IDENTITY if rotation is None else rotation, (count, 4))
     return AgentMoves(rows, position, turns, np.full(count, size), np.full(count, speed))
@@ -78,9 +78,9 @@ def make_rotation(axis: Floats, angle: float) -> Floats:
 
 
 def find_shortest_rotations(start: Floats, end: Floats) -> Floats:
-    """Return the quaternions [n, 4] of the shortest rotations from unit vectors `start` to `end`, [n, 3] each.
+    """Return the shortest rotation from each unit vector in `start` [n, 3] to that in `end` [n, 3], as quaternions [n, 4].
 
-    Opposite vectors rotate about any perpendicular axis."""
+    For opposite vectors, the rotation is about an arbitrary perpendicular axis."""
     cosine = (start * end).sum(axis=1, keepdims=True)
     across = np.cross(start, np.where(np.abs(start[:, :1]) < 0.9, _AHEAD, _UP))
     opposite = np.concatenate([across, np.zeros((len(start), 1))], axis=1)
@@ -90,13 +90,13 @@ def find_shortest_rotations(start: Floats, end: Floats) -> Floats:
 
 
 def find_axes(orient: Floats) -> tuple[Floats, Floats]:
-    """Return heading and up, [n, 3] each, of agents with unit quaternions [n, 4]."""
+    """Return the heading [n, 3] and the up direction [n, 3] of agents with orientations `orient`, unit quaternions [n, 4]."""
     matrix = quaternion_to_matrix(normalise_quaternion(orient))
     return matrix[:, :, 0], matrix[:, :, 1]
 
 
 def move_agents(arrays: Arrays, manifest: Manifest, moves: AgentMoves) -> dict[str, NDArray[Any]]:
-    """Return a frame in which agents have moved, with their feet, velocities and events."""
+    """Return a frame in which agents have moved, together with their feet, velocities and events."""
     table, changed = FrameRows(arrays, manifest), dict(arrays)
     if not len(moves.rows):
         return changed
@@ -128,15 +128,16 @@ def move_agents(arrays: Arrays, manifest: Manifest, moves: AgentMoves) -> dict[s
 
 
 def _set_rows(arrays: dict[str, NDArray[Any]], name: str, rows: NDArray[np.intp], values: Floats) -> None:
-    """Replace the rows `rows` of an array by `values`, in a copy of the array."""
+    """Replace the rows `rows` of an array by `values`. The array is copied first."""
     arrays[name] = arrays[name].copy()
     arrays[name][rows] = values
 
 
 def blend_frames(arrays: Arrays, other: Arrays, share: float, manifest: Manifest) -> dict[str, NDArray[Any]]:
-    """Return a frame interpolated by `share` towards another frame: a later frame if `share` is above 0, else an earlier frame.
+    """Return a frame interpolated by the fraction `share` towards another one. That is a later frame if `share` is positive, else
+    an earlier one.
 
-    Agents that the other frame lacks stay as they are."""
+    Agents that the other frame does not contain do not change."""
     near, far = FrameRows(arrays, manifest), FrameRows(other, manifest)
     others = dict(far.iterate_agent_arrays())
     blended = dict(arrays)
@@ -158,7 +159,7 @@ def blend_frames(arrays: Arrays, other: Arrays, share: float, manifest: Manifest
 
 
 def _find_same_clips(one: Arrays, other: Arrays, group: str, other_rows: NDArray[np.intp], is_later: bool) -> NDArray[np.bool_]:
-    """Return whether each agent plays the same clips in two frames, without a new start.
+    """Return a mask of the agents that play the same clips in two frames, without having started them again in between.
 
     `other_rows`: the rows of the agents in the other frame. `is_later`: whether the other frame is the later one."""
     is_same = np.ones(len(other_rows), np.bool_)
@@ -175,7 +176,7 @@ def _find_same_clips(one: Arrays, other: Arrays, group: str, other_rows: NDArray
 
 
 def _interpolate_values(interpolation: str, one: NDArray[Any], other: NDArray[Any], share: float) -> Floats:
-    """Return values between `one` and `other` by the method `interpolation`."""
+    """Return the values at the fraction `share` between `one` and `other`. `interpolation`: the method."""
     a, b = np.asarray(one, np.float64), np.asarray(other, np.float64)
     if interpolation == "rotation":
         return slerp_quaternions(normalise_quaternion(a), normalise_quaternion(b), np.full(a.shape[:-1], share))

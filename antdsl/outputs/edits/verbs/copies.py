@@ -49,7 +49,7 @@ class DuplicateLayer(EditLayer):
 
     @classmethod
     def change_manifest(cls, manifest: Manifest, line: Any, inputs: EditInputs) -> Manifest:
-        """Return the manifest in which copies have the bodies of their originals."""
+        """Return the manifest, in which the copies have the bodies of their originals."""
         for species in manifest.species:
             if inputs.next_ids[species.name] * (line.count + 1) > MAX_COUNTED_ID:
                 raise NotEditable(f"the ids of so many copies of copies of `{species.name}` are too large: use fewer `duplicate`")
@@ -59,12 +59,12 @@ class DuplicateLayer(EditLayer):
         return manifest.model_copy(update={"species": tuple(entries)})
 
     def pass_inputs(self) -> EditInputs:
-        """Return the inputs for the next edit, with next ids beyond those of the copies."""
+        """Return the inputs for the next edit. Next ids are greater than those of the copies."""
         next_ids = {name: number * (self.line.count + 1) for name, number in self.inputs.next_ids.items()}
         return replace(self.inputs, next_ids=next_ids)
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return a frame with copies."""
+        """Return a frame with the copies added."""
         by = np.zeros(3) if self.line.by is None else convert_displacement(self.line.by, self.manifest)
         ground = self.inputs.ground.at(number) if self.line.ground == "follow" and self.inputs.ground else None
         joined = arrays
@@ -84,7 +84,7 @@ class DuplicateLayer(EditLayer):
         return joined
 
     def _assign_copy_ids(self, agents: Arrays, k: int) -> dict[str, NDArray[Any]]:
-        """Return the arrays of agents with the ids of copy k."""
+        """Return the arrays of agents, with the ids of copy number k."""
         offsets = np.array([k * self.inputs.next_ids[entry.name] for entry in self.manifest.species], np.int64)
         number_by_species = {entry.name: number for number, entry in enumerate(self.manifest.species)}
         renamed = dict(agents)

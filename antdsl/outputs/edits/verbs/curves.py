@@ -34,7 +34,7 @@ class PinLine(PlacingLine):
 
 @dataclass(frozen=True, eq=False)
 class PinLayer(PlacingLayer):
-    """A view of a cache in which some agents are on a curve."""
+    """A view of a cache in which some agents are placed on a curve."""
 
     @cached_property
     def _points(self) -> Floats:
@@ -42,9 +42,9 @@ class PinLayer(PlacingLayer):
         return np.array([convert_displacement(point, self.manifest) for point in self.line.to]) - self.manifest.origin
 
     def place(self, agents: MovedAgents, arrays: Arrays) -> AgentMoves:
-        """Return the moves of agents onto the curve.
+        """Return the moves that bring the agents onto the curve.
 
-        They face along it in the direction nearer to their heading, or always forward with a speed."""
+        Agents face along the curve, in whichever direction is nearer to their heading; with a speed, always forwards."""
         position, tangent, along = find_on_curve(self._points, agents.position)
         heading, up = find_axes(agents.orient)
         if self.line.speed is not None:
@@ -63,8 +63,8 @@ class PinLayer(PlacingLayer):
 
 
 def find_on_curve(points: Floats, positions: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the point of a polyline [k, 3] nearest to each position [n, 3], the unit tangent there, and its distance from the
-    start."""
+    """Return the point of a polyline [k, 3] nearest to each position [n, 3], and the unit tangent there. Also return the point's
+    distance from the start, along the polyline."""
     start, step = points[:-1], np.diff(points, axis=0)
     square = np.maximum((step * step).sum(axis=1), 1e-30)
     lengths = np.sqrt(square)
@@ -85,7 +85,7 @@ def find_on_curve(points: Floats, positions: Floats) -> tuple[Floats, Floats, Fl
 def walk_curve(points: Floats, distances: Floats) -> tuple[Floats, Floats]:
     """Return the points of a polyline [k, 3] at `distances` [n] from its start, and the unit tangents there.
 
-    Distances beyond the end give the end."""
+    Beyond the end of the polyline, return its end."""
     step = np.diff(points, axis=0)
     lengths = np.sqrt(np.maximum((step * step).sum(axis=1), 1e-30))
     ends = np.cumsum(lengths)

@@ -32,25 +32,25 @@ class DropLine(AgentsLine):
     onto: SceneWord
 
     def list_files(self, manifest: Manifest) -> tuple[EditFile, ...]:
-        """Return the file of the mesh, if the cache has none of this name."""
+        """Return the file that the line names as mesh, unless the cache has a mesh of this name."""
         return () if _find_mesh(self, manifest) else (EditFile("onto", self.onto, "mesh"),)
 
 
 def _find_mesh(line: DropLine, manifest: Manifest) -> MeshEntry | None:
-    """Return the manifest's entry of the mesh that the line names, or None if the line names a file."""
+    """Return the manifest's entry for the mesh that the line names. None if the line names a file."""
     return next((mesh for mesh in manifest.meshes if mesh.name == line.onto and not mesh.row.is_dug), None)
 
 
 @dataclass(frozen=True, eq=False)
 class DropLayer(EditLayer):
-    """A view of a cache in which some agents are on other ground. The mesh of a file becomes a mesh of the cache."""
+    """A view of a cache in which some agents are on other ground. A mesh from a file becomes a mesh of the cache."""
 
     line: DropLine
     required_arrays = REQUIRED_ARRAYS
 
     @classmethod
     def change_manifest(cls, manifest: Manifest, line: Any, inputs: EditInputs) -> Manifest:
-        """Return the manifest with the mesh of the file, if the line names one."""
+        """Return the manifest with the mesh from the file, if the line names a file."""
         if _find_mesh(line, manifest):
             return manifest
         entry = MeshEntry(name=_make_name(line.onto, manifest), kind=MESH_GROUND_KIND)
@@ -63,7 +63,7 @@ class DropLayer(EditLayer):
         return known.name if known else self.manifest.meshes[-1].name
 
     def read_static(self) -> Arrays:
-        """Return the arrays that apply to all frames, with the mesh of the file."""
+        """Return the arrays that apply to all frames, including the mesh from the file."""
         arrays = self.source.read_static()
         if _find_mesh(self.line, self.source.manifest):
             return arrays
@@ -76,17 +76,17 @@ class DropLayer(EditLayer):
         }
 
     def pass_inputs(self) -> EditInputs:
-        """Return the inputs of the next edit, in which the mesh is ground."""
+        """Return the inputs for the next edit. Their ground is the mesh."""
         return replace(self.inputs, ground=Ground(self))
 
     @cached_property
     def _target_ground(self) -> Ground:
-        """Return the ground that the agents come to."""
+        """Return the ground onto which the agents are dropped."""
         entry = next(mesh for mesh in self.manifest.meshes if mesh.name == self._mesh_name)
         return Ground(self, (entry,))
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return a frame with the selected agents on other ground."""
+        """Return a frame in which the selected agents are on the other ground."""
         rows = np.flatnonzero(self.selection.find(make_agent_keys(arrays)))
         new = self._target_ground.at(number)
         old = (self.inputs.ground.at(number) if self.inputs.ground else None) or new
@@ -97,7 +97,7 @@ class DropLayer(EditLayer):
 
 
 def _make_name(path: str, manifest: Manifest) -> str:
-    """Return a name for the mesh of a file that no mesh of the cache has."""
+    """Return a name for the mesh from a file, which no mesh of the cache has."""
     stem = re.sub(r"[^A-Za-z0-9_]", "_", path.rpartition("/")[2].rpartition(".")[0]) or "mesh"
     names = {mesh.name for mesh in manifest.meshes}
     return next(name for k in range(len(names) + 1) if (name := f"{stem}_{k}" if k else stem) not in names)

@@ -63,11 +63,11 @@ class OffsetLayer(EditLayer):
         return replace(view, manifest=source.manifest.model_copy(update={"species": tuple(entries)}))
 
     def is_active(self, number: int) -> bool:
-        """Return whether the edit changes a frame."""
+        """Return whether the edit changes frame `number`."""
         return compute_line_ease(self.line, number) > 0
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return a frame in which the joint of the selected agents is shifted and rotated."""
+        """Return a frame in which the joint is shifted and rotated for the selected agents."""
         angles = np.array([each.number for each in self.line.rotate or ()] or [0.0, 0.0, 0.0])
         share = compute_line_ease(self.line, number)
         turn = slerp_quaternions(IDENTITY[None], angles_to_quaternion(angles[None], "xyz"), np.array([share]))

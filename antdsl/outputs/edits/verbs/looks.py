@@ -31,7 +31,7 @@ _MAX_IDS = 50_000_000  # of a species, that are examined for a body
 
 
 def _parse_colour(value: Any) -> Any:
-    """Return the components of a colour as texts of display values from 0 to 1. A word is a colour of programs."""
+    """Return the components of a colour as texts: display values from 0 to 1. A word names a colour of the language."""
     if not isinstance(value, str):
         return value
     return [str(part / 255) for part in COLOUR_BY_NAME[parse_one_of(*COLOUR_BY_NAME)(value)]]
@@ -57,7 +57,7 @@ class ReplaceLine(AgentsLine):
         return self
 
     def list_files(self, manifest: Manifest) -> tuple[EditFile, ...]:
-        """Return the file of the body."""
+        """Return the file of the body, if the line names one."""
         return () if self.body is None or self.body in BODY_WORDS else (EditFile("body", self.body, "body"),)
 
 
@@ -76,7 +76,7 @@ class ReplaceLayer(EditLayer):
         return replace(view, manifest=_add_body(view, manifest) if view.line.body else manifest)
 
     def read_static(self) -> Arrays:
-        """Return the arrays that apply to all frames, with the body of the file."""
+        """Return the arrays that apply to all frames, including the body from the file."""
         arrays, number = self.source.read_static(), len(self.source.manifest.bodies)
         if len(self.manifest.bodies) == number:
             return arrays
@@ -95,7 +95,7 @@ class ReplaceLayer(EditLayer):
         return changed
 
     def _replace_layers(self, arrays: dict[str, NDArray[Any]], rows: NDArray[np.intp]) -> None:
-        """Replace the layers that the agents in `rows` wear."""
+        """Replace the layers of the agents in `rows`."""
         table = FrameRows(arrays, self.manifest)
         for species in self.manifest.species:
             own = table.find_body_rows(species.name)
@@ -107,7 +107,8 @@ class ReplaceLayer(EditLayer):
                 arrays[name] = masks
 
     def _regroup_feet(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Move the feet of agents to the arrays of their new bodies. Agents of a body with another number of legs get no feet."""
+        """Move the feet of agents to the arrays of their new bodies. Agents get no feet if the new body has another number of
+        legs."""
         old, new = FrameRows(arrays, self.source.manifest), FrameRows(arrays, self.manifest)
         for number, species in enumerate(self.manifest.species):
             keys = CacheBodies(self.source.manifest, {}).keys(number)
@@ -131,14 +132,15 @@ class ReplaceLayer(EditLayer):
 
 
 def _drop_incomplete_feet(arrays: dict[str, NDArray[Any]], species: str) -> None:
-    """Remove the feet arrays of bodies that have no positions of feet."""
+    """Remove the feet arrays of bodies for which positions of feet are missing."""
     for name in [each for each in arrays if each.startswith(("feet." + species + ".", "feet." + species + "#"))]:
         if f"{name.rpartition('.')[0]}.P" not in arrays:
             del arrays[name]
 
 
 def _add_layers(view: ReplaceLayer) -> Manifest:
-    """Return the manifest with the layers of the line. Raises NotEditable for a layer that no body of the selected agents has."""
+    """Return the manifest with the layers that the line names. Raises NotEditable if no body of the selected agents has a
+    layer."""
     bodies, manifest = CacheBodies(view.manifest, view.source.read_static()), view.manifest
     entries, known = list(manifest.species), set[str]()
     for number, species in enumerate(manifest.species):
@@ -158,7 +160,7 @@ def _add_layers(view: ReplaceLayer) -> Manifest:
 
 
 def _find_selected_ids(view: ReplaceLayer, number: int) -> NDArray[np.bool_]:
-    """Return whether each id of a species is selected. Raises NotEditable for too many ids."""
+    """Return a mask of the selected ids of species `number`. Raises NotEditable if there are too many ids."""
     count = view.inputs.next_ids[view.manifest.species[number].name]
     if count > _MAX_IDS:
         raise NotEditable(f"`{view.line.verb}` examines at most {_MAX_IDS:,} ids of a species: write it before `duplicate`")
@@ -166,7 +168,7 @@ def _find_selected_ids(view: ReplaceLayer, number: int) -> NDArray[np.bool_]:
 
 
 def _add_body(view: ReplaceLayer, manifest: Manifest) -> Manifest:
-    """Return the manifest in which the selected agents have the body of the line."""
+    """Return the manifest, in which the selected agents have the body that the line names."""
     text, bodies, entries = view.line.body or "", manifest.bodies, list(manifest.species)
     worn = WornBodyEntry(body=text[-500:], weight=0)
     if text not in BODY_WORDS:
@@ -189,7 +191,7 @@ def _add_body(view: ReplaceLayer, manifest: Manifest) -> Manifest:
 
 
 def _find_runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first index and the length of each run of true values."""
+    """Return (first index, length) of each run of consecutive true values."""
     edges = np.diff(np.concatenate([[0], flags.astype(np.int8), [0]]))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     return list(zip(starts.tolist(), (ends - starts).tolist(), strict=True))

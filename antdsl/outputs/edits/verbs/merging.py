@@ -37,13 +37,13 @@ class MergeLine(EditLine):
     later: FrameOffset = 0
 
     def list_files(self, manifest: Manifest) -> tuple[EditFile, ...]:
-        """Return the other cache."""
+        """Return the other cache, as a file that the line names."""
         return (EditFile("merge", self.path, "cache"),)
 
 
 @dataclass(frozen=True, eq=False)
 class MergeLayer(EditLayer):
-    """A view of a cache with the agents of another cache. Species with equal descriptions become one; others are added."""
+    """A view of a cache with the agents of another cache. Species with equal descriptions are merged; others are added."""
 
     line: MergeLine
 
@@ -71,12 +71,12 @@ class MergeLayer(EditLayer):
         return manifest.model_copy(update=update)
 
     def pass_inputs(self) -> EditInputs:
-        """Return the inputs for the next edit, with next ids beyond those of the other cache."""
+        """Return the inputs for the next edit. Next ids are greater than those of the other cache."""
         next_ids = {entry.name: self._id_offsets[k] + self._counts[k] for k, entry in enumerate(self.manifest.species)}
         return replace(self.inputs, next_ids=next_ids)
 
     def read_static(self) -> Arrays:
-        """Return the arrays that apply to all frames, with the bodies of the other cache."""
+        """Return the arrays that apply to all frames, including the bodies of the other cache."""
         first, others = len(self.source.manifest.bodies), self._other.read_static()
         bodies = {}
         for name, array in others.items():
@@ -86,7 +86,7 @@ class MergeLayer(EditLayer):
         return {**self.source.read_static(), **bodies}
 
     def find_source_files(self) -> list[Path]:
-        """Return the files that the view was made from, including those of the other cache."""
+        """Return the files from which the view was made, including those of the other cache."""
         own = (self._other.folder / name for name in CACHE_ENTRY_NAMES)
         return [*super().find_source_files(), *self._other.find_source_files(), *own]
 
@@ -102,13 +102,13 @@ class MergeLayer(EditLayer):
 
     @cached_property
     def _id_offsets(self) -> list[int]:
-        """Return, for each species of the merged cache, the offset that is added to ids of the other cache."""
+        """Return, for each species of the merged cache, the offset that is added to the ids of agents from the other cache."""
         own = [max(self.inputs.next_ids[entry.name], 1) for entry in self.source.manifest.species]
         return own + [0] * (len(self.manifest.species) - len(own))
 
     @cached_property
     def _counts(self) -> list[int]:
-        """Return, for each species of the merged cache, a number above all ids of the other cache."""
+        """Return, for each species of the merged cache, a number that is greater than all ids in the other cache."""
         counts = [1] * len(self.manifest.species)
         for frame in self._other.frames():
             arrays = self._other.frame(frame, frozenset(("id", "species")))
@@ -118,11 +118,12 @@ class MergeLayer(EditLayer):
         return counts
 
     def is_active(self, number: int) -> bool:
-        """Return whether a frame has agents of the other cache."""
+        """Return whether a frame contains agents of the other cache."""
         return True
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return a frame with the agents of the other cache. Its events are left out if its list of events differs."""
+        """Return a frame with the agents of the other cache. Its events are omitted if its list of events differs from this
+        one's."""
         count = len(arrays["id"])
         own = arrays if "species" in arrays else {**arrays, "species": np.zeros(count, np.int16)}
         time = number - self.line.later
@@ -134,7 +135,8 @@ class MergeLayer(EditLayer):
         return join_frames(own, self._convert_agents(others), self.manifest)
 
     def _convert_agents(self, arrays: Arrays) -> dict[str, NDArray[Any]]:
-        """Return the arrays of agents of the other cache with the ids, species and positions of this one."""
+        """Return the arrays of agents of the other cache, with the ids, species numbers and positions that they have in this
+        cache."""
         entries, other = self.manifest.species, self._other.manifest
         shift = np.array(other.origin) - self.manifest.origin
         shift = shift + (convert_displacement(self.line.by, self.manifest) if self.line.by else 0)
@@ -167,9 +169,9 @@ class MergeLayer(EditLayer):
 
 
 def find_matching_species(manifest: Manifest, other: Manifest) -> list[int]:
-    """Return for each species of another cache the index of the equal species, or the index at which it is added.
+    """Return, for each species of another cache, the index of the equal species in this cache, or the index at which it is added.
 
-    A species with copies or replaced bodies is added: its bodies depend on its ids in more than one way."""
+    A species with copies or replaced bodies is always added, because its bodies depend on its ids."""
     numbers, added = [], len(manifest.species)
     for species in other.species:
         described = _describe_species(species, other)
@@ -181,7 +183,7 @@ def find_matching_species(manifest: Manifest, other: Manifest) -> list[int]:
 
 
 def _describe_species(species: SpeciesEntry, manifest: Manifest) -> Any:
-    """Return a value that is equal for species that can be merged."""
+    """Return a value that is equal for two species if they can be merged."""
     worn = species.bodies or (WornBodyEntry(body=species.body, definition=species.definition),)
     digests = [None if each.definition is None else manifest.bodies[each.definition].digest for each in worn]
     plain = species.model_dump(exclude={"definition", "bodies", "copies", "merged"})
@@ -189,7 +191,7 @@ def _describe_species(species: SpeciesEntry, manifest: Manifest) -> Any:
 
 
 def _renumber_bodies(species: SpeciesEntry, first: int, names: set[str]) -> SpeciesEntry:
-    """Return a species in which the bodies have numbers after those of `first` others. It gets another name if `names` has its
+    """Return a species with body numbers that follow those of `first` other bodies. It is renamed if `names` contains its
     name."""
     name = next(each for k in range(len(names) + 1) if (each := f"{species.name}_{k + 1}" if k else species.name) not in names)
     bodies = tuple(each.model_copy(update={"definition": _add_offset(each.definition, first)}) for each in species.bodies)
@@ -198,5 +200,5 @@ def _renumber_bodies(species: SpeciesEntry, first: int, names: set[str]) -> Spec
 
 
 def _add_offset(number: int | None, first: int) -> int | None:
-    """Return `number` plus `first`; None stays None."""
+    """Return `number` + `first`, or None if `number` is None."""
     return None if number is None else number + first

@@ -1,4 +1,4 @@
-"""The edit `mirror`, which reads the result of all other edits."""
+"""The edit `mirror`. It reads the result of all other edits."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ _ROTATION_SIGN = np.array([-1.0, -1.0, 1.0, 1.0])  # of rotations there, x y z w
 
 @dataclass(frozen=True, eq=False)
 class MirrorLayer(EditLayer):
-    """A view of a cache with some agents mirrored: left and right are exchanged.
+    """A view of a cache in which some agents are mirrored, with left and right exchanged.
 
-    The ground is not mirrored: agents keep their height above it."""
+    The ground is not mirrored: agents retain their height above it."""
 
     line: MirrorLine
     required_arrays = ("id", "P", "orient", "pscale")
@@ -64,9 +64,9 @@ class MirrorLayer(EditLayer):
         return move_on_ground(mirrored, self.manifest, moves, Grounds(MirroredTerrain(ground, sign, shift), ground))
 
     def _mirror_arrays(self, arrays: Arrays, rows: NDArray[np.intp], sign: Floats, shift: Floats) -> dict[str, NDArray[Any]]:
-        """Return a frame in which the agents in `rows` are mirrored without regard to the ground.
+        """Return a frame in which the agents in `rows` are mirrored, regardless of the ground.
 
-        `sign`, `shift` [3]: a mirrored position is the position times `sign`, plus `shift`."""
+        `sign`, `shift` [3]: the mirrored position is position · `sign` + `shift`."""
         mirrored, table = dict(arrays), FrameRows(arrays, self.manifest)
         heading, up = find_axes(np.asarray(arrays["orient"], np.float64)[rows])
         for name, keys in table.iterate_agent_arrays():
@@ -98,7 +98,7 @@ class MirrorLayer(EditLayer):
         return CacheBodies(self.manifest, self.read_static())
 
     def _pair_legs(self, key: str) -> NDArray[np.intp]:
-        """Return for each leg of a body the number of the leg on the other side."""
+        """Return, for each leg of a body, the number of the opposite leg. `key`: the key of the body."""
         number = next(k for k, entry in enumerate(self.manifest.species) if entry.name == find_species_of_key(key))
         body = self._bodies.body(number, body_index=find_number_of_key(key))
         feet = [body.definition.rig.find_joint(leg.foot) for leg in body.definition.legs]

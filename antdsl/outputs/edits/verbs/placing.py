@@ -46,7 +46,7 @@ class PlacingLine(GroundLine, EasedLine):
     """A line that moves agents in some frames."""
 
     def list_items(self) -> tuple[tuple[tuple[str, ...], str], ...]:
-        """Return the names of items outside selectors, each after the keys that lead to it."""
+        """Return the names of items in the line outside selectors, as (keys that lead to the name, name)."""
         values = {key: getattr(self, key, None) for key in ("to", "around")}
         return tuple(((key,), value) for key, value in values.items() if isinstance(value, str))
 
@@ -76,7 +76,7 @@ class RotateLine(PlacingLine):
     around: PointOrName | None = None
 
     def list_items(self) -> tuple[tuple[tuple[str, ...], str], ...]:
-        """Return the names of items outside selectors, each after the keys that lead to it."""
+        """Return the names of items in the line outside selectors, as (keys that lead to the name, name)."""
         return () if self.around == _EACH else super().list_items()
 
 
@@ -107,9 +107,9 @@ class FaceLine(PlacingLine):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovedAgents:
-    """The selected agents of the frame `number`, m agents with their keys and their rows in the frame.
+    """The m selected agents of frame `number`, with their keys and their rows in the frame.
 
-    `position` [m, 3], `orient` [m, 4] and `length` [m]: positions, orientations and body lengths in float64."""
+    `position` [m, 3], `orient` [m, 4], `length` [m]: positions, orientations and body lengths, float64."""
 
     number: int
     keys: NDArray[np.int64]
@@ -127,7 +127,7 @@ class PlacingLayer(EditLayer):
     required_arrays = REQUIRED_ARRAYS
 
     def is_active(self, number: int) -> bool:
-        """Return whether the edit changes a frame."""
+        """Return whether the edit changes frame `number`."""
         return compute_line_ease(self.line, number) > 0
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
@@ -142,7 +142,7 @@ class PlacingLayer(EditLayer):
         return move_on_ground(arrays, self.manifest, moves, Grounds(ground, ground))
 
     def take_agents(self, number: int, arrays: Arrays) -> MovedAgents:
-        """Return the selected agents of a frame."""
+        """Return the selected agents of frame `number`."""
         keys = FrameRows(arrays, self.manifest).keys
         rows = np.flatnonzero(self.selection.find(keys))
         position, orient, length = (np.asarray(arrays[name], np.float64)[rows] for name in ("P", "orient", "pscale"))
@@ -150,11 +150,11 @@ class PlacingLayer(EditLayer):
 
     @abstractmethod
     def place(self, agents: MovedAgents, arrays: Arrays) -> AgentMoves:
-        """Return the moves of the agents of a frame, without regard to the ground."""
+        """Return the moves of a frame's agents, regardless of the ground."""
 
     @property
     def up(self) -> Floats:
-        """Return the unit vector up of the scene."""
+        """Return the unit vector upwards in the scene."""
         return np.array(UP_VECTORS[self.manifest.up])
 
     @cached_property
@@ -163,7 +163,8 @@ class PlacingLayer(EditLayer):
         return self.take_agents(self.first_frame, self.source.frame(self.first_frame))
 
     def find_point(self, value: Any, arrays: Arrays) -> Floats:
-        """Return the position [3] of a point or an item. For None, return the centre of the agents in the edit's first frame."""
+        """Return the position [3] of a point or an item. If `value` is None, return the centre of the agents in the first frame
+        of the edit."""
         if value is None:
             position = self.first_agents.position
             return position.mean(axis=0) if len(position) else np.zeros(3)
@@ -175,12 +176,12 @@ class PlacingLayer(EditLayer):
 
 
 def compute_line_ease(line: EasedLine, number: int) -> float:
-    """Return how far a line applies in a frame, from 0 to 1."""
+    """Return how strongly a line applies in frame `number`, from 0 to 1."""
     return 1.0 if line.frames is None else float(compute_ease_weight(*line.frames, line.ease, number))
 
 
 def convert_displacement(value: Any, manifest: Manifest) -> Floats:
-    """Return the displacement `value` of a line in scene units, [3]."""
+    """Return a displacement that a line contains, in scene units, [3]."""
     unit_mm = UNIT_MM[manifest.units]
     return np.array([part.to_millimetres(unit_mm) / unit_mm for part in value])
 
@@ -223,7 +224,7 @@ class ScaleLayer(PlacingLayer):
 
 @dataclass(frozen=True, eq=False)
 class ExpandLayer(PlacingLayer):
-    """A view of a cache in which some agents are farther from a centre, or nearer to it."""
+    """A view of a cache in which some agents are moved away from a centre or towards it."""
 
     def place(self, agents: MovedAgents, arrays: Arrays) -> AgentMoves:
         """Return the moves of agents away from a centre, or towards it."""
@@ -236,7 +237,8 @@ class FaceLayer(PlacingLayer):
     """A view of a cache in which some agents face a point."""
 
     def place(self, agents: MovedAgents, arrays: Arrays) -> AgentMoves:
-        """Return the rotations of agents towards a point about their up axis. An agent at or above the point stays as it is."""
+        """Return the rotations that turn agents about their up direction towards a point. An agent straight above or below it
+        does not turn."""
         heading, up = find_axes(agents.orient)
         return make_moves(
             agents.rows, agents.position, turn_about_up(heading, up, self.find_point(self.line.to, arrays) - agents.position)
@@ -244,7 +246,7 @@ class FaceLayer(PlacingLayer):
 
 
 def turn_about_up(heading: Floats, up: Floats, direction: Floats) -> Floats:
-    """Return the rotations [n, 4] about the unit vectors `up` that rotate headings towards `direction`, [n, 3] each."""
+    """Return the rotations [n, 4] about unit vectors `up` that turn headings towards `direction`. All arguments are [n, 3]."""
     level = direction - up * (direction * up).sum(axis=1, keepdims=True)
     length = np.sqrt((level * level).sum(axis=1, keepdims=True))
     level = np.where(length > 1e-9, level / np.maximum(length, 1e-9), heading)

@@ -37,7 +37,7 @@ class ClipLine(AgentsLine):
         return self
 
     def list_items(self) -> tuple[tuple[tuple[str, ...], str], ...]:
-        """Return the names of items outside selectors, each after the keys that lead to it."""
+        """Return the names of items in the line outside selectors, as (keys that lead to the name, name)."""
         name = self.inside.around if isinstance(self.inside, Ball) else None
         return ((("inside", "around"), name),) if isinstance(name, str) else ()
 
@@ -56,16 +56,16 @@ class KillLayer(EditLayer):
 
 @dataclass(frozen=True, eq=False)
 class ClipLayer(EditLayer):
-    """A view of a cache in which some agents exist only in some frames and positions."""
+    """A view of a cache in which some agents exist only in some frames and regions."""
 
     line: ClipLine
 
     def is_active(self, number: int) -> bool:
-        """Return whether the edit changes a frame."""
+        """Return whether the edit changes frame `number`."""
         return self.line.inside is not None or not super().is_active(number)
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return a frame without the selected agents that are outside the frames or the region."""
+        """Return a frame without the selected agents that are outside the line's frames or region."""
         keys, frames = make_agent_keys(arrays), self.line.frames
         removed = self.selection.find(keys)
         if self.line.inside is not None and (frames is None or frames.first <= number <= frames.last):

@@ -1,6 +1,6 @@
-"""The edit `smooth`: orientations and positions that are means over frames.
+"""The edit `smooth`: orientations and positions are averaged over several frames.
 
-A run cannot smooth over frames, because it does not know the next one."""
+A run itself cannot do this, because it does not know later frames."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MIN_SMOOTHING_FRAMES, MAX_SMOOTHING_FRAMES = 3, 99  # frames
 
 
 def parse_window(value: object) -> int:
-    """Return the number of frames of a window. It must be odd, so that equally many frames are before and after its middle."""
+    """Return the number of frames in a window. It must be odd, so that it has as many frames before its middle as after it."""
     width = parse_integer_between(MIN_SMOOTHING_FRAMES, MAX_SMOOTHING_FRAMES)(value)
     if width % 2 == 0:
         raise make_value_error(
@@ -59,7 +59,7 @@ class SmoothLine(AgentsLine):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameValues:
-    """One quantity of the agents of a frame. `key` int64[n]: the agents. `values` float64[n, k]; rotations are unit
+    """One quantity of the agents in a frame. `key` int64[n]: the agents. `values` float64[n, k]. Rotations are unit
     quaternions."""
 
     key: NDArray[np.int64]
@@ -68,7 +68,7 @@ class FrameValues:
 
 @dataclass(frozen=True, eq=False)
 class SmoothLayer(EditLayer):
-    """A view of a cache with smooth orientations and positions. The values of a window of frames stay in memory."""
+    """A view of a cache with smoothed orientations and positions. The values of a window of frames are cached in memory."""
 
     line: SmoothLine
     required_arrays = ("id", "orient")
@@ -76,7 +76,7 @@ class SmoothLayer(EditLayer):
     _positions: dict[int, FrameValues] = field(default_factory=dict, init=False)
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return a frame with smooth values of the selected agents."""
+        """Return a frame with smoothed values of the selected agents."""
         is_selected = self.selection.find(make_agent_keys(arrays))
         rows, changed = np.flatnonzero(is_selected), dict(arrays)
         if self.line.position is not None and "P" in arrays and len(rows):
@@ -89,9 +89,9 @@ class SmoothLayer(EditLayer):
         return changed
 
     def _place(self, number: int, arrays: Arrays, rows: NDArray[np.intp], values: Floats) -> dict[str, NDArray[np.float32]]:
-        """Return the positions and velocities of a frame, with positions `values` for the agents in `rows`.
+        """Return the arrays of positions and velocities of a frame, with the positions `values` for the agents in `rows`.
 
-        Agents keep their height above the ground, and feet stay in place."""
+        Agents retain their height above the ground, and feet do not move."""
         changed = {name: arrays[name].copy() for name in ("P", "v") if name in arrays}
         if "v" in changed:
             changed["v"][rows] = values[:, 3:]
@@ -102,7 +102,7 @@ class SmoothLayer(EditLayer):
         return changed
 
     def _read_window(self, values_by_frame: dict[int, FrameValues], number: int, width: int, names: tuple[str, ...]) -> None:
-        """Read the values of the frames around `number` into `values_by_frame`, and remove those of other frames."""
+        """Read the values of the frames around `number` into `values_by_frame`, and remove all other frames."""
         half, existing_frames = width // 2, set(self.frames())
         for each in range(number - half, number + half + 1):
             if each in existing_frames and each not in values_by_frame:
@@ -111,7 +111,7 @@ class SmoothLayer(EditLayer):
             del values_by_frame[other]
 
     def _read_values(self, number: int, names: tuple[str, ...]) -> FrameValues:
-        """Return the values of the arrays `names` of a frame, concatenated along the last axis."""
+        """Return the values of the arrays `names` in a frame, concatenated along the last axis."""
         arrays = self.source.frame(number, IDENTITY_ARRAYS | set(names))
         ids, parts = arrays.get("id"), [arrays[name] for name in names if name in arrays]
         if ids is None or ids.ndim != 1 or not parts or any(part.ndim != 2 or len(part) != len(ids) for part in parts):
@@ -122,19 +122,20 @@ class SmoothLayer(EditLayer):
 
 
 def average_values(frames: Mapping[int, FrameValues], frame: int, width: int) -> Floats:
-    """Return the values [n, k] of a frame as weighted means over `width` frames, half before the frame and half after it.
+    """Return the values [n, k] of a frame, averaged over `width` frames, half of them before the frame and half after it.
 
-    Weights fall off as a raised cosine (J. von Hann's window). For each agent, the same number of frames is used on both sides:
-    those in which it exists without a gap. So an agent's first and last value are unchanged, and no agent lags."""
+    The weights are a raised cosine (J. von Hann's window). An agent's average uses the same number of frames on both sides, and
+    only frames in which it exists without a gap. So its first and last values do not change, and it does not lag."""
     total, weight = _sum_values(frames, frame, width, are_rotations=False)
     return np.where(np.isfinite(total), total / weight[:, None], frames[frame].values)
 
 
 def average_rotations(frames: Mapping[int, FrameValues], frame: int, width: int) -> NDArray[np.float32]:
-    """Return the orientations [n, 4] of a frame as `average_values` does.
+    """Return the orientations [n, 4] of a frame, averaged in the same way as by `average_values`.
 
-    Each quaternion is added with the sign nearer to its neighbour on the side of `frame`, and the sum is normalised. For small
-    angles this is the mean of F. L. Markley et al., Averaging Quaternions, J. Guidance, Control, and Dynamics 30 (2007)."""
+    Each quaternion is added with the sign that is nearer to its neighbour on the side of `frame`, and the sum is normalised.
+    For small angles, this is the mean of F. L. Markley et al., Averaging Quaternions, J. Guidance, Control, and Dynamics 30
+    (2007)."""
     total, _ = _sum_values(frames, frame, width, are_rotations=True)
     size = np.sqrt((total * total).sum(axis=1))
     good = np.isfinite(size) & (size > 1e-6)
@@ -142,7 +143,7 @@ def average_rotations(frames: Mapping[int, FrameValues], frame: int, width: int)
 
 
 def _sum_values(frames: Mapping[int, FrameValues], frame: int, width: int, *, are_rotations: bool) -> tuple[Floats, Floats]:
-    """Return the weighted sums [n, k] over a window, and the sums of the weights [n]."""
+    """Return the weighted sums [n, k] of values over a window, and the sums of weights [n]."""
     current, half = frames[frame], width // 2
     sides = [_collect_side_values(frames, frame, direction, half, are_rotations) for direction in (-1, 1)]
     reach = np.minimum(sides[0][1], sides[1][1])
@@ -158,10 +159,10 @@ def _sum_values(frames: Mapping[int, FrameValues], frame: int, width: int, *, ar
 def _collect_side_values(
     frames: Mapping[int, FrameValues], frame: int, direction: int, frame_count: int, are_rotations: bool
 ) -> tuple[list[Floats], NDArray[np.int64]]:
-    """Return two results for a frame's agents: their values in `frame_count` frames on one side, the nearest first; and the
+    """Return, for the agents of a frame, their values in up to `frame_count` frames on one side, nearest first. Also return the
     number of these frames in which each agent exists without a gap.
 
-    `direction`: -1 for the frames before, 1 for the frames after."""
+    `direction`: -1 for earlier frames, 1 for later frames."""
     current = frames[frame]
     last, is_present, count = current.values, np.ones(len(current.key), np.bool_), np.zeros(len(current.key), np.int64)
     values = []

@@ -1,4 +1,4 @@
-"""The ground of a cache: its points above and below agents, along their up direction, and its normals there."""
+"""The ground of a cache: its points and normals above and below agents, along their up direction."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Mesh = tuple[Floats, NDArray[np.int32]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundPoints:
-    """Points on the ground, in scene units: `position` and unit `normal` [n, 3]. `is_hit`: whether there is ground."""
+    """Points of the ground in scene units: `position` [n, 3] and unit `normal` [n, 3]. `is_hit`: whether ground was found."""
 
     is_hit: NDArray[np.bool_]
     position: Floats
@@ -30,7 +30,7 @@ class GroundPoints:
 
 
 class Terrain:
-    """Meshes that agents stand on, in scene units."""
+    """The meshes on which agents walk, in scene units."""
 
     def __init__(self, meshes: Sequence[Mesh], unit_mm: float) -> None:
         self._unit_mm = unit_mm
@@ -39,9 +39,9 @@ class Terrain:
         self._normals = [compute_vertex_normals(vertices, faces).astype(np.float64) for vertices, faces in meshes]
 
     def find_along(self, points: Floats, up: Floats, lift: Floats, reach: Floats) -> GroundPoints:
-        """Return the nearest ground above or below points [n, 3], along `up` and within `reach` [n].
+        """Return the nearest ground above or below points [n, 3], along `up`, within the distance `reach` [n].
 
-        Ground up to `lift` [n] above a point counts as below it."""
+        Ground that is up to `lift` [n] above a point counts as below it."""
         start = points + up * lift[:, None]
         below, above = self._cast_rays(start, -up, reach + lift), self._cast_rays(start, up, reach)
         use_below = below[0] - lift <= above[0] + lift
@@ -52,7 +52,7 @@ class Terrain:
         return GroundPoints(is_hit, points + up * np.where(is_hit, distance, 0.0)[:, None], np.where(is_hit[:, None], normal, up))
 
     def find_below(self, points: Floats, up: Floats, lift: Floats) -> GroundPoints:
-        """Return the first ground below points [n, 3], or the first ground above points that have none below."""
+        """Return the first ground below points [n, 3] or, if there is none, the first ground above them."""
         far = np.full(len(points), np.inf)
         start = points + up * lift[:, None]
         down = self._cast_rays(start, -up, far)
@@ -66,13 +66,14 @@ class Terrain:
         return GroundPoints(is_hit, points + up * np.where(is_hit, distance, 0.0)[:, None], np.where(is_hit[:, None], normal, up))
 
     def measure_free_shares(self, start: Floats, end: Floats) -> Floats:
-        """Return the share of the line from `start` to `end` [n, 3] that is before the first ground; 1 if there is none."""
+        """Return the fraction of each line from `start` to `end` [n, 3] that is in front of the first ground. 1 if no ground is
+        hit."""
         hits = self._rays.find_first_hits(start * self._unit_mm, (end - start) * self._unit_mm)
         shares: Floats = np.minimum(hits.t, 1.0)
         return shares
 
     def _cast_rays(self, points: Floats, direction: Floats, reach: Floats) -> tuple[Floats, Floats]:
-        """Return the distances of the first hits within `reach` (inf for none), and the normals at the hits."""
+        """Return the distances of the first hits within `reach` (inf for none), and the normals at these hits."""
         hits = self._rays.find_first_hits(points * self._unit_mm, direction * self._unit_mm)
         normal = np.tile(np.array([0.0, 1.0, 0.0]), (len(points), 1))
         for mesh, (faces, normals) in enumerate(zip(self._faces, self._normals, strict=True)):
@@ -86,9 +87,9 @@ class Terrain:
 
 
 class Ground:
-    """The ground of a cache, frame by frame: the meshes `entries`, by default all meshes that agents walk on.
+    """The ground of a cache in each frame. `entries`: its meshes, by default all meshes on which agents walk.
 
-    It is built once if no mesh moves or is dug."""
+    If no mesh moves or is dug, it is built only once."""
 
     def __init__(self, cache: Cache, entries: Sequence[MeshEntry] | None = None) -> None:
         self._cache = cache
@@ -106,7 +107,7 @@ class Ground:
         return DugSolids(self._cache, self._static)
 
     def at(self, number: int) -> Terrain | None:
-        """Return the ground of a frame, or None if the cache has no ground."""
+        """Return the ground in frame `number`. None if the cache has no ground."""
         if not self._entries:
             return None
         changes = any(mesh.moves or mesh.row.is_dug for mesh in self._entries)
@@ -129,15 +130,16 @@ class Ground:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MirroredTerrain:
-    """Ground mirrored across a plane.
+    """Ground that is mirrored across a plane.
 
-    `sign` [3]: -1 for the axis across the plane. `shift` [3]: twice the plane's coordinate on this axis."""
+    `sign` [3]: -1 for the axis perpendicular to the plane, else 1. `shift` [3]: twice the coordinate of the plane on this
+    axis."""
 
     terrain: Terrain
     sign: Floats
     shift: Floats
 
     def find_along(self, points: Floats, up: Floats, lift: Floats, reach: Floats) -> GroundPoints:
-        """Return the nearest ground above or below points, as `Terrain.find_along`."""
+        """Return the nearest ground above or below points. Same as `Terrain.find_along`."""
         hits = self.terrain.find_along(points * self.sign + self.shift, up * self.sign, lift, reach)
         return GroundPoints(hits.is_hit, hits.position * self.sign + self.shift, hits.normal * self.sign)

@@ -1,4 +1,4 @@
-"""Edits of time: `hold` and `retime`. The agents of a frame are those of the cache below at another time."""
+"""Edits of time: `hold` and `retime`. A frame shows agents as they are at another time in the cache below."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ class RetimeLine(TimeLine):
 
 @dataclass(frozen=True, slots=True)
 class TimeMap:
-    """The time of the cache below that each frame shows.
+    """The time in the cache below that each frame shows.
 
-    From the frame `first` to `last`, time passes at `speed`. `ease` and `catch_up` are those of a `TimeLine`. `shift`: frames
-    that are added to all times."""
+    From frame `first` to `last`, time passes at `speed`. `ease`, `catch_up`: as in `TimeLine`. `shift`: frames that are added to
+    all times."""
 
     first: float
     last: float
@@ -72,12 +72,12 @@ class TimeMap:
     shift: float = 0.0
 
     def find_time(self, frame: float) -> tuple[float, float]:
-        """Return the source time that a frame shows (in frames), and the speed of time there."""
+        """Return the time in the cache below that a frame shows (in frames), and the speed of time there."""
         delay, slowness = self._find_delay(frame)
         return frame + self.shift - delay, 1.0 - slowness
 
     def _find_delay(self, frame: float) -> tuple[float, float]:
-        """Return the delay at a frame, in frames, and its increase per frame."""
+        """Return the delay at a frame, in frames, and by how much it grows per frame."""
         slowness, ease = 1.0 - self.speed, float(self.ease)
         if frame < self.first - ease:
             return 0.0, 0.0
@@ -98,10 +98,10 @@ class TimeMap:
 
 
 def read_agents_at(cache: Cache, time: float, selection: Selection) -> dict[str, NDArray[Any]]:
-    """Return the selected agents of a cache at a time in frames.
+    """Return the selected agents of a cache at a time, given in frames.
 
-    Positions and orientations are interpolated between two frames; all else is that of the nearer frame. A time before the first
-    or after the last frame shows that frame."""
+    Positions and orientations are interpolated between two frames. All other values are those of the nearer frame. Before the
+    first frame and after the last, the time is that of this frame."""
     frames = cache.frames()
     if not frames:
         raise CacheError(f"`{cache.folder}` has no frames")
@@ -113,7 +113,7 @@ def read_agents_at(cache: Cache, time: float, selection: Selection) -> dict[str,
 
 
 def read_shifted(cache: Cache, time_map: TimeMap, number: int, selection: Selection) -> dict[str, NDArray[Any]]:
-    """Return the selected agents at the time that a frame shows."""
+    """Return the selected agents of a cache at the time that frame `number` shows."""
     (time, speed), frames = time_map.find_time(number), cache.frames()
     agents = read_agents_at(cache, time, selection)
     speed = speed if frames[0] <= time <= frames[-1] else 0.0
@@ -126,14 +126,14 @@ def read_shifted(cache: Cache, time_map: TimeMap, number: int, selection: Select
 
 @dataclass(frozen=True, eq=False)
 class TimeLayer(EditLayer):
-    """A view of a cache in which some agents are those of another time."""
+    """A view of a cache in which some agents are shown at another time."""
 
     line: HoldLine | RetimeLine
     stored_frames = 4
 
     @property
     def time_map(self) -> TimeMap:
-        """Return the time that each frame shows."""
+        """Return the time map of the edit."""
         line, frames = self.line, self.line.frames
         if line.later is not None or line.speed is None:
             return TimeMap(self.manifest.first, self.manifest.last, shift=-float(line.later or 0))
@@ -141,12 +141,12 @@ class TimeLayer(EditLayer):
         return TimeMap(first, last, line.speed, line.ease if frames else 0, line.catch_up)
 
     def is_active(self, number: int) -> bool:
-        """Return whether a frame shows another time."""
+        """Return whether frame `number` shows another time."""
         time, speed = self.time_map.find_time(number)
         return time != number or speed != 1.0
 
     def change_frame(self, number: int, arrays: Arrays) -> Arrays:
-        """Return a frame with the selected agents taken from the time that it shows."""
+        """Return a frame in which the selected agents are those of the time that it shows."""
         agents = read_shifted(self.source, self.time_map, number, self.selection)
         others = keep_rows(arrays, self.manifest, lambda keys: ~self.selection.find(keys))
         return join_frames(others, agents, self.manifest)

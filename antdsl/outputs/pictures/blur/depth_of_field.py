@@ -1,7 +1,7 @@
 """Depth of field: the light of pixels spread over discs, layer by layer from front to back.
 
-The disc of a point is its image by a thin lens. Layers are ranges of the signed radius. Each has static surfaces, which are known
-behind bodies too, and bodies in front of them. So something sharp has no seam of what is blurred behind it."""
+The disc of a point is its image through a thin lens. Each layer covers a range of the signed disc radius. It contains bodies, and
+static surfaces that are also known behind bodies. So sharp objects have no seams where the background is blurred."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ _ROWS_PER_PART = 64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PictureLayer:
-    """One layer of a picture: `light` (h · w, 3) times `cover`, the share `cover` (h · w,) of each pixel that it covers, and the
-    `distance` (h · w,) along the rays, infinite for the sky."""
+    """One layer of a picture. `light` (h · w, 3): already multiplied by `cover`. `cover` (h · w,): the fraction of each pixel
+    that the layer covers. `distance` (h · w,): the distance along the ray, infinite for the sky."""
 
     light: Floats
     cover: Floats
@@ -39,7 +39,7 @@ class PictureLayer:
 
 
 def compose_layers(static: PictureLayer, bodies: PictureLayer) -> Floats:
-    """Return the light (h · w, 3) of a picture: bodies in front of static surfaces."""
+    """Return the light (h · w, 3) of a picture with bodies in front of static surfaces."""
     return np.asarray(static.light * (1 - bodies.cover)[:, None] + bodies.light)
 
 
@@ -65,7 +65,7 @@ def blur_layers(view: CameraView, static: PictureLayer, bodies: PictureLayer, th
 
 
 def _compute_radii(view: CameraView, layer: PictureLayer) -> Floats:
-    """Return the signed radius (h · w,) of each pixel's disc in pixels: below 0 in front of the plane in focus."""
+    """Return the signed radius (h · w,), in pixels, of the disc of each pixel. It is negative in front of the plane in focus."""
     depth = view.compute_depths(layer.distance)
     pixels_per_unit = view.width / (2 * view.half_extent[0])
     radius = view.aperture / 2 * pixels_per_unit * (1 / view.focus - 1 / np.maximum(depth, 1e-9))
@@ -74,7 +74,7 @@ def _compute_radii(view: CameraView, layer: PictureLayer) -> Floats:
 
 @cache
 def _make_disc_table(max_steps: int) -> DiscTable:
-    """Return the rows of discs with radii up to `max_steps`. A disc is at least as wide as a pixel."""
+    """Return the rows of pixels of discs with radii up to `max_steps`. A disc is at least as wide as a pixel."""
     radius = np.maximum(np.arange(max_steps + 1) / RADIUS_STEPS_PER_PIXEL, 0.5)[:, None]
     row = np.arange(int(np.ceil(radius.max())) + 1)[None]
     half: NDArray[np.float64] = np.sqrt(np.maximum(radius * radius - row * row, 0.0))

@@ -1,7 +1,7 @@
 """Motion blur: samples of bodies and static surfaces, spread along their paths while the shutter is open.
 
-Bodies are sampled at a few times. A sample covers its path in the picture from half-way to the time before until half-way to the
-next one. So the paths of all samples join, without copies of the body."""
+Bodies are sampled at a few times. In the picture, a sample covers its path from halfway to the previous time until halfway to the
+next. So the paths of all samples join, and no copies of the body are visible."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SOLID_COVER = 0.94  # a pixel that is covered for this share has no gap; sample
 
 
 def smear_bodies(lighting: PictureLighting) -> PictureLayer:
-    """Return the layer of the moving bodies, each along its path."""
+    """Return the layer of the moving bodies, each spread along its path."""
     actors, shutter, view = lighting.actors, lighting.shutter, lighting.view
     pixels = np.flatnonzero(actors.near_pixels)
     sums = np.zeros((view.height, view.width, 5), np.float32)
@@ -61,8 +61,9 @@ def smear_bodies(lighting: PictureLighting) -> PictureLayer:
 
 
 def smear_surfaces(stage: StaticStage, lighting: PictureLighting, light: Floats) -> PictureLayer:
-    """Return the layer of static surfaces, along the paths by which they move past a moving camera. `light` (h · w, 3): their
-    light at the middle of the time for which the shutter is open."""
+    """Return the layer of static surfaces, spread along the paths on which they pass a moving camera.
+
+    `light` (h · w, 3): their light halfway through the exposure."""
     view, shutter, samples = lighting.view, lighting.shutter, stage.centre_samples
     far = np.minimum(samples.distance, _MAX_FAR_DISTANCE * lighting.scales.extent)
     start, _ = view.make_rays(samples.pixel)

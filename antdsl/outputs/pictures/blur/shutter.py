@@ -18,7 +18,7 @@ _PIXELS_PER_TIME = 16.0  # of the longest motion; between two times, samples are
 
 
 class MovingBodies(Protocol):
-    """Bodies that move in a straight line from frame to frame."""
+    """Bodies that move in straight lines from this frame to the next."""
 
     @property
     def is_moving(self) -> bool: ...
@@ -32,7 +32,7 @@ class MovingBodies(Protocol):
 class Shutter:
     """The views of a camera from the picture's frame until the shutter closes, `open_frames` frames later.
 
-    `first`, `middle`, `last`: the views at the beginning, in the middle and at the end."""
+    `first`, `middle`, `last`: the views at the beginning, in the middle, and at the end of this time."""
 
     first: CameraView
     middle: CameraView
@@ -51,8 +51,9 @@ class Shutter:
         return self.first.interpolate(self.last, time_offset / self.open_frames)
 
     def choose_times(self, bodies: list[MovingBodies]) -> list[float]:
-        """Return the times at which the open shutter is sampled, in frames after the picture's frame. The longest motion in
-        pixels decides how many there are."""
+        """Return the times at which the open shutter is sampled, in frames after the picture's frame.
+
+        Their number depends on the longest motion in pixels."""
         if self.open_frames <= 0:
             return [0.0]
         longest = 0.0
@@ -73,7 +74,7 @@ def make_shutter(
 ) -> Shutter:
     """Return the views of a camera while the shutter is open.
 
-    `next_camera`: the camera in the next frame; None for the same one. `size`: width and height of the picture in pixels."""
+    `next_camera`: the camera in the next frame; None if it does not move. `size`: width and height of the picture in pixels."""
     first = make_view(camera, *size, picture.up)
     if next_camera is None or next_camera == camera or open_frames <= 0:
         return Shutter(first, first, first, open_frames)
