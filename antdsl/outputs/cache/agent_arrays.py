@@ -1,6 +1,6 @@
-"""Arrays of the agents in a frame, in scene units. Each row is an agent: ordered by species name, then by id.
+"""Arrays of the agents in a frame, in scene units, with one row per agent. Rows are sorted by species name, then by id.
 
-Each species writes its own rows of an array. Registers are read in row order, and each value is written at the agent's rank by
+The rows of a species are written together. Registers are read in row order, and each value is written at the rank of the agent's
 id."""
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ Arrays = dict[str, NDArray[Any]]
 class AgentArrayBuilder:
     """Builder of the agents' arrays.
 
-    `scale`: scene units per millimetre.
-    `factors`: by (species, name of a number), the factor from the program's unit to the frame's unit; 1 where absent.
-    `pair_names`: for each species, the names of values that exist for each pair of agents, and not for each agent."""
+    `scale`: scene units per millimetre. `factors`: by (species, name of a number), the factor from the program's unit to the unit
+    in frames; 1 where absent. `pair_names`: for each species, the names of values that belong to pairs of agents instead of
+    single agents."""
 
     def __init__(self, scale: float, factors: Mapping[tuple[str, str], float], pairs: Mapping[str, Container[str]]) -> None:
         self.scale, self.factors, self.pair_names = scale, factors, pairs
 
     def build_arrays(self, world: World, attributes: tuple[str, ...]) -> Arrays:
-        """Return the arrays with the names `attributes`, one row per agent of the world."""
+        """Return the arrays called `attributes`, with one row per agent of the world."""
         populations = [world.populations[name] for name in sorted(world.populations)]
         output = Arrays()
         for attribute in attributes:
@@ -45,7 +45,8 @@ class AgentArrayBuilder:
         return output
 
     def _write_attribute(self, world: World, attribute: str, population: Population, out: NDArray[Any]) -> None:
-        """Write an attribute of a species into `out`, its rows of the array. Agents without the attribute get NaN."""
+        """Write an attribute of a species to `out`, which has only the rows of this species. NaN for agents without the
+        attribute."""
         threads = world.options.threads
         column = COLUMN_BY_ATTRIBUTE.get(attribute)
         if column is not None and column.kind == "derived":
@@ -75,7 +76,7 @@ def write_column(population: Population, column: Column, scale: float, out: NDAr
 
 
 def write_numbers(population: Population, name: str, factor: float, out: NDArray[np.float32], threads: int = 1) -> None:
-    """Write a register times `factor` into `out` float32[n], in order of id."""
+    """Write a register times `factor` to `out` float32[n], sorted by id."""
     of = population.now[name]
     if of.dtype == np.float32:
         work = partial(frame_loops.write_numbers, of, population.id_ranks(), np.float32(factor), out)
@@ -85,8 +86,7 @@ def write_numbers(population: Population, name: str, factor: float, out: NDArray
 
 
 def write_colours(world: World, population: Population, out: NDArray[np.float32]) -> None:
-    """Write the colours of the agents' states into `out` float32[n, 3], in order of id. Raises IndexError for an invalid
-    state."""
+    """Write the colours of the agents' states to `out` float32[n, 3], sorted by id. Raises IndexError for an invalid state."""
     machines = population.plan.machines
     if not machines:
         out[:] = 1.0
@@ -98,7 +98,7 @@ def write_colours(world: World, population: Population, out: NDArray[np.float32]
 
 
 def _write_states(world: World, population: Population, out: NDArray[np.int16]) -> None:
-    """Write the numbers of the agents' states into `out` int16[n], in order of id."""
+    """Write the state numbers of the agents to `out` int16[n], sorted by id."""
     machines = population.plan.machines
     if machines:
         work = partial(frame_loops.write_integers, population.now[f"{machines[0].name}.state"], population.id_ranks(), out)
@@ -108,7 +108,7 @@ def _write_states(world: World, population: Population, out: NDArray[np.int16]) 
 
 
 def write_orientations(world: World, population: Population, out: NDArray[np.float32]) -> None:
-    """Write the orientations of agents into `out` float32[n, 4], quaternions x, y, z, w, in order of id."""
+    """Write the orientations of the agents to `out` float32[n, 4] as quaternions x, y, z, w, sorted by id."""
     heading, up, ranks = (
         _find_vector_columns(population, "heading"),
         _find_vector_columns(population, "up"),
@@ -128,7 +128,7 @@ def _write_ages(world: World, population: Population, out: NDArray[np.float32]) 
 
 
 def _find_vector_columns(population: Population, name: str) -> tuple[NDArray[np.float32], ...]:
-    """Return the registers with the x, y and z of the vector `name`."""
+    """Return the registers of the x, y and z components of the vector `name`."""
     return tuple(population.now[f"{name}.{axis}"] for axis in AXES)
 
 

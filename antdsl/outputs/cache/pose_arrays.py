@@ -57,12 +57,12 @@ _CLIP_FIELDS, _SHARE_FIELDS = ("clip", "before"), ("turns", "weight", "before_tu
 
 
 def list_playing_machines(population: Population) -> Iterator[str]:
-    """Yield the names of the machines that play clips, in the order of the text."""
+    """Yield the names of the machines that play clips, in the order of the source."""
     return (machine.name for machine in population.plan.machines if f"{machine.name}.clip" in population.plan.registers)
 
 
 def make_clip_arrays(population: Population, threads: int = 1) -> dict[str, NDArray[Any]]:
-    """Return the `clips` arrays of a species, in order of id. Arrays of the earlier clip are included if any agent has one."""
+    """Return the `clips` arrays of a species, sorted by id. They include the earlier clip if any agent has one."""
     arrays: dict[str, NDArray[Any]] = {}
     for machine in list_playing_machines(population):
         now = {field: population.now[f"{machine}.{register}"] for field, (register, _) in _REGISTER_BY_FIELD.items()}
@@ -81,7 +81,7 @@ def make_clip_arrays(population: Population, threads: int = 1) -> dict[str, NDAr
 
 
 def read_machine_clips(species: str, machine: str, arrays: Arrays, count: int) -> MachineClips | None:
-    """Return the clips that a machine of `count` agents plays. Return None if the arrays lack them."""
+    """Return the clips that a machine plays, for `count` agents. None if the arrays do not contain them."""
     named = f"clips.{species}.{machine}."
     parts = {field: _find_array(arrays, named + field, kind, count) for field, (_, kind) in _REGISTER_BY_FIELD.items()}
     if any(parts[field] is None for field in _USUAL_FIELDS):
@@ -90,21 +90,21 @@ def read_machine_clips(species: str, machine: str, arrays: Arrays, count: int) -
 
 
 def _find_array(arrays: Arrays, name: str, kind: str, *shape: int) -> NDArray[Any] | None:
-    """Return the array of a frame that has this name, type and shape, or None."""
+    """Return the array with this name, type and shape from a frame, or None."""
     array = arrays.get(name)
     return None if array is None or array.shape != shape else np.asarray(array, kind)
 
 
 def read_all_machine_clips(species: SpeciesEntry, arrays: Arrays, count: int) -> tuple[MachineClips, ...] | None:
-    """Return the clips that each machine of a species plays, for `count` agents. Return None if the frame lacks them."""
+    """Return the clips that each machine of a species plays, for `count` agents. None if the frame does not contain them."""
     clips = [read_machine_clips(species.name, machine, arrays, count) for machine in species.playing]
     return None if any(each is None for each in clips) else tuple(each for each in clips if each is not None)
 
 
 def make_feet_arrays(world: World, key: str, scale: float) -> dict[str, NDArray[Any]]:
-    """Return the `feet` arrays of the agents with a body, or nothing if its feet are not computed.
+    """Return the `feet` arrays of the agents that have the body `key`. Empty if feet are not computed.
 
-    `key`: the key of the body. `scale`: scene units per millimetre."""
+    `scale`: scene units per millimetre."""
     feet = world.feet.get(key)
     if feet is None:
         return {}
@@ -132,7 +132,7 @@ def make_feet_arrays(world: World, key: str, scale: float) -> dict[str, NDArray[
 
 
 def read_feet(key: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | None:
-    """Return the feet of the `count` agents that have the body `key`, with `legs` legs each. Return None if the frame lacks
+    """Return the feet of the `count` agents that have the body `key`, with `legs` legs each. None if the frame does not contain
     them."""
     parts = {
         each.field: _find_array(arrays, f"feet.{key}.{each.field}", each.type, count, *each.compute_dimensions(legs=legs))
@@ -143,7 +143,7 @@ def read_feet(key: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | N
 
 
 def list_wearable_layers(population: Population, setting: WorldSetting) -> tuple[str, ...]:
-    """Return the layers that agents may wear: first those of the states, then those of the scene."""
+    """Return the layers that agents may wear: first those that states show, then those that the scene gives."""
     by_scene = (
         name for crowd in _find_species_crowds(population, setting) for part in crowd.worn_layers for name in part if name
     )
@@ -179,7 +179,7 @@ def mark_layer(population: Population, is_worn: NDArray[np.bool_], bit: np.uint6
 
 
 def read_layer_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArray[np.uint64]:
-    """Return the layer mask of each of `count` agents; 0 for all if the frame has no masks."""
+    """Return the layer mask of each of `count` agents. All are 0 if the frame contains no masks."""
     masks = _find_array(arrays, f"wears.{species.name}", "u8", count)
     if not species.wears or masks is None:
         return np.zeros(count, np.uint64)
@@ -187,14 +187,15 @@ def read_layer_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArr
 
 
 def list_mask_layers(species: SpeciesEntry, mask: int) -> tuple[str, ...]:
-    """Return the names of the layers with bits in a mask."""
+    """Return the names of the layers that a mask contains."""
     return tuple(layer for k, layer in enumerate(species.wears) if mask >> k & 1)
 
 
 def read_driven_pose(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64], seed: int) -> PoseAdjustments:
-    """Return the channels and looks that states set in a frame, and the variation between bodies, for the agents `ids`.
+    """Return what changes the poses of the agents `ids` in a frame: channels and looks that states set, and variation between
+    bodies.
 
-    Data that the frame lacks is left out."""
+    Data that the frame does not contain is omitted."""
     of, count = species.name, len(ids)
     channels = {name: _find_array(arrays, f"channels.{of}.{name}", "f4", count) for name in species.channels}
     looks = {name: _find_array(arrays, f"looks.{of}.{name}", "f4", count, 3) for name in species.looks}
@@ -209,18 +210,18 @@ def read_driven_pose(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int6
 
 
 def _find_species_crowds(population: Population, setting: WorldSetting) -> Iterator[CrowdData]:
-    """Yield the crowd lines of the scene that belong to a species."""
+    """Yield the crowd lines of the scene that create agents of a species."""
     return (crowd for crowd in setting.crowds if crowd.species == population.name)
 
 
 def _draw_scene_layer_masks(
     population: Population, rows: NDArray[np.intp], setting: WorldSetting, layers: tuple[str, ...]
 ) -> Iterator[NDArray[np.uint64]]:
-    """Yield masks with the layers that the scene gives to agents: a mask for each part of the body, with one layer for each
+    """Yield masks of the layers that the scene gives to agents: one array for each part of the body, with at most one layer per
     agent.
 
-    Layers are drawn by the agent's id and the scene's seed, and stay for the agent's lifetime. Agents born later use the crowd
-    line of their parent."""
+    Layers depend on the agent's id and the scene's seed, and do not change during its life. Agents born later use the crowd line
+    of their parent."""
     crowds = [crowd for crowd in _find_species_crowds(population, setting) if crowd.worn_layers]
     if not crowds:
         return
@@ -234,5 +235,5 @@ def _draw_scene_layer_masks(
 
 
 def _make_layer_bit(layers: tuple[str, ...], layer: str) -> np.uint64:
-    """Return the mask with the bit of `layer`; 0 for a layer that the body lacks."""
+    """Return the mask that contains only `layer`; 0 if the body does not have this layer."""
     return np.uint64(1 << layers.index(layer)) if layer in layers else np.uint64(0)
