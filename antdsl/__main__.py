@@ -1,4 +1,4 @@
-"""The entry point of `python -m antdsl`, which is the same as the command `antdsl`."""
+"""The entry point of `python -m antdsl`. It does the same as the command `antdsl`."""
 
 import os
 import sys

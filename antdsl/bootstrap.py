@@ -72,8 +72,8 @@ def install_system_packages() -> None:
 
 
 def install_browser() -> None:
-    """Install Chromium for the tests of the preview page, on Debian and if this user is allowed to. Elsewhere, these tests are
-    skipped."""
+    """Install Chromium for the tests of the preview page, if the system is Debian and this user is allowed to. Otherwise these
+    tests are skipped."""
     packages = find_missing_packages(DRIVER_LIBRARIES)
     if not any(shutil.which(name) for name in BROWSERS):
         packages.insert(0, BROWSERS[0])

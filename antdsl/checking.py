@@ -84,7 +84,8 @@ def check_files(
 
 
 def check_text(data: bytes, choices: RunChoices, *, strict: bool = False, cpu_seconds: float = 0.0) -> CheckResult:
-    """Check the text of one program that is not in a file. Files that it uses are looked up from the working directory."""
+    """Check the text of one program that is not in a file. Files that the program uses are looked up from the
+    working directory."""
     path, parsed, result = Path("<stdin>.ant"), SharedParsedFiles(), CheckResult(cpu_seconds=cpu_seconds)
     source, report = syntax.decode_program("<stdin>", data)
     if source is None:
@@ -184,8 +185,8 @@ _STAGE_PHRASES = {
 
 
 def _group_files(files: Sequence[Path]) -> list[list[Path]]:
-    """Return groups of files that may use each other: the files of a folder and of all folders below it. Small groups come
-    first."""
+    """Return groups of files that may use each other. A group has the files of a folder and of all folders below it. Small groups
+    come first."""
     groups: dict[Path, list[Path]] = {}
     tops: list[Path] = []
     for folder in sorted({resolve_path(file).parent for file in files}):

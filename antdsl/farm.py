@@ -46,7 +46,7 @@ class JobStep:
     grace_seconds: int = 120
 
     def find_fixed_texts(self) -> list[str]:
-        """Return the parts of the command that are the same on all machines and for all chunks."""
+        """Return the parts of the command that do not depend on the machine or on the chunk."""
         return [text for word in self.command for text in _PLACEHOLDER_PATTERN.split(word)[::2]]
 
 

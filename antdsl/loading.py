@@ -112,8 +112,8 @@ class LoadedSources:
         return full.relative_to(folder).as_posix() if full.is_relative_to(folder) else full.as_posix()
 
     def _locate_program(self, text: str, roots: Roots, span: Span) -> Path | None:
-        """Return the path of a program that a scene or a `use` line names. If it cannot be used, report the reason and return
-        None."""
+        """Return the path of a program that a scene or a `use` line names. If the program cannot be used, report the reason and
+        return None."""
         if not text.endswith(".ant"):
             self.report.error("bad-path", f"`{text[:80]}` is not an .ant file", span, "name a file that ends in `.ant`")
             return None
@@ -133,7 +133,7 @@ class LoadedSources:
         *,
         is_library: bool = False,
     ) -> nodes.File | None:
-        """Return a parsed file. If it cannot be read, report the reason and return None.
+        """Return a file in parsed form. If the file cannot be read, report the reason and return None.
 
         `name`: the display name of a library file. `span`: the location of findings about the file itself. `origin`: the roots
         that may contain the file, and its path there; None for library files and for files that the user has named."""

@@ -74,7 +74,7 @@ class Shot:
 
     @property
     def measure_names(self) -> tuple[str, ...]:
-        """Return the names of the measures, in text order."""
+        """Return the names of the program's measures, in text order."""
         return () if self.measures is None else tuple(self.measures.nodes)
 
     @property

@@ -74,7 +74,7 @@ LightSphereType = TypeVar("LightSphereType", bound=LightSphere)
 def place_bulb(
     shape: str, position: NDArray[np.float64], size: float, up: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
-    """Return the centre (3,) and the radius of the part of an item that emits light.
+    """Return the centre (3,) and the radius of the light-emitting part of an item.
 
     `shape`: the name of the item's shape. `position` (3,), `size`: the item's position and radius. `up` (3,): a unit vector."""
     height, bulb = _BULB_BY_SHAPE.get(shape, _DEFAULT_BULB)

@@ -117,8 +117,8 @@ class ProximityQueries(ABC):
         """Return the first hits of feelers from `positions` along the unit vectors `directions`, within `reach` (mm, one or
         float[n]).
 
-        Positions and directions are given as three arrays [n], x, y and z. Agents that are too far from all faces are skipped,
-        which does not change the result."""
+        Positions and directions are given as three arrays [n], x, y and z. Agents that are too far from all faces are skipped;
+        this does not change the result."""
         (x, y, z), (dx, dy, dz) = positions, directions
         if np.ndim(reach) == 0 or reach.dtype != np.float32:  # type: ignore[union-attr]
             reach = np.broadcast_to(np.asarray(reach, np.float32), (len(x),))
@@ -147,7 +147,7 @@ class ProximityQueries(ABC):
         - result arrays: five arrays [n], hit, distance and normal (x, y, z), which the caller has initialised to no hit
 
         All arrays are contiguous float32. Returns the number of each query and the rows for which `cast_feelers` must still be
-        called. Without a grid, these are all rows of the query."""
+        called. Without a grid, `cast_feelers` must be called for all rows of the query."""
         grid = self._get_triangle_grid()
         if grid is None:
             return list_query_rows(queries)

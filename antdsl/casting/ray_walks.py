@@ -247,8 +247,8 @@ def find_hit_by_walk(grid: GridTables, rings: RingTables, start: I64, a: Vec3, w
 
 @inlined
 def _find_face_below(rings: RingTables, start: I64, place: Vec3) -> I64:
-    """Return the face below or above a position, found by going from neighbour to neighbour, beginning at `start`. Return -1 if
-    there is none, or if the position is near a side."""
+    """Return the face directly below or above a position. The search goes from neighbour to neighbour, beginning at the face
+    `start`. Return -1 if there is no such face, or if the position is near a side."""
     f, count = start, 0
     while f >= 0 and count < _MAX_SEARCHED_FACES:
         _, plane1, plane2 = _load_side_planes(rings, f)
@@ -281,7 +281,7 @@ def _evaluate_plane(plane: Plane, place: Vec3) -> F64:
 
 @inlined
 def _evaluate_plane_slope(plane: Plane, displacement: Vec3) -> F64:
-    """Return how much a plane's value changes along a displacement. Same as `faces.evaluate_plane_slope`."""
+    """Return how much the value of a plane changes along a displacement. Same as `faces.evaluate_plane_slope`."""
     return (plane[0] * displacement[0] + plane[1] * displacement[1]) + plane[2] * displacement[2]
 
 

@@ -218,9 +218,9 @@ class RayScene(ProximityQueries):
         The result has the ascending numbers of these rays, ray parameters (in lengths of `displacement`), faces numbered over all
         meshes, and barycentric weights.
 
-        Hits within the tolerance of a ray's start do not count. Open3D therefore searches slightly past the end of a ray. If a
-        reported face does not count, the search is repeated behind it: the ray starts on it, or misses it by less than the
-        tolerance."""
+        Hits within the tolerance of a ray's start do not count. Open3D therefore searches slightly past the end of a ray. A
+        reported face does not count if the ray starts on it, or misses it by less than the tolerance. The search is then repeated
+        behind this face."""
         no_hits = np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty((0, 3))
         if self._is_empty:
             return no_hits
@@ -310,7 +310,7 @@ class RayScene(ProximityQueries):
         return self._test_open3d_occlusions(rays, max_parameter, threads)
 
     def _test_open3d_occlusions(self, rays: NDArray[np.float32], max_parameter: float, threads: int) -> NDArray[np.bool_]:
-        """Return whether prepared rays hit anything within `max_parameter` lengths of their directions, by Open3D."""
+        """Return, as Open3D finds it, whether each prepared ray hits anything within `max_parameter` lengths of its direction."""
         if self._is_empty or len(rays) == 0:
             return np.zeros(len(rays), bool)
         is_occluded: NDArray[np.bool_] = self._widened_scene.test_occlusions(

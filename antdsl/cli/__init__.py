@@ -196,8 +196,8 @@ def _restart_with_safe_path() -> None:
 
 
 def _flush_output(code: int) -> int:
-    """Flush buffered output and return the exit code. `code`: returned if all output could be written; otherwise the result is
-    the exit code for lost output."""
+    """Flush buffered output and return the exit code. This is `code` if all output could be written; otherwise it is the exit
+    code for lost output."""
     try:
         loss = close_streams()
     except KeyboardInterrupt:  # the work is complete, and no reader needs the rest

@@ -131,7 +131,7 @@ def explain_cache_errors(cache: Path | None = None, retry_purpose: str = "to rec
 
 
 def _find_cache_advice(error: Exception) -> tuple[ExitCode, str]:
-    """Return the exit code and the advice for an error of a cache. For any other error, the code is BUG.
+    """Return the exit code and the advice for an error of a cache. If `error` is of another kind, the code is BUG.
 
     There is no advice about damaged frames, because the caller adds the command that recomputes them."""
     from antdsl.outputs.cache.cache_reader import CacheError

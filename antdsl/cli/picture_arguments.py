@@ -37,7 +37,7 @@ def parse_point(text: str | None, option: str) -> tuple[float, float, float] | N
 
 
 def check_camera(gallery: Gallery, settings: DrawRequest) -> None:
-    """End the command if camera options contradict each other, or if the scene has no camera of the requested name."""
+    """End the command if camera options contradict each other, or if no camera of the scene has the requested name."""
     from antdsl.diagnostics.suggestion import find_nearest_name
     from antdsl.scene.camera_models import CAMERA_VIEWS
 

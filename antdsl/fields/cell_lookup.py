@@ -35,10 +35,10 @@ def _find_cell_by_key(
 class VoxelCellIndex(NamedTuple):
     """A lookup table for the cells in a box of voxels. A cell's key combines the number of its voxel with its side.
 
-    `voxel_width`: in mm. `lowest_voxel`, `voxels_per_axis`: the first voxel of the box, and its number of voxels along each
-    axis. `direct_table`: the cell of every key; empty if the box is too large for a table. In this case, `keys` is searched by
-    bisection within a block. `keys`: the keys of the cells, ascending. `block_shift`: each block covers 2**shift keys.
-    `block_starts` [blocks + 1]: the position of each block's first key in `keys`."""
+    `voxel_width`: in mm. `lowest_voxel`, `voxels_per_axis`: the first voxel of the box, and its number of voxels along each axis.
+    `direct_table`: the cell of every key; empty if the box is too large for such a table. Then a key is searched in a block of
+    `keys` by bisection. `keys`: the keys of the cells, ascending. `block_shift`: each block covers 2**shift keys. `block_starts`
+    [blocks + 1]: the position of each block's first key in `keys`."""
 
     voxel_width: F64
     lowest_voxel: Array1[I64]

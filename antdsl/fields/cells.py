@@ -193,7 +193,7 @@ class SurfaceCells:
     def _locate_cells(
         self, points: Floats, side: NDArray[np.int8], previous_cells: CellLookupState | None, cell: Cells, threads: int
     ) -> tuple[int, CellLookupState]:
-        """Write the cell with each point's voxel and side to `cell`, -1 for none. Return the number of points without a cell,
+        """Write to `cell` the cell that has each point's voxel and side, -1 for none. Return the number of points without a cell,
         and the state for the next call."""
         state = previous_cells
         if state is None or state.surface_cells is not self or len(state.keys) != len(points):
@@ -222,7 +222,7 @@ class SurfaceCells:
         return True
 
     def _write_keys(self, points: Floats, side: NDArray[np.int8], key: NDArray[np.int64], is_in_box: NDArray[np.bool_]) -> None:
-        """Write the key of each point to `key`, and whether the point's voxel is in the box to `is_in_box`."""
+        """Write to `key` the key of each point, and to `is_in_box` whether the point's voxel is in the box."""
         for axis in range(3):
             step = np.floor(points[:, axis] / self.cell + 0.5)
             step -= self._low[axis]
@@ -343,7 +343,7 @@ class SurfaceCells:
 
     @property
     def nearest_block_cells(self) -> Cells:
-        """Return the 16 nearest cells of each cell, int32[n,16], as `get_nearest_cells` returns them."""
+        """Return the 16 nearest cells of each cell, int32[n,16], in the form of `get_nearest_cells`."""
         return self.get_nearest_cells(NEAREST_CELL_COUNT)
 
     def compute_offsets(self, first: Floats, second: Floats) -> Floats:
@@ -361,7 +361,7 @@ class SurfaceCells:
         return self._tables[k]
 
     def _compute_nearest_cells(self, cells: NDArray[np.int64], k: int) -> Cells:
-        """Compute the rows of `get_nearest_cells` for the given `cells`."""
+        """Return the rows of `get_nearest_cells` for the given `cells`."""
         table = np.full((len(cells), k), len(self), np.int32)
         for a in range(0, len(cells), _POINTS_PER_CHUNK):
             chosen = cells[a : a + _POINTS_PER_CHUNK]

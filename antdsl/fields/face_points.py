@@ -84,7 +84,7 @@ class FaceLattice:
         return slots, weights
 
     def get_face_by_slot(self) -> Index:
-        """Return the face of each slot."""
+        """Return the number of the face that each slot is on."""
         return np.repeat(np.arange(len(self.edge_pieces)), (self.edge_pieces + 1) * (self.edge_pieces + 2) // 2)
 
     def compute_slot_weights(self) -> tuple[Floats, Floats]:

@@ -37,7 +37,8 @@ def project_to_faces(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, F
 
 
 def project_across_up(v: Floats, up: Floats) -> Floats:
-    """Return vectors `v` (n, 3) projected onto the planes perpendicular to `up` (n, 3), for agents that stand on no face.
+    """Return the vectors `v` (n, 3) projected onto the planes perpendicular to `up` (n, 3). Used for agents that stand on no
+    face.
 
     A vector at an angle of up to 60 degrees to its plane retains its length."""
     tangential = v - (v * up).sum(axis=1)[:, None] * up

@@ -42,7 +42,8 @@ class GrowingCells(SurfaceCells):
         return {"keys": self._keys[new], "places": np.concatenate([self.position[new], self.normal[new]], axis=1)}
 
     def add_cells_at_points(self, positions: Floats, normals: Floats) -> NDArray[np.int64]:
-        """Add the missing cells for points [n,3] on new surface with unit normals [n,3]. Return the numbers of the new cells."""
+        """Add the cells that do not exist yet for points [n,3], with unit normals [n,3], on new surface. Return the numbers of
+        the new cells."""
         voxel = np.floor(positions / self.cell + 0.5).astype(np.int64) - self._low
         is_in_box = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
         positions, normals, voxel = positions[is_in_box], normals[is_in_box], voxel[is_in_box]

@@ -117,7 +117,7 @@ class PathFlow(SurfaceFlow):
         return shares
 
     def _sum_to_points(self, corner_values: Floats) -> Floats:
-        """Return, for each point, the sum of `corner_values` (3 t,) over all triangle corners at this point."""
+        """Return, for each point, the sum of `corner_values` (3 t,) over all triangle corners that are at this point."""
         assert self.crossable_ground is not None
         land = self.crossable_ground.surface
         return np.bincount(land.triangles.ravel(), corner_values, len(land.points)).astype(np.float64)
@@ -132,7 +132,7 @@ class PathFlow(SurfaceFlow):
         self.recompute_flow()
 
     def measure_coverage(self, world: World) -> NDArray[np.int64]:
-        """Return, for each point, the area that the agents nearest to this point cover, in units of 1 /
+        """Return, for each point, the area that agents cover. An agent counts at its nearest point. The unit is 1 /
         _COVERAGE_PARTS_PER_MM2 mm²."""
         g, meshes = self.crossable_ground, world.ground.meshes
         assert g is not None and meshes is not None

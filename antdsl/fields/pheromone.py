@@ -128,7 +128,8 @@ class PheromoneField:
         return wrong
 
     def set_remaining_amounts(self, cells: NDArray[np.integer[Any]], amounts: NDArray[np.float64]) -> None:
-        """Set the amounts that remain in distinct cells after agents took pheromone from them. `advance` applies them."""
+        """Set the amounts that remain in distinct cells after agents took pheromone from them. The next call of `advance` stores
+        them."""
         self._remaining_amounts.append((cells, amounts))
 
     def advance(self, remaining_share: float, diffusion: float, dt: float, threads: int = 1) -> None:
@@ -208,8 +209,8 @@ class PheromoneField:
     def get_dependent_cells(self, k: int) -> tuple[NDArray[np.int64], Cells]:
         """Return, for each cell, the cells that have it among their `k` nearest cells.
 
-        The result is two arrays, `start` and `cell`. For cell a, these are `cell[start[a]:start[a+1]]`, ascending. Only for
-        fields that cannot get new cells."""
+        The result is two arrays, `start` and `cell`. For cell a, these are `cell[start[a]:start[a+1]]`, ascending. This is only
+        valid for fields that cannot get new cells."""
         if k not in self._dependents_by_size:
             self._dependents_by_size[k] = _find_dependent_cells(self._get_nearest_cells(k), len(self.cells))
         return self._dependents_by_size[k]
@@ -323,7 +324,7 @@ def compute_cell_inflow(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write the inflow minus the outflow of each cell from `begin` to before `end` to `change`.
+    """Write to `change` the inflow minus the outflow of each cell from `begin` to before `end`.
 
     `cell[start[n]:start[n+1]]`: the cells linked to cell n. `inflow_shares`: for each entry of `cell`, the fraction of that
     cell's amount that flows into cell n. `outflow_shares`: the fraction of each cell's amount that flows out."""

@@ -52,7 +52,8 @@ class _SolidEntries:
 
 
 class CombinedGround:
-    """A ground of meshes and named solids. `meshes` is None if there are none. Names of solids come after names of meshes."""
+    """A ground of meshes and named solids. `meshes` is None if the ground has no meshes. Names of solids come after names of
+    meshes."""
 
     def __init__(self, meshes: MeshSurfaces | None, solids: Mapping[str, Volume], up: Floats) -> None:
         self.meshes = meshes
@@ -234,7 +235,7 @@ class CombinedGround:
 
     @staticmethod
     def _finish_walks(walk: _CombinedWalk, rows: Rows, unfinished_rows: Rows, move: GroundMove) -> None:
-        """Store the results of the agents in `rows`, except `unfinished_rows`, which are indices into `rows`."""
+        """Store the walk results of the agents in `rows`. Leave out `unfinished_rows`, which are indices into `rows`."""
         footing, vectors = move.footing, [move.position, move.up, move.heading, move.direction]
         travelled, blocked = move.travelled, move.is_blocked
         if unfinished_rows.size:
@@ -253,7 +254,7 @@ class CombinedGround:
         walk.remaining_displacements[rows] = 0.0
 
     def _find_solid_entries(self, end: Floats, start: Callable[[Rows], Floats], ignored_solid: int = -1) -> _SolidEntries:
-        """Return the agents that enter a solid on the path to `end` [n,3].
+        """Return the agents that enter a solid on their paths to `end` [n,3].
 
         `start`: a function that returns the start positions of given rows. `ignored_solid`: the number of a solid to ignore."""
         part, which = np.full(len(end), np.inf), np.zeros(len(end), np.intp)

@@ -208,7 +208,7 @@ class _MovingPieceClearances:
         return self._parts
 
     def _build_face_parts(self, reach: float) -> FacePartClearances:
-        """Return the clearances between static meshes, with the clearance 0 for all faces near moving meshes."""
+        """Return the clearances between static meshes. The clearance is 0 for all faces near moving meshes."""
         ground = self._ground
         still = self._static_clearances.get_face_parts(reach)
         count, first = np.zeros(len(ground._faces), np.int32), np.zeros(len(ground._faces), np.int64)
@@ -218,7 +218,8 @@ class _MovingPieceClearances:
         return FacePartClearances(reach, first, count, np.append(still.clearances, 0.0))
 
     def _find_faces_near_moving(self, reach: float) -> Index:
-        """Return the faces that may have another mesh within `reach`, if one of the two meshes moves."""
+        """Return the faces that may have another mesh within `reach` mm, counting only pairs of meshes of which at least one
+        moves."""
         ground = self._ground
         wide = reach + 2 * self.distance_noise
         for k, rows in enumerate(ground._face_slices.values()):

@@ -235,7 +235,7 @@ class Ground(Protocol):
         `surface_names`: the surfaces and solids to search; None means all."""
 
     def position(self, footing: Footing) -> Floats:
-        """Return positions in the world, float64[n,3]; zero for agents without a footing."""
+        """Return positions in the world, float64[n,3]. They are zero for agents without a footing."""
 
     def normal(self, footing: Footing) -> Floats:
         """Return unit normals, float64[n,3]: by winding on faces, outwards on solids, and zero for agents without a footing."""

@@ -57,7 +57,7 @@ class SolidProximityQueries:
         float[n]).
 
         Positions and directions are given as three arrays [n], x, y and z. A ray hits where it enters the solid. The start of a
-        ray counts as free, even if it is inside the solid or along the surface below the agent."""
+        ray counts as free, even inside the solid or along the surface below the agent."""
         origin, direction = (np.stack(list(v), axis=1).astype(np.float64) for v in (positions, directions))
         n = len(origin)
         far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
@@ -88,15 +88,15 @@ class SolidProximityQueries:
     def cast_feeler_batch(
         self, positions: Arrays, queries: Sequence[FeelerQuery], threads: int = 1
     ) -> list[tuple[int, NDArray[np.intp]]]:
-        """Return, for each query, its number and the rows of agents for which `cast_feelers` must still be called: here, all
-        agents."""
+        """Return, for each query, its number and the rows of agents for which `cast_feelers` must still be called. For a solid,
+        these are all rows of the query."""
         return list_query_rows(queries)
 
     def find_nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
-        """Return the distance (mm) of each point from the nearest surface within `reach` (mm, one or float[n]), and the unit
-        direction away from it. Inside the solid, the distance is 0."""
+        """Find the nearest surface within `reach` (mm, one or float[n]) of each point. Return the distance (mm), and the unit
+        direction away from the surface. Inside the solid, the distance is 0."""
         place = np.stack([x, y, z], axis=1).astype(np.float64)
         reach = np.broadcast_to(np.asarray(reach, np.float32), (len(place),))
         distance, slope = self.volume.sample_with_gradients(place)
@@ -140,7 +140,7 @@ class SolidProximityQueries:
         return np.ascontiguousarray((slope / np.maximum(size, np.float32(1e-12))[:, None]).T)
 
     def _find_nearest_surface(self, place: Floats) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the distance from the surface, and the unit direction away from it, for points beyond the band of the field. The
+        """For points beyond the band of the field, return the distance from the surface, and the unit direction away from it. The
         result is accurate to a few voxels."""
         from scipy.spatial import cKDTree
 

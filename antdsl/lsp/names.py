@@ -167,8 +167,8 @@ class _OccurrenceIndexer:
             self.occurrences.append(NameOccurrence(span, self.resolve_nearby(meaning[0], item), meaning[1]))
 
     def resolve_nearby(self, key: NameKey, item: nodes.TopItem) -> NameKey:
-        """Return the key of a name that the checker did not resolve. It is the key of a declaration with this name in the
-        enclosing behaviour or species. If there is none, `key` is returned unchanged."""
+        """Return the key of a name that the checker did not resolve. If the enclosing behaviour or species declares the name,
+        this is the key of the declaration; otherwise it is `key`."""
         if key[0] in ("?", "?state") and isinstance(item, (nodes.Behaviour, nodes.Species)):
             scope = ("inner", str(self.names.path), item.name.text) if isinstance(item, nodes.Behaviour) else (item.name.text,)
             for each in self.names.declaration_by_key:
@@ -220,7 +220,7 @@ class _OccurrenceIndexer:
         self.mark_variable(node.variable)
 
     def mark_variable(self, variable: nodes.Name | None) -> None:
-        """Record a variable as a declaration. None is ignored."""
+        """Record a variable as a declaration. Do nothing if it is None."""
         if variable is not None:
             self.meaning_by_span[variable.span] = (_make_element_key(self.names, variable.span), True)
 

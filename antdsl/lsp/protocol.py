@@ -36,7 +36,7 @@ _COMPLETION_KINDS = {
 
 
 def to_lsp_range(range: TextRange) -> lsp.Range:
-    """Convert lines and columns to the protocol's range."""
+    """Convert a range of lines and columns to the protocol's range."""
     (line, column), (end_line, end_column) = range
     return lsp.Range(lsp.Position(line, column), lsp.Position(end_line, end_column))
 

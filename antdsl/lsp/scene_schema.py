@@ -58,7 +58,7 @@ def _list_models(model: type[ScenePart]) -> Iterator[type[ScenePart]]:
 
 
 def _allow_scalar_texts(part: Any) -> Any:
-    """Return a part of the schema, changed so that scalars may also be texts with units."""
+    """Return a part of the schema in which each scalar may also be a text with a unit."""
     if isinstance(part, list):
         return [_allow_scalar_texts(each) for each in part]
     if not isinstance(part, dict):

@@ -97,7 +97,7 @@ def _index_item(index: SceneIndex, thing: str, node: DocumentNode, things: set[s
 
 
 def _index_attributes(index: SceneIndex, thing: str, node: DocumentNode) -> None:
-    """Record those keys of an item that are attributes declared by the program."""
+    """Record the keys of an item that name attributes which the program declares."""
     built_in_names = {*ItemThing.model_fields, *ITEM_ATTRIBUTE_TYPES}
     for word, span, _ in _list_mapping_entries(node):
         if word not in built_in_names:

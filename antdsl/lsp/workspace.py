@@ -49,7 +49,7 @@ class NameIndex:
 
     @cached_property
     def meaning_by_offset(self) -> dict[int, tuple[str, bool]]:
-        """Return, by the offset of each word, the kind of its symbol and whether this word declares the symbol."""
+        """Return, by the start offset of each word, the kind of its symbol, and whether the symbol is declared by this word."""
         pairs = zip(reversed(self.start_offsets), reversed(self.occurrences), strict=True)
         return {start: (str(each.key[0]), each.is_declaration) for start, each in pairs}
 
@@ -133,7 +133,7 @@ class OpenDocument:
         return self.parsed[0].file_span(span) if self.is_program else span
 
     def find_range(self, span: Span) -> TextRange:
-        """Return the lines and columns of a span."""
+        """Return the start and the end of a span as lines and columns."""
         return self.text.find_range(self.find_start(span), self.find_end(span))
 
     def find_occurrences(self, offset: int) -> list[NameOccurrence]:
@@ -205,7 +205,7 @@ class Workspace:
         self._check_memos.pop(path, None)
 
     def find_document(self, path: Path) -> OpenDocument | None:
-        """Return a file as open in the editor, or else as on disk; None if it cannot be read."""
+        """Return a file as it is open in the editor, or else as it is on disk. Return None if it cannot be read."""
         open_document = self.open_documents.get(path)
         if open_document is not None:
             return open_document
@@ -264,8 +264,8 @@ class Workspace:
         return NO_BINDINGS if result is None or result.program is None else result.program.bindings
 
     def find_last_good_program(self, path: Path) -> Program | None:
-        """Return the program from the document's last check without errors, or None. It answers queries while the text is
-        edited."""
+        """Return the program from the document's last check without errors; None if there was no such check. It answers queries
+        while the text is edited."""
         result = self.check_document(path)
         return self._last_good_programs.get(path) or (result.program if result is not None else None)
 
@@ -321,7 +321,7 @@ class Workspace:
     # --- which files belong together ---
 
     def find_linked_files(self, path: Path) -> list[Path]:
-        """Return a file, the files that it names, and the files that these name."""
+        """Return a file, the files that it names, and all files named in those."""
         paths: dict[Path, None] = {}
         stack = [path]
         while stack:
@@ -360,7 +360,7 @@ class Workspace:
         return [path, *sorted(others - {path})]
 
     def find_scenes_using(self, path: Path) -> list[Path]:
-        """Return the open scenes that use the program at `path` or extend the scene at `path`."""
+        """Return the open scenes that use the program at `path`, and the open scenes that extend the scene at `path`."""
         return [each for each in self.open_documents if each != path and path in self.find_linked_files(each)]
 
     def list_files(self) -> list[Path]:

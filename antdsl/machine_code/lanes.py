@@ -231,7 +231,7 @@ class LaneBuilder(VectorBuilder[Lanes]):
         return self.convert(self.reinterpret_bits(value + _ROUNDING_MAGIC, I64), I32)
 
     def to_int64(self, value: Lanes) -> Lanes:
-        """Convert a float64 with an integer value below 2**51 to i64."""
+        """Convert a float64 to i64. Its value must be an integer below 2**51."""
         return self.reinterpret_bits(np.rint(value) + _ROUNDING_MAGIC, I64) - self.reinterpret_bits(
             self.make_constant(_ROUNDING_MAGIC, F64), I64
         )

@@ -17,15 +17,15 @@ _FORWARD_OFFSETS = _NEIGHBOUR_OFFSETS[len(_NEIGHBOUR_OFFSETS) // 2 :]  # each pa
 
 
 def find_pairs_within(points: Floats, reach: float) -> tuple[Index, Index]:
-    """Return all pairs of points [n,3] with a distance of at most `reach`, as two arrays of indices. The first array has the
-    lower index of each pair."""
+    """Return all pairs of points [n,3] that are at most `reach` apart, as two arrays of indices. The first array has the lower
+    index of each pair."""
     one, other = _find_pairs(points, points, reach, _FORWARD_OFFSETS)
     return np.minimum(one, other), np.maximum(one, other)
 
 
 def find_pairs_between(points: Floats, others: Floats, reach: float) -> tuple[Index, Index]:
-    """Return all pairs of a point from `points` [n,3] and one from `others` [k,3] with a distance of at most `reach`. The
-    results are the indices into `points` and into `others`."""
+    """Return the pairs of a point of `points` [n,3] and a point of `others` [k,3] that are at most `reach` apart. The results are
+    two arrays: the indices into `points`, and the indices into `others`."""
     return _find_pairs(points, others, reach, _NEIGHBOUR_OFFSETS)
 
 

@@ -79,8 +79,8 @@ class PeriodicBox:
         return [np.array(step, np.int64) for step in product(*((0, -1, 1) if width else (0,) for width in self.widths))]
 
     def find_image_rows(self, position: tuple[NDArray[Any], ...], reach: float) -> tuple[NDArray[np.intp], tuple[Any, ...]]:
-        """Return all positions and those of their images that are within `reach` (mm) of the box. `position`: x, y and z (mm).
-        The results are rows, and coordinates (x, y, z) of the same length. The original positions come first."""
+        """Return all positions, and all their periodic images that are within `reach` (mm) of the box. `position`: x, y and z
+        (mm). The results are rows, and coordinates (x, y, z) of the same length. The original positions come first."""
         reach += _REACH_SLACK_SHARE * max(self.widths)
         rows, positions = [np.arange(len(position[0]))], [position]
         for image in self.list_images()[1:]:

@@ -57,8 +57,8 @@ def compute_site_words(species: str, site: str) -> tuple[int, int]:
 
 
 def draw_four_words(seed: int, frame: int, species: str, site: str, block: int, ids: NDArray[np.int64]) -> WordColumns:
-    """Return four random 32-bit words for each id. `frame`: may be negative (preroll). `block`: which group of four draws of
-    the site."""
+    """Return four random 32-bit words for each id. `frame`: the frame, which is negative during preroll. `block`: the number of a
+    group of four draws of the site."""
     (c0, low, c3), key = build_counters(seed, frame, species, site, block)
     wide = ids.astype(np.uint64)
     first, last = (np.full(wide.shape, c, np.uint64) for c in (c0, c3))

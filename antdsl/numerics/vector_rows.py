@@ -61,7 +61,7 @@ def normalise_or_fallback(v: Floats, fallback: Floats) -> Floats:
 
 
 def compute_unit_tangents(v: Floats, normal: Floats) -> Floats:
-    """Return the unit vectors along the components of `v` perpendicular to the unit normals. Both are (n, 3)."""
+    """Return the components of `v` perpendicular to the unit normals `normal`, scaled to length 1. All arrays are (n, 3)."""
     flat = v - (v * normal).sum(axis=1)[:, None] * normal
     level: Floats = flat / np.maximum(length(flat), 1e-12)[:, None]
     return level

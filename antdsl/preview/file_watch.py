@@ -58,7 +58,7 @@ class FileWatch:
         self.find_changed_files()
 
     def find_changed_files(self) -> tuple[Path, ...]:
-        """Return the files that have stopped changing and now have contents other than those last reported or first read."""
+        """Return the files that have stopped changing and now differ from what was last reported, or from what was first read."""
         now, paths, self._remaining_bytes = self._clock(), list(dict.fromkeys(self._list_paths())), _REREAD_BYTES_PER_POLL
         changed = [path for path in paths if path in self._files and self._is_changed(path, self._files[path], now)]
         for path in paths:

@@ -200,7 +200,7 @@ class LiveSimulation:
         self.session.playing, self.pause_reason, self._next_step_time = True, None, monotonic()
 
     def pause(self, reason: PauseReason | None = None) -> None:
-        """Pause, and drop pending steps. `reason`: why the session paused automatically; the frame is then marked on the
+        """Pause, and drop pending steps. `reason`: set if the session paused automatically; the frame is then marked on the
         timeline."""
         if reason is not None:
             self.session.timeline.mark_stop(self.session.frame, reason.line)

@@ -72,7 +72,7 @@ class LookAheadSimulation:
         self.version += 1
 
     def _find_last_frame(self, session: PreviewSession) -> int:
-        """Return the number of the last future frame that should be simulated."""
+        """Return the number of the last future frame to simulate."""
         count = max(
             1, min(round(LOOK_AHEAD_SECONDS / session.world.dt), _MAX_POSITION_BYTES // (12 * max(1, len(session.world))))
         )

@@ -30,8 +30,8 @@ class PrecompiledShot:
     parsed_files: ParsedFileCache
 
     def is_current(self, choices: RunChoices, replacement_texts: Mapping[Path, str], parsed_files: ParsedFileCache) -> bool:
-        """Return whether compiling the scene again would give the same shot. `parsed_files`: the current programs; equal texts
-        give identical objects."""
+        """Return whether compiling the scene again would give the same shot. `parsed_files`: the current programs, in which equal
+        texts are the same object."""
         return (
             (choices, replacement_texts) == (self.choices, self.replacement_texts)
             and parsed_files.keys() == self.parsed_files.keys()

@@ -306,8 +306,10 @@ class Timeline:
 
 
 def _list_droppable_checkpoints(stretch: SimulationSegment) -> Iterator[tuple[bool, int, int, SimulationSegment]]:
-    """Yield the checkpoints of a segment except the first, each as a tuple. Its values are: whether it is the last checkpoint,
-    the longest simulation without it (in frames), its frame, and the segment."""
+    """Yield the checkpoints of a segment except the first.
+
+    Each is a tuple: whether it is the segment's last checkpoint, how many frames would at most have to be simulated without it,
+    its frame, and the segment."""
     frames = sorted(stretch.checkpoints)
     for previous_frame, frame, next_frame in zip(frames, frames[1:], [*frames[2:], None], strict=False):
         yield next_frame is None, (frame if next_frame is None else next_frame) - previous_frame, frame, stretch

@@ -128,7 +128,7 @@ class FileReader:
         self._scene_file_digests: set[str] = set()  # `files` of this scene
 
     def begin_scene(self) -> None:
-        """Start a new scene; see the function `begin_scene`."""
+        """Start a new scene, as the function `begin_scene` describes."""
         with self._lock:
             self._heavy_failures.clear()
             self._scene_file_digests.clear()
@@ -282,7 +282,7 @@ class FileReader:
             self._folder = None
 
     def forget_child(self) -> None:
-        """Forget the child after a fork, because it belongs to the parent process."""
+        """Stop using the child after a fork, because it belongs to the parent process."""
         if self._reader_process is not None:
             self._reader_process.close_pipes()
 

@@ -199,8 +199,8 @@ class RefusalError(Exception):
 
     @classmethod
     def from_document(cls, document: Any, codes: Any) -> RefusalError | None:
-        """Return the error in a document from the reader. Return None if the document is not an error, or if its code is not in
-        `codes`."""
+        """Return the error in a document from the reader. Return None if the document is no error, or if the error's code is not
+        in `codes`."""
         if not isinstance(document, dict):
             return None
         texts = {name: document.get(name) for name in ("code", "message", "key", "about")}

@@ -118,11 +118,11 @@ def fill_clear_velocities(
 def write_velocity_border(
     other: RelativeAgent, preferred_side: F64, index: I64, own_x: F64, own_y: F64, horizon: F64, dt: F64, borders: BorderColumns
 ) -> None:
-    """Write the half-plane of velocities that the neighbour `other` allows to entry `index` of `borders`.
+    """Write to entry `index` of `borders` the half-plane of velocities that the neighbour `other` allows.
 
-    If the half-plane is not finite, the entry has no direction and allows every velocity. `preferred_side`: the direction to
-    use if both agents have the same position and velocity. `own_x`, `own_y`: the agent's velocity. `horizon`: the time (s) for
-    which agents that do not overlap avoid a collision. `dt`: the time (s) in which overlapping agents separate."""
+    If the half-plane is not finite, the entry has no direction and allows every velocity. `preferred_side`: the direction to use
+    if both agents have the same position and velocity. `own_x`, `own_y`: the agent's velocity. `horizon`: the time (s) for which
+    agents that do not overlap avoid a collision. `dt`: the time (s) in which overlapping agents separate."""
     px, py, dx, dy, is_valid = borders
     x, y, r = other.x, other.y, other.radius_sum
     square, square_radius = x * x + y * y, r * r

@@ -279,7 +279,7 @@ def fill_nearest_offsets(
     axes: Array2[F64],
     begin: I64, end: I64,
 ) -> None:  # fmt: skip
-    """Write the relative positions of the nearest others of requesters from `begin` to before `end`.
+    """Write the relative positions of the agents that are nearest to each requester from `begin` to before `end`.
 
     `x`, `y` (n, m): the distances ahead and to the left (mm). `is_present` (n, m): whether an entry of `x` and `y` is used.
     `axes` (6, n): receives two unit vectors per requester, the one ahead (x, y, z), then the one to the left."""

@@ -106,7 +106,7 @@ def iterate_neighbour_searches(place: PositionColumns, reach: Floats) -> Iterato
 def _find_usable_rows(place: PositionColumns, reach: Floats, bounds: Bounds | None) -> tuple[Rows, Bounds | None]:
     """Return the rows with a finite position and a finite reach above 0, and the bounds of their values.
 
-    If these are all rows, the array of rows is empty. If there is no such row, the bounds are None."""
+    An empty array of rows stands for all rows. If no row is usable, the bounds are None."""
     if bounds is None and len(reach):
         bounds = _find_bounds((*place, reach))
     if bounds is not None and all(isfinite(low + high) for low, high in bounds) and bounds[3][0] > 0:

@@ -17,8 +17,9 @@ _MIN_TOUCH_DEPTH = -0.05  # of the smaller width: a wider gap between two bodies
 def find_affected_agents_by_frame(cache: EditedCache, *, includes_touched: bool = True) -> Iterator[tuple[int, set[int]]]:
     """Yield each frame number with the keys of the agents that edits affect in this frame.
 
-    If edits make two agents overlap, the one that no edit changes is affected. If edits change both, the one with the greater
-    id is affected. With `includes_touched`, an agent is also affected if edits removed or moved away an agent that it touched."""
+    If edits make two agents overlap, one of them is affected: the agent that no edit changes, or if edits change both, the one
+    with the greater id. With `includes_touched`, an agent is also affected if edits removed or moved away an agent that it
+    touched."""
     sizes = [list(iterate_capsules(each)) for each in (cache.original, cache)]
     for number in cache.frames():
         old, new = cache.original.frame(number), cache.frame(number)
@@ -47,5 +48,5 @@ def _find_affected_in_frame(old: Trunks, new: Trunks, includes_touched: bool) ->
 
 
 def _pick_other(pair: tuple[int, int], known_keys: set[int]) -> int:
-    """Return the affected agent of a pair: the one that is not in `known_keys`."""
+    """Return the agent of a pair that is affected: the one that is not in `known_keys`."""
     return pair[1] if pair[0] in known_keys else pair[0]

@@ -123,8 +123,8 @@ class EditSettling:
         self.settlement = settlement
 
     def _find_affected(self, cache: EditedCache, affected: dict[int, int], *, includes_touched: bool) -> Iterator[str]:
-        """Add affected agents to `affected` by key, each with the first frame in which it is affected. Yield texts about the
-        progress."""
+        """Add affected agents to `affected`, which maps the key of an agent to the first frame in which it is affected. Yield
+        texts about the progress."""
         for number, keys in find_affected_agents_by_frame(cache, includes_touched=includes_touched):
             for key in keys:
                 affected.setdefault(key, number)
@@ -233,7 +233,7 @@ class _Resimulation:
             yield f"frame {number} is simulated again"
 
     def _find_free(self, number: int) -> dict[str, Ids]:
-        """Return, by species, the ids of the agents that are free in the step that leads to the frame `number`."""
+        """Return, by species, the ids of the agents that are simulated freely in the step that leads to frame `number`."""
         free = [key for key, begin in self.begins.items() if begin < number]
         return {
             entry.name: np.array(sorted(key // SPECIES_PER_KEY for key in free if key % SPECIES_PER_KEY == k), np.int64)
@@ -247,7 +247,7 @@ class _Resimulation:
             population.next_id = max(population.next_id, self.next_ids.get(name, 0))
 
     def _separate_at_start(self, number: int, free_ids: Mapping[str, Ids]) -> None:
-        """Separate overlapping bodies in the first frame of a cache, to which no step leads."""
+        """Separate overlapping bodies in the first frame of a cache directly, because no step leads to this frame."""
         for _ in range(_START_SEPARATION_ROUNDS):
             with increase_mass_of_scripted_agents(self.world, free_ids), np.errstate(all="ignore"):
                 stances = record_stances(self.world)

@@ -105,7 +105,8 @@ def _place_agents(
 def _aim_velocities(
     world: World, population: Population, rows: NDArray[np.intp], next_arrays: Arrays, number: int, unit_mm: float
 ) -> None:
-    """Give agents the velocities that lead to their positions in the next frame; 0 for agents that are not in the next frame."""
+    """Give agents the velocities that lead to their positions in the next frame. Agents that are not in the next frame get the
+    velocity 0."""
     own = np.flatnonzero(get_species_numbers(next_arrays) == number)
     at, is_there = match_rows(population.ids[rows], get_agent_ids(next_arrays)[own])
     goal = np.asarray(next_arrays["P"], np.float64)[own][at] * unit_mm if len(own) else np.zeros((len(rows), 3))

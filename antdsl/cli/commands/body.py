@@ -110,7 +110,7 @@ def _print_or_write_proposal(body: Definition, source: Path, target: Path | None
 
 
 def _write_body(body: Definition, source: Path, target: Path, layer: str, program: str, quiet: bool) -> None:
-    """Write a definition in another file format, and report the parts that this format cannot store."""
+    """Write a definition in another file format. Also report the parts of the definition that this format cannot store."""
     from antdsl.atomic_write import create_folder_durably, write_atomically
     from antdsl.bodies.files.writing import build_definition_files, write_gltf
     from antdsl.bodies.posed_body import find_base_layer

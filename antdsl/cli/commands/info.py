@@ -108,7 +108,7 @@ def _describe_agents(cache: Cache, frames: list[int]) -> list[str]:
 def _describe_patches(mesh: MeshEntry, units: str) -> str:
     """Return a note about a surface that was made from height samples; "" for any other mesh.
 
-    The note gives the largest distance between its triangles and the bilinear surface through the samples."""
+    The note gives the largest distance between the triangles of the surface and the bilinear surface through the samples."""
     if mesh.deviation is None:
         return ""
     return f", samples of heights: at most {mesh.deviation:.3g} {units} off the bilinear surface through them"
@@ -166,7 +166,7 @@ def _verify_cache(cache: Cache) -> None:
 
 
 def _find_read_errors(read: Callable[[], object]) -> list[str]:
-    """Return the reason why `read` raises an error, as a list of lines; [] if it succeeds."""
+    """Return the reason why `read` raises an error, as a list of lines. The list is empty if it succeeds."""
     from antdsl.outputs.cache.cache_reader import CacheError
 
     try:

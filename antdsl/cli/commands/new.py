@@ -36,7 +36,7 @@ _PROGRAM_AND_SCENE = ("walker.ant", "scene.yaml")  # an example has its own
 
 
 def read_template_file(name: str, title: str = "Walkers", program: str = "walker.ant") -> str:
-    """Return the text of a template file of a new project. `title`, `program`: the heading and the main program, for the
+    """Return the text of a template file for a new project. `title`, `program`: the heading and the main program to insert in the
     README."""
     text = project_template_file(TEMPLATE_FILES[name]).read_text(encoding="utf-8")
     replacements = {"antdsl-VERSION-": f"antdsl-{__version__}-", "PROJECT-TITLE": title, "PROGRAM-FILE": program}

@@ -85,8 +85,8 @@ def _open_sockets(host: str | None, port: int | None, let_others_in: bool) -> Li
 
 
 def _create_live(scene: Path, choices: RunChoices, threads: int) -> LiveSimulation:
-    """Return the live simulation of a scene. Errors in its files are reported, and the simulation starts once they are
-    corrected."""
+    """Return the live simulation of a scene. If its files have errors, these are reported, and the simulation starts once they
+    are corrected."""
     from antdsl.cli.commands.run import choose_threads
     from antdsl.cli.printing.reports import choose_exit_code, print_report
     from antdsl.preview.live import LiveSimulation
@@ -102,7 +102,8 @@ def _create_live(scene: Path, choices: RunChoices, threads: int) -> LiveSimulati
 
 
 def _depends_on_params(choices: RunChoices, live: LiveSimulation) -> bool:
-    """Return whether the values given on the command line cause the errors, that is, whether the files have none without them."""
+    """Return whether the values given on the command line are the cause of the errors: without these values, the files have no
+    errors."""
     from dataclasses import replace
 
     if not choices.params:

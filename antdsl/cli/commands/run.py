@@ -159,7 +159,7 @@ def run_run_command(
 
 
 def choose_threads(requested_threads: int, quiet: bool = False) -> int:
-    """Return the number of threads to use: `requested_threads`, but at most the number of usable cores; for 0, all usable cores.
+    """Return the number of threads to use: `requested_threads`, limited to the number of usable cores. 0 means all usable cores.
 
     Unless `quiet`, print a message if the number is reduced. More threads would only wait for each other, and libraries would
     print warnings."""

@@ -57,7 +57,8 @@ def format_settings_table(programs: CheckedPrograms) -> Iterator[str]:
 
 
 def _make_setting_rows(source: nodes.File, program: Program, listed_spans: set[Span]) -> Iterator[tuple[str, str, str]]:
-    """Yield the rows of one file's species. Species at a location in `listed_spans` are skipped; the others are added to it."""
+    """Yield the table rows of the species in one file. Skip species at a location in `listed_spans`; add the locations of all
+    others to it."""
     edition = source.edition_number
     for species in source.items:
         if not isinstance(species, nodes.Species) or species.span in listed_spans or species.name.text not in program.species:
@@ -116,7 +117,7 @@ def _make_state_rows(program: Program, species: Species) -> Iterator[tuple[str, 
 
 
 def _list_counted_operations(part: StateCost) -> Iterator[str]:
-    """Yield a text for each kind of query that a state makes, with its queries."""
+    """Yield one text per kind of query that a state makes. The text lists these queries."""
     for kind in ("senses", "fields", "draws"):
         words = [use.description for use in part.cost_entries if use.kind == kind]
         if words:

@@ -159,7 +159,8 @@ def _format_milliseconds(seconds_by_part: Mapping[str, float], steps: int) -> st
 
 
 def _print_summary(recording: Recording) -> None:
-    """Print the number of agents, the run time and the cache folder. With `--profile`, also print the time of each part."""
+    """Print the number of agents, the run time and the cache folder. With `--profile`, also print the time that each part of the
+    run took."""
     simulated = sum(recording.seconds.get(part, 0.0) for part in ("first_step", "preroll", "step", "hand_over"))
     bind = recording.seconds.get("bind", 0.0)
     print_note(f"{len(recording.world):,} agents; set up in {bind:.1f} s, simulated in {simulated:.1f} s")

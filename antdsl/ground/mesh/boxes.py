@@ -125,7 +125,7 @@ def list_faces_near_segment(
     piece: I64,
     face_list: FaceList,
 ) -> I64:
-    """Write the triangles with boxes that overlap a query box to `face_list`, and return their number.
+    """Write to `face_list` the triangles of which the boxes overlap a query box, and return their number.
 
     The query box is the box around `first_point` and `second_point`, extended by `margin` mm on all sides. A triangle is written
     as its index in `triangle_order`. `face` and the triangles of the piece `piece` are excluded."""

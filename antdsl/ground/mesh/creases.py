@@ -92,8 +92,8 @@ def find_bend_edges(table: MeshTopology, corners: Floats, size: float) -> tuple[
 
 
 def _measure_edge_turns(table: MeshTopology) -> tuple[Index, Floats, Index]:
-    """Return the half-edges with a link. For each, also return the cosine of the angle between its two faces, and its own
-    face."""
+    """Return the half-edges with a link to another face. For each, also return the cosine of the angle between the two faces, and
+    the face of the half-edge."""
     half = np.flatnonzero(table.link[0] != NO_LINKED_EDGE)
     face, link = half // 3, table.link[0, half]
     beyond = table.normal.take(link >> 3, axis=1) * np.where(link & 1, -1.0, 1.0)
@@ -122,8 +122,8 @@ class CreaseMap:
 
     @cached_property
     def _crease_and_piece_grids(self) -> tuple[NDArray[np.bool_], Ints, Ints] | tuple[NDArray[np.bool_]]:
-        """Return a mask of the cells that contain a crease or a cut face. With several pieces, also return the least and the
-        greatest piece number in each cell."""
+        """Return a mask of the cells that contain a crease or a cut face. If the ground has several pieces, also return the least
+        and the greatest piece number in each cell."""
         corners, table, minded, half = self._inputs
         live = np.flatnonzero(table.is_live & minded)
         half = half[minded[half // 3]]
@@ -195,7 +195,7 @@ class CreaseMap:
 
 
 def _get_slope_clearance(corners: Floats, table: MeshTopology, half: Index) -> Floats:
-    """Return the result of `compute_slope_clearance`. It is stored for later runs."""
+    """Return the result of `compute_slope_clearance`. The result is stored for later runs."""
     inputs = (corners, table.is_live, table.link, table.piece, table.cuts.is_cut, half)
     tables = stored_tables.get_or_compute(
         "clear of rises", len(corners), inputs, lambda: {"clear": compute_slope_clearance(corners, table, half)}

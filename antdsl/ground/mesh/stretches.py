@@ -142,8 +142,8 @@ def walk_to_next_event(
 
 @inlined
 def turn_along_border(edge: FaceDirection, direction: FaceDirection, remaining_length: F64) -> tuple[FaceDirection, F64]:
-    """Return the direction along an open border, and the remaining distance in this direction. `remaining_length`: the remaining
-    distance in the previous direction."""
+    """Return the new direction along an open border, and the remaining distance in this direction. `remaining_length`: the
+    remaining distance in the previous direction."""
     (edge_c, edge_s), (c, s) = edge, direction
     along = c * edge_c + s * edge_s
     turn = -1.0 if along < 0 else 1.0

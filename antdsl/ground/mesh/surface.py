@@ -130,10 +130,10 @@ class MeshGround:
         )
 
     def find_hit_normals(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
-        """Return the ascending rows of the straight paths from `origin` [n,3] by `displacement` [n,3] that hit a surface.
+        """Return the rows, ascending, of those straight paths from `origin` [n,3] by `displacement` [n,3] that hit a surface.
 
-        For these k rows, also return the fraction of the path before the hit, and the face's unit normal (3, k), by its
-        winding."""
+        For these k rows, also return the fraction of the path before the hit, and the face's unit normal (3, k), by its winding.
+        """
         scene, live = self._get_ray_scene(None)
         return scene.find_hit_normals(origin, displacement, self._topology.normal, live, threads)
 
@@ -165,8 +165,8 @@ class MeshGround:
         return face_sides
 
     def compute_upright_normals(self, footing: Footing, up: Floats) -> Floats:
-        """Return smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for agents without
-        a footing.
+        """Return smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; agents without a footing get
+        `up`.
 
         The normal is continuous along the surface, except at creases, so that bodies do not jerk."""
         up = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(footing), 3)).T, order="C")
@@ -307,7 +307,7 @@ class MeshGround:
         return self._walk_tables
 
     def _compute_search_reach(self, wish: Floats, body: Floats) -> float:
-        """Return the greatest distance (mm) at which agents search for other surfaces on their path."""
+        """Return the greatest distance (mm) at which any agent searches for other surfaces on its path."""
         most, widest = footings.find_max_step_and_size(wish, body)
         return float(sqrt(most) + EYE_HEIGHT_BODY_LENGTHS * widest + 3 * self._scale.distance_noise)
 
@@ -378,7 +378,7 @@ class MeshGround:
 
 
 def _make_zero_move(footing: Footing, up: Floats, heading: Floats) -> GroundMove:
-    """Return the result of a step on a ground that has no surfaces: all agents are lost."""
+    """Return the result of a step on a ground without surfaces, which is that all agents are lost."""
     n = len(footing)
     same = np.array(heading, np.float64).reshape(-1, 3)
     return GroundMove(

@@ -311,7 +311,8 @@ def find_landing_beyond_border(
 def project_directions_to_face(
     table: Array1[F64], walker: FaceWalker, face: I64, side: F64
 ) -> tuple[FaceDirection, FaceDirection]:
-    """Return a walker's direction and heading in the frame of another face, rotated with the normal."""
+    """Return a walker's direction of travel and heading in the frame of another face. Both are rotated with the normal from its
+    face to the other face."""
     row, other_row = FLOATS_PER_FACE_ROW * walker.face, FLOATS_PER_FACE_ROW * face
     old_normal, new_normal = (
         times(load_vector(table, row + NORMAL_OFFSET), walker.side),

@@ -75,8 +75,8 @@ class WalkTables:
         max_displacement: float,
         max_body_size: float,
     ) -> CrowdWalk:
-        """Return a walk for displacements up to `max_displacement` and bodies up to `max_body_size` (mm). It includes the
-        clearances from surrounding surfaces."""
+        """Return a walk for displacements of at most `max_displacement` and bodies of at most `max_body_size` (mm). The walk
+        includes the clearances between the pieces of the ground."""
         if self._is_unchanged and max_body_size > self._max_body_size:
             # For larger bodies than needed: otherwise a growing crowd would cause frequent searches.
             self._max_body_size = 1.5 * max_body_size

@@ -87,7 +87,7 @@ class BrickGrid:
         return np.ascontiguousarray(blocks.transpose(0, 3, 1, 4, 2, 5).reshape(self.node_counts))
 
     def record_start_values(self) -> None:
-        """Measure the solid volume and store it as the start value."""
+        """Measure the solid volume and store it as the volume before any digging."""
         used = self.values[: self.used_slots * NODES_PER_BRICK]
         filled = compute_fill_steps(used, self.voxel).reshape(-1, NODES_PER_BRICK).sum(axis=1, dtype=np.int64)
         self.volume_steps = self.start_volume_steps = int(filled.take(self.table).sum())

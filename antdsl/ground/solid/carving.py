@@ -44,7 +44,7 @@ _FILL_STEPS_OF_FULL_VOXEL = np.float32(FILL_STEPS_PER_VOXEL)
 
 @dataclass(frozen=True, slots=True)
 class ChangedNodes:
-    """The changes of nodes by balls, one row for each pair of a ball and a node.
+    """The changes that balls make to nodes, one row for each pair of a ball and a node.
 
     - `nodes`: brick number * 4096 + index of the node in the brick
     - `values`: the new distances
@@ -100,7 +100,8 @@ def _find_changed_nodes(bricks: BrickGrid, centres: Floats, radii: Floats) -> Ch
 
 
 def _carve_large_ball(bricks: BrickGrid, centres: Floats, radii: Floats, ball: int) -> NodeChanges:
-    """Return the changes by one large ball. They are computed brick by brick, so that only changed nodes need memory."""
+    """Return the changes that one large ball makes to nodes. They are computed brick by brick, so that only changed nodes need
+    memory."""
     centre, radius = centres[ball], radii[ball]
     ends = []
     for axis in range(3):
@@ -130,7 +131,7 @@ def _carve_large_ball(bricks: BrickGrid, centres: Floats, radii: Floats, ball: i
 
 
 def _carve_small_balls(bricks: BrickGrid, centres: Floats, radii: Floats, rows: Index, steps: Index) -> NodeChanges:
-    """Return the changes by the small balls `rows`. `steps`: the radius of influence of each ball, in voxels."""
+    """Return the changes that the small balls `rows` make to nodes. `steps`: the radius of influence of each ball, in voxels."""
     capacity = int(((2 * steps + 2) ** 3).sum())
     nodes, values, balls = np.empty(capacity, np.int64), np.empty(capacity, np.float32), np.empty(capacity, np.int64)
     tables = (bricks.table, bricks.values, bricks.origin, bricks.voxel, bricks.shape, bricks.min_distance, bricks.max_distance)
@@ -139,8 +140,8 @@ def _carve_small_balls(bricks: BrickGrid, centres: Floats, radii: Floats, rows: 
 
 
 def _write_node_changes_to_bricks(bricks: BrickGrid, value_indices: Index, changed_nodes: ChangedNodes, count: int) -> Index:
-    """Store the maximum of the old and the new distances in each changed node. Return the number of volume steps that each of
-    `count` balls removed."""
+    """Store the maximum of the old and the new distances in each changed node. Return how many volume steps (the unit of the
+    solid volume) each of `count` balls removed."""
     old_values = bricks.values.take(value_indices)
     lost = np.zeros(count, np.int64)
     best = np.full(1 << (2 * value_indices.size - 1).bit_length(), -1, np.int32)
@@ -157,8 +158,8 @@ def _write_node_changes_to_bricks(bricks: BrickGrid, value_indices: Index, chang
 def find_node_changes(
     bricks: BrickTables, all_balls: BallArrays, rows: Array1[I64], steps: Array1[I64], changes: ChangeArrays
 ) -> I64:
-    """Write the changes by the balls `rows` to `changes`, and return their number. `steps`: the radius of influence of each ball,
-    in voxels."""
+    """Write to `changes` the changes that the balls `rows` make to nodes, and return their number. `steps`: the radius of
+    influence of each ball, in voxels."""
     table, values, origin, voxel, shape, least, most = bricks
     centres, radii = all_balls
     nodes, news, balls = changes
@@ -210,8 +211,8 @@ def write_node_changes(
     strongest_rows: Array1[I32],
     removed_steps: Array1[I64],
 ) -> U64:
-    """Raise the value at each of `value_indices` to the greatest new value. Add the volume steps that each ball removes to
-    `removed_steps`. Return the change of `node_hash_sum`.
+    """Raise the value at each of `value_indices` to the greatest new value. Add to `removed_steps` the volume steps (the unit of
+    the solid volume) that each ball removes. Return the change of `node_hash_sum`.
 
     - `bits`: the bits of the new distances and of the `old_values`
     - `strongest_rows`: a hash table of row numbers; its size is a power of two, and all entries are -1 at the start"""

@@ -28,8 +28,8 @@ def compute_node_distances(shape: tuple[int, int, int], near_bricks: Index, corn
     FAR_DISTANCE.
 
     `corners`: float64[n,3,3], the triangles in voxels. Nodes next to a triangle are measured first. Then the other nodes are
-    measured, layer by layer outwards. Each is measured to the nearest triangles of its neighbours (Bridson, Fluid Simulation for
-    Computer Graphics, 2015, section 4.2)."""
+    measured, layer by layer outwards. Such a node is measured only to the triangles that are nearest to its neighbours (Bridson,
+    Fluid Simulation for Computer Graphics, 2015, section 4.2)."""
     field = _NodeDistanceField(shape, near_bricks, corners)
     for nodes, triangle in iterate_nodes_near_triangles(corners):
         field.measure_distances(nodes, triangle, False)

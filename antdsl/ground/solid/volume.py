@@ -173,7 +173,7 @@ def iterate_brick_meshes(bricks: BrickGrid, changed_only: bool) -> Iterator[Bric
 
 
 def _find_bricks_to_mesh(bricks: BrickGrid) -> NDArray[np.bool_]:
-    """Return a mask of the bricks that have a cell with at least one stored node."""
+    """Return a mask of the bricks in which some cell has at least one node that is stored."""
     stored = (bricks.table >= 2).reshape(bricks.shape)
     reach = stored.copy()
     for axis in range(3):

@@ -184,7 +184,8 @@ def _find_line_crossings(shell: TriangleShell) -> tuple[Index, Index, Index, NDA
 def _find_crossings_in_batch(
     tri: Index, units_per_voxel: int, t: Index, x: Index, y: Index
 ) -> tuple[Index, Index, Index, NDArray[np.int16]]:
-    """Return the crossings of pairs of a triangle `t` and a grid line `x`, `y`, in the form of `_find_line_crossings`."""
+    """Return the crossings of triangles with grid lines, in the form of `_find_line_crossings`. Each pair of a triangle `t` and a
+    grid line `x`, `y` is tested."""
     px, py = x * units_per_voxel, y * units_per_voxel
     areas, above, below = [], np.ones(t.size, bool), np.ones(t.size, bool)
     for i, j in ((1, 2), (2, 0), (0, 1)):

@@ -89,7 +89,8 @@ def propose_species(request: CompletionRequest) -> Iterator[CompletionItem]:
 
 
 def _find_local_names(request: CompletionRequest) -> dict[str, tuple[str, ValueType | None]]:
-    """Return the local names that are visible at this position. Each has a description and, if known, its type."""
+    """Return the local names that are visible at this position. For each name, return a description, and its type if that is
+    known."""
     behaviour = request.names.behaviours.get(request.context.find_enclosing_name("top", "behaviour") or "")
     known_names: dict[str, tuple[str, ValueType | None]] = {}
     for each in (*behaviour.arguments, *behaviour.body) if behaviour is not None else ():
@@ -114,7 +115,8 @@ def _find_local_names(request: CompletionRequest) -> dict[str, tuple[str, ValueT
 def _find_type(
     request: CompletionRequest, name: str, local_names: Mapping[str, tuple[str, ValueType | None]]
 ) -> ValueType | None:
-    """Return the type of a name from the last check, or from the last check without errors; None if neither knows it."""
+    """Return the type that a name has in the last check, or else in the last check without errors. Return None if neither knows
+    the name."""
     if name in local_names:
         return local_names[name][1]
     if name == "self" and request.species:
@@ -131,7 +133,7 @@ def _find_type(
 
 
 def propose_members(request: CompletionRequest) -> Iterator[CompletionItem]:
-    """Propose the members of the value before a dot."""
+    """Propose the members of the value that stands before a dot."""
     prefix = request.prefix[:-1].rstrip()
     call = re.search(r"\b(?:nearest|random|first|pick)\(\s*([a-z_][a-z_0-9]*)[^()]*\)$", prefix)
     name = call or re.search(r"([a-z_][a-z_0-9]*)$", prefix)

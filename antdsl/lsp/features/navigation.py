@@ -61,8 +61,8 @@ class NameLocation:
 
 
 def find_declaration(workspace: Workspace, document: OpenDocument, key: NameKey) -> tuple[OpenDocument, Declaration] | None:
-    """Return the declaration of a symbol and the document that contains it; None if there is none. A declaration in `document`
-    has priority over those in other files."""
+    """Return the document that declares a symbol, and the declaration. Return None if there is no declaration. A declaration in
+    `document` has priority over those in other files."""
     if key[0] in ("behaviour", "inner", "alias"):
         paths = [Path(key[1])]
     else:
@@ -81,7 +81,7 @@ def find_declaration(workspace: Workspace, document: OpenDocument, key: NameKey)
 
 
 def _list_candidate_keys(document: OpenDocument, key: NameKey) -> Iterator[NameKey]:
-    """Yield the keys that a name may have in another file, if its meaning is not known here."""
+    """Yield the keys under which another file may declare a name that has no known meaning in this file."""
     kinds = _CANDIDATE_KINDS.get(key[0])
     if kinds is None:
         yield key
@@ -256,7 +256,7 @@ def _is_built_in(key: NameKey, new_name: str) -> bool:
 
 
 def _find_jointly_bound_keys(workspace: Workspace, document: OpenDocument, keys: set[NameKey]) -> set[NameKey]:
-    """Return `keys` and the keys of all names that must be renamed together with these.
+    """Return `keys` and the keys of all names that must be renamed together with them.
 
     For example, the word `load` in `take 1 load from meal` names an attribute of the animal and one of the food. If one is
     renamed, the other must be renamed too."""

@@ -138,8 +138,8 @@ class FoldedRange:
 
 
 def find_folding_ranges(document: OpenDocument) -> list[FoldedRange]:
-    """Return the ranges that can be folded. These are brackets over several lines and runs of comment lines in a program, or the
-    values below keys in a scene."""
+    """Return the ranges that can be folded. In a program, these are brackets over several lines and runs of comment lines. In a
+    scene, they are the values below keys."""
     if not document.is_program:
         return _find_scene_folds(document)
     text, all_folds, stack = document.text, [], []

@@ -224,10 +224,10 @@ class ArithmeticEmitter(VectorBuilder[Number]):
         return self.op("and", TRUTH, *self.match_lanes(a, b))
 
     def _add_to_first_lane(self, word: type[ast.operator], a: Number, b: Number) -> Number | None:
-        """Return the first lane of a sum or difference that increases by one per lane; None if it does not. It does if one
-        operand increases by one per lane and the other is loop-invariant.
+        """Return the first lane of a sum or difference if it increases by one from lane to lane. Otherwise return None.
 
-        `word`: the class of the Python operator."""
+        It does if one operand increases by one from lane to lane and the other is loop-invariant. `word`: the class of the Python
+        operator."""
         if word not in (ast.Add, ast.Sub) or a.lane_type != "i64" or b.lane_type != "i64" or (b.first_lane and word is ast.Sub):
             return None
         one, other = (a.first_lane, b) if a.first_lane else (a, b.first_lane)
@@ -274,6 +274,6 @@ class ArithmeticEmitter(VectorBuilder[Number]):
 
 
 def wrap_to_integer_kind(number: int, kind: str) -> int:
-    """Return an integer wrapped to 64 bits, signed or unsigned as `kind` requires."""
+    """Return an integer wrapped around to 64 bits, signed or unsigned as `kind` requires."""
     number &= (1 << 64) - 1
     return number if kind == UNSIGNED or number < 1 << 63 else number - (1 << 64)

@@ -150,9 +150,9 @@ class ElementAccess(ArithmeticEmitter):
         return self.op("element", "ptr", address, index, x=array.element_type.stored_type, lanes=index.lanes)
 
     def _guarded_address(self, array: Array, index: Number) -> Number:
-        """Return the address of the element at a loop-invariant index. If no iteration is active, the index may be out of
-        range; the result is then the address of a block of zeros. The index is compared with the array's length instead of
-        being combined with the mask, because LLVM can then move the load out of loops."""
+        """Return the address of the element at a loop-invariant index. If no iteration is active, the index may be out of range;
+        the result is then the address of a block of zeros. The code compares the index with the array's length instead of using
+        the mask, because LLVM can then move the load out of loops."""
         place = self._offset_address(array, index)
         if self.mask is None or self.is_always_reached:
             return place

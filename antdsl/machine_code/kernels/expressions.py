@@ -152,7 +152,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         return self.load(place, TRUTH)
 
     def _emit_conditional(self, node: ast.expr, test: ast.expr, true_expr: ast.expr, false_expr: ast.expr) -> KernelItem:
-        """Emit `true_expr if test else false_expr`. Only the selected expression is evaluated."""
+        """Emit `true_expr if test else false_expr`. Only the expression that the test selects is evaluated."""
         condition = self.emit_condition(test)
         if condition.literal_value is not None:
             return self.emit_item(true_expr if condition.literal_value else false_expr)
@@ -313,7 +313,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         return self.call_function(node, known, inputs)
 
     def _build_record(self, node: ast.Call, record: Any) -> KernelItem:
-        """Return the record that a call of its class creates from positional and keyword arguments."""
+        """Return the record that a call of a record class creates from positional and keyword arguments."""
         names = record._fields
         if len(node.args) > len(names):
             self.fail(node, f"`{record.__name__}` has {len(names)} fields, not {len(node.args)}")

@@ -124,7 +124,7 @@ class Kernel:
 
     def get_parallel_call(self) -> Callable[..., list[Any]] | None:
         """Return the function that runs the kernel in parts on a pool of workers (see `kernel_calls.make_parallel_caller`).
-        None if the kernel cannot run in parts."""
+        Return None if the kernel cannot run in parts."""
         if self._get_parallel_call is None:
             self.load_function()
         assert self._get_parallel_call is not None

@@ -38,7 +38,7 @@ class KernelUnit:
 
     - `lanes`: how many iterations of independent loops run at once, 1 or 8
     - `functions`: the functions that are complete
-    - `specialisations`: the name and result of each translated function, by the Python function and the types of its arguments
+    - `specialisations`: the name and result of each translation, by the Python function and the argument types
     - `written_arrays`: the numbers of the array arguments that some function writes to"""
 
     lanes: int = LANE_COUNT

@@ -138,7 +138,7 @@ def measure_memory() -> tuple[int, int]:
 
 
 def _read_kilobyte_lines(path: Path) -> dict[str, int]:
-    """Read a file with lines such as `VmRSS: 123 kB`. Return the sizes in kB by name."""
+    """Return the sizes (kB) by name in a file of lines such as `VmRSS: 123 kB`."""
     amounts = {}
     for line in path.read_text(encoding="ascii", errors="replace").splitlines():
         name, _, value = line.partition(":")

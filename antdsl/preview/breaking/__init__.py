@@ -94,7 +94,7 @@ class BreakpointObserver:
             self._last_seen = session.world, session.frame
 
     def after_step(self, session: PreviewSession) -> PauseReason | None:
-        """Return the joined reasons of all breakpoints that the step hit, or None if it hit none."""
+        """Return the reasons of all breakpoints that the step hit, joined to one. Return None if it hit none."""
         if not self.breakpoints or self._last_seen is None or session.world is not self._last_seen[0]:
             return None  # there are no watchers, or the step led into another program, which is checked before the next step
         looked = [each.watcher.check_frame(session) for each in self.breakpoints if each.watcher is not None]

@@ -101,7 +101,7 @@ class FaultWatcher:
         self.ask = request
 
     def begin(self, session: PreviewSession) -> None:
-        """Do nothing: the faults of each step are recorded with the step."""
+        """Do nothing, because the faults of each step are recorded with the step."""
 
     def check_frame(self, session: PreviewSession) -> PauseReason | None:
         fault = session.world.faults.fault_of_step

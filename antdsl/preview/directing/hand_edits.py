@@ -64,7 +64,8 @@ class _ViewKey(NamedTuple):
 
 
 class EditedRunView:
-    """The simulated frames of a session with edits applied. `version` increases whenever the displayed frames may have changed.
+    """A view of a session's simulated frames to which edits are applied. `version` increases whenever the displayed frames may
+    have changed.
 
     `problem`: why the edits could not be applied to the last requested frame."""
 
@@ -170,7 +171,7 @@ class EditedRunView:
     def find_view(self) -> EditedCache | None:
         """Return a view of the simulated frames with the active edits applied, or None if no edits are active.
 
-        Edits that no longer match the frames are switched off, and their `problem` says why."""
+        Edits that no longer match the frames are switched off; the `problem` of each says why."""
         if not any(each.is_on for each in self.edits):
             return None
         timeline = self.session.timeline
@@ -231,7 +232,7 @@ class EditedRunView:
         return read_edit_files(edits, frames.manifest, frames.folder)
 
     def _find_next_ids(self) -> dict[str, int]:
-        """Return, by species, the first id that no simulated agent has."""
+        """Return, for each species, the lowest id that no simulated agent has."""
         known = self._view_key.next_ids if self._view_key is not None else {}
         lights = self.session.timeline.reduced_frames.values()
         counts = {}

@@ -67,7 +67,7 @@ class HandSettling:
                 self._work, self._report = None, (f"not settled: {why}",)
 
     def _run(self) -> Iterator[str]:
-        """Settle the frames, display the result and set the report. Yield a progress text after each frame."""
+        """Settle the frames, display the result and set the report. After each frame, yield a text about the progress."""
         frames, next_ids, attributes = self.edited.open_frames_to_settle()
         settling = EditSettling(frames, self._open_history, next_ids, attributes)
         yield from settling.run_rounds()

@@ -52,8 +52,8 @@ class LineDraft:
                 self.report.error("wrong-value", f"the value contains another key, `{key}`", place, f"give `{key}` its own field")
 
     def list_problems(self, findings: Iterable[Diagnostic]) -> list[dict[str, str]]:
-        """Return the problems to show on a page, each with its key. These are missing values, and those of `findings` that are
-        errors or are about this line."""
+        """Return the problems to show on a page, each with the key that it concerns. They are the missing values, and those
+        findings that are errors or are about this line."""
         problems = [
             {"key": key.name, "severity": "error", "message": "a value is missing here", "help": f"such as `{key.kind.example}`"}
             for key in self.missing

@@ -61,6 +61,6 @@ def _wrap_node(node: MappingNode) -> MappingNode:
 
 
 def _check_names(scene: Scene, program: Program, note: Note, node: MappingNode, report: Report) -> None:
-    """Report unknown names and wrong values of one note. The notes of the scene are ignored."""
+    """Report the unknown names and the wrong values in one note. Other notes of the scene are ignored."""
     alone = replace(scene, model=scene.model.model_copy(update={"notes": (note,)}), document=_wrap_node(node), added_notes=1)
     check_note(alone, program, report, list_selector_names(scene, program), 0)

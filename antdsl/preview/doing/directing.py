@@ -67,7 +67,7 @@ def _draft_edit(live: LiveSimulation, request: requests.DraftLine, form: VerbFor
 
 
 def _check_new_line(lines: Iterable[HandNote] | Iterable[HandEdit], text: str, what: str) -> None:
-    """Raise RequestRefusedError if the line already exists or there are too many lines. `what`: the kind of line, for the
+    """Raise RequestRefusedError if the new line exists already, or if there are too many lines. `what`: the kind of line, for the
     message."""
     texts = [line.text for line in lines]
     if text in texts:
@@ -134,7 +134,8 @@ def _change_notes(live: LiveSimulation, notes: HandNotes, description: str, text
 
 
 def _change_edits(live: LiveSimulation, edits: HandEdits, description: str, text: str = "") -> str:
-    """Replace the edits that are applied to displayed frames. Return "" on success, or the reason why they cannot be applied."""
+    """Replace the edits that are applied to displayed frames. Return "" on success, or the reason why the new edits cannot be
+    applied."""
     live.show_exact_frame()
     problem = live.screen.edited.replace_edits(edits, live.session.frame)
     if not problem:

@@ -33,7 +33,7 @@ class CostReporter:
         self._switch_measuring(self._live.session)
 
     def before_step(self, session: PreviewSession) -> None:
-        """Do nothing: the session starts its meter automatically."""
+        """Do nothing, because the session starts its meter automatically."""
 
     def after_step(self, session: PreviewSession) -> PauseReason | None:
         """Send the costs if a page requests them and enough time has passed. Never pause."""

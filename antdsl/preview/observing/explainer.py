@@ -68,11 +68,11 @@ class StretchHistory:
         )
 
     def apply_interventions(self, world: World) -> None:
-        """Set the params that the user changed at the world's frame."""
+        """Set the params that the user changed at the world's current frame."""
         self.stretch.apply_param_changes(world)
 
     def make_missing_error(self, frame: int) -> ExplainError:
-        """Return the error for a frame that is no longer stored."""
+        """Return the error that reports that a frame is no longer stored."""
         return ExplainError(f"the history of frame {frame} is no longer stored", f"stored from {self.session.first_frame} on")
 
     def make_difference_error(self, frame: int) -> ExplainError:
@@ -123,7 +123,7 @@ class Explainer:
         }
 
     def _find_replay(self, frame: int) -> StepReplay:
-        """Return the replay of the step that leads to `frame`. It uses the segment in which this step began."""
+        """Return the replay of the step that leads to `frame`. The replay uses the segment in which this step began."""
         first, head = self.session.first_frame, self.session.last_frame
         if frame == first:
             raise ExplainError(f"frame {frame} is the first: no step led to it", f"choose frame {frame + 1} or later")

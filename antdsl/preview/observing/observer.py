@@ -28,8 +28,8 @@ class Observer(Protocol):
         """Prepare for a step. A call of `after_step` follows."""
 
     def after_step(self, session: PreviewSession) -> PauseReason | None:
-        """Observe a step that was requested or played. Return a reason to pause, or None. Steps that a seek simulates again are
-        not reported. An observer may add numbers to `session.timeline.curves[session.frame]`."""
+        """Observe a step that was requested or played. Return a reason to pause, or None. It is not called for steps that a seek
+        simulates again. An observer may add numbers to `session.timeline.curves[session.frame]`."""
 
     def on_new_world(self, session: PreviewSession) -> None:
         """Observe a new world, after the session was opened, reloaded, restarted or moved back in time."""

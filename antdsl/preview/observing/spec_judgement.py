@@ -87,16 +87,17 @@ class SpecObserver:
         self.wanted = frozenset(names)
 
     def plan_specs(self, shot: Shot, scene: Path) -> list[tuple[str, SpecPlan | str]]:
-        """Return all specs of a program by name. Each has its plan, or the reason why it cannot be judged in this session."""
+        """Return all specs of a program by name, each with its plan, or with the reason why it cannot be judged in this
+        session."""
         if self._cached_plans is None or self._cached_plans[0] is not shot:
             self._cached_plans = shot, list(_plan_specs(shot, scene))
         return self._cached_plans[1]
 
     def on_new_world(self, session: PreviewSession) -> None:
-        """Do nothing: the next step notices the new world by its segment of history."""
+        """Do nothing, because the next step notices the new world by its segment of history."""
 
     def before_step(self, session: PreviewSession) -> None:
-        """Judge the frame before the step if necessary, and start timing the step."""
+        """If necessary, judge the current frame before the step. Then start to measure the time of the step."""
         self._judge_frame(session)
         self._step_start_time = perf_counter()
 
@@ -152,7 +153,7 @@ class SpecObserver:
                 status.seconds += thread_time() - began
 
     def _stop_if_slow(self, status: SpecStatus, step_seconds: float) -> None:
-        """Stop judging a spec that takes too long, unless it has already failed or a breakpoint needs it.
+        """Stop judging a spec that takes too long. Do nothing if the spec has already failed, or if a breakpoint needs it.
 
         `step_seconds`: duration of the last step (s)."""
         if status.judge is None or status.frames < _MEASURED_FRAMES or status.name in self.wanted or status.failure is not None:
@@ -181,7 +182,7 @@ def _plan_spec(spec: Spec, shot: Shot) -> SpecPlan | str:
 
 
 def _find_obstacle(spec: Spec, shot: Shot, scene: Path) -> str:
-    """Return why a spec cannot be judged in this run, or "" if it can."""
+    """Return the reason why a spec cannot be judged in this run, or "" if it can be judged."""
     if spec.scene is not None:
         try:
             place = Roots(Path(spec.span.source.path).resolve().parent, shot.scene.roots.folder_by_name).resolve_path(

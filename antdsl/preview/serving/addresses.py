@@ -121,8 +121,10 @@ def _resolve_host(host: str) -> tuple[str, ...]:
 
 
 def _list_server_names(host: str | None, addresses: Iterable[str]) -> list[str]:
-    """Return names that lead to this server and to no other: the requested host and its addresses. A server that listens at
-    every address also has all addresses and names of the machine. Names that an attacker could choose are not included."""
+    """Return the names that lead to this server and to no other: the requested host and its addresses.
+
+    A server that listens at every address also has all addresses and names of the machine. Names that an attacker could choose
+    are left out."""
     if host is None:
         return ["localhost", *_LOOPBACK_ADDRESSES]
     addresses = list(addresses)

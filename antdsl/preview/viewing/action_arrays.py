@@ -54,7 +54,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def store_poses(session: PreviewSession) -> None:
-    """Store the poses of the session's current frame next to its reduced frame, unless they are stored already."""
+    """Store the poses of the session's current frame together with its reduced frame, unless they are stored already."""
     world, lights = session.world, session.read_reduced_frame(session.frame)
     if lights is not None and session.frame not in session.timeline.poses:
         poses = {
@@ -274,13 +274,12 @@ def make_stance_arrays(
     - `feet` int16[n, L, 3]: the target of each foot joint in 1/4096 of the body length. Axes are forward, up and sideways,
       relative to a body with its trunk at rest.
     - `stance` int16[n, 6]: column 0 is the rise of the trunk in 1/4096 of the body length. Columns 1 to 3 are x, y and z of its
-      rotation (32767 is 1). Column 4 is the weight of the feet (32767 is 1). Column 5 has one bit per foot, set while the foot
-      is on the ground.
-    - `sole` int16[n, L, 3], only of bodies with flat soles: the sideways direction of each sole (32767 is 1) along the same
-      axes.
+      rotation (32767 is 1). Column 4 is the weight of the feet (32767 is 1). Column 5 has one bit per foot, set while the foot is
+      on the ground.
+    - `sole` int16[n, L, 3], only of bodies with flat soles: the sideways direction of each sole (32767 is 1) along the same axes.
 
-    `feet`: in mm. `displayed`: the displayed positions and directions of these agents.
-    `foot_weights`: [n], how much clips leave the feet on the ground, 0 to 1.
+    `feet`: in mm. `displayed`: the displayed positions and directions of these agents. `foot_weights` [n]: how much the clips
+    leave the feet on the ground, from 0 (not at all) to 1.
 
     Bodies are oriented by the rounded directions that pages receive (three bytes), so that rounding does not shake a standing
     foot."""

@@ -1,4 +1,4 @@
-"""The bodies of agents and items on pages, each sent once.
+"""The packets of the bodies of agents and items. Each body is sent once to a page.
 
 Bodies of species are skinned meshes with the samples of the played clips. The page poses them."""
 
@@ -63,7 +63,7 @@ def collect_outfits(world: World, shot: Shot, population: Population) -> dict[st
 
 
 def _make_outfit(world: World, population: Population, definition: Definition) -> BodyOutfit:
-    """Return the outfit of agents of one species that have the body `definition`."""
+    """Return the outfit of those agents of one species that have the body `definition`."""
     plan = population.plan
     layers = tuple(name for name in list_wearable_layers(population, world.setting) if name in definition.layers)[
         :MAX_PAGE_LAYERS
@@ -333,8 +333,8 @@ def _make_mesh_arrays(body: PosedBody, table: ClipTable) -> Arrays:
 
 
 def find_body_of_key(shot: Shot, key: str) -> Definition:
-    """Return the body that a body key identifies. It comes from its own file, or else is the library body that the scene
-    requests or that matches the species' name."""
+    """Return the body that a body key identifies. It is the body in the body's own file. Without such a file, it is the library
+    body that the scene requests or that matches the species' name."""
     own, species, number = shot.bodies.get(key), find_species_of_key(key), find_number_of_key(key)
     if own is not None:
         return own

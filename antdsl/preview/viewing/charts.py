@@ -11,7 +11,8 @@ from antdsl.program.model import Program
 
 
 class ChartMessages:
-    """The charts of a program. `missing_package`: the package that must be installed before charts can be laid out."""
+    """A maker of the messages that describe a program's charts. `missing_package`: the package that must be installed before
+    charts can be laid out."""
 
     def __init__(self) -> None:
         self.missing_package = ""
@@ -22,7 +23,7 @@ class ChartMessages:
         return all(_remove_positions(chart) in self._layout_by_chart for chart in graphs.build_charts(program))
 
     def list_charts(self, program: Program) -> list[dict[str, Any]]:
-        """Return one message per state machine of a program. Missing layouts are computed."""
+        """Return one message for each state machine of a program. Layouts that are missing are computed first."""
         machines = [(name, m.name) for name, species in program.species.items() for m in species.machines if m.states]
         charts = graphs.build_charts(program)
         missing = [plain for chart in charts if (plain := _remove_positions(chart)) not in self._layout_by_chart]

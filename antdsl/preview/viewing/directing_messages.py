@@ -59,8 +59,8 @@ def make_notes_message(live: LiveSimulation) -> dict[str, Any]:
 
 
 def make_edits_message(live: LiveSimulation) -> dict[str, Any]:
-    """Return the message about the edits that users added. It lists them, and says why the displayed frame lacks them and what
-    settling did."""
+    """Return the message about the edits that users added. It lists the edits, and gives the reason if the displayed frame lacks
+    them. It also gives the result of settling."""
     settling = live.screen.settling
     lines = [_make_line_entry(edit) for edit in settling.edited.edits]
     settled = {"running": settling.is_running, "settled": settling.edited.settled is not None, "report": list(settling.report)}

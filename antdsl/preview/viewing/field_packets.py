@@ -1,6 +1,6 @@
 """Packets of the fields that a page displays: values on a mesh, sent a few times per second.
 
-The mesh of a field is the ground, cut into faces about as large as a cell. A cell that lies on no mesh becomes a square."""
+The mesh of a field is the ground, cut into faces about as large as a cell. A cell that is on no mesh is displayed as a square."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ class FieldMesh:
         return positions
 
     def compute_values(self, values: Floats) -> NDArray[np.float32]:
-        """Return the value of each vertex, blended from the values of the cells."""
+        """Return the value of each vertex, blended from the values of the cells that the vertex displays."""
         result: NDArray[np.float32] = np.einsum("nk,nk->n", values.astype(np.float32)[self.cell_indices], self.cell_weights)
         return result
 

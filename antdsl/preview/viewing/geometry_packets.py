@@ -175,7 +175,7 @@ class SolidPackets:
                 yield from self._make_piece_packets(name, piece, [], volume)
 
     def _make_piece_packets(self, name: str, piece: int, bricks: Iterable[Piece], volume: Volume) -> SlotPackets:
-        """Return the packet of a piece. Return no packet if the piece has no faces and is not displayed."""
+        """Return the packet of a piece. A piece that has no faces and is not displayed gets no packet."""
         vertices, faces = join_pieces(list(bricks))
         if not len(faces) and (name, piece) not in self._displayed_pieces:
             return

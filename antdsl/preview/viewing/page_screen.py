@@ -225,7 +225,7 @@ class PageUpdates:
         return sent
 
     def _send_scene(self, lays_out_charts: bool) -> bool:
-        """Send the scene message if it changed, and return `lays_out_charts`.
+        """Send the scene message if it changed. If `lays_out_charts`, also send the verbs. Return `lays_out_charts`.
 
         `lays_out_charts`: whether to lay out the current charts; if not, the message repeats the previous charts."""
         scene_message = self._make_scene_message(lays_out_charts)
@@ -237,7 +237,7 @@ class PageUpdates:
         return lays_out_charts
 
     def _send_verbs(self) -> None:
-        """Send the verbs of notes and edits if they changed, and the lines that users added if these changed."""
+        """Send the verbs of notes and edits if these changed. Also send the lines that users added if those changed."""
         verbs = make_verbs_message(self.live)
         if verbs != self._verbs:
             self._verbs = verbs
@@ -245,7 +245,7 @@ class PageUpdates:
         self._send_lines()
 
     def _send_lines(self) -> None:
-        """Send the list of notes that users added if it changed, and likewise the list of edits."""
+        """Send the list of the notes that users added, if it changed. Do the same for the list of edits."""
         for number, message in enumerate((make_notes_message(self.live), make_edits_message(self.live))):
             if message != self._lines[number]:
                 self._lines[number] = message

@@ -184,7 +184,7 @@ def _list_items(session: PreviewSession) -> list[dict[str, Any]]:
 
 
 def _find_initial_amounts(session: PreviewSession, name: str, amount: ItemAttribute) -> list[float]:
-    """Return the initial amount of each item, in the unit that authors use."""
+    """Return the initial amount of each item, in the unit that authors use for this amount."""
     unit_mm, dt = session.world.setting.unit_mm, session.world.dt
     usual, one = convert_constant(amount.default, unit_mm, dt), find_unit_size(choose_unit(amount), unit_mm, dt)
     return [each.attributes.get(amount.name, usual) / one for each in session.world.setting.items[name]]

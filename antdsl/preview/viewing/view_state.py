@@ -30,7 +30,7 @@ class PageInterest:
 
     @classmethod
     def from_displays(cls, looks: Iterable[SetDisplay]) -> PageInterest:
-        """Return the union of the data that pages with these display settings show."""
+        """Return the union of the data that pages show with these display settings."""
         looks = list(looks)
         followed = dict.fromkeys(look.follow for look in looks if look.follow is not None)
         planned = [look.planned for look in looks if look.planned is not None]

@@ -136,7 +136,7 @@ class FeetState:
         return order.take(at, mode="clip") if order.size else at, known
 
     def copy_common_agents(self, previous_feet: FeetState) -> None:
-        """Copy the values of all agents that occur in both objects from `previous_feet`."""
+        """Copy values from `previous_feet`, for all agents that both objects contain."""
         at, known = previous_feet._find_id_rows(self.ids)
         for name, array in self.get_stored_arrays().items():
             rows: tuple[Any, ...] = (slice(None),) * _find_agent_axis(name)

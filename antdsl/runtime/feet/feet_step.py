@@ -202,7 +202,7 @@ class _FeetStep:
                 soles.measure_tread_slopes(self.world, self.foot_ground, feet, which, up)
 
     def _compute_trunk_steps(self) -> tuple[np.float32, np.float32, np.float32]:
-        """Return the limits of trunk movement for `stepping.take_steps`, which describes them (`trunk_steps`)."""
+        """Return the argument `trunk_steps` of `stepping.take_steps`: the limits of trunk movement."""
         dt, legs = float(self.dt), self.species_legs.legs
         height = max(float((legs.hip[:, 1] - legs.foot[:, 1]).max()), 1e-3) * trunk.MAX_RISE_HIP_SHARE
         return _F(dt / (dt + trunk.TRUNK_SETTLING_SECONDS)), _F(dt / (dt + trunk.TRUNK_RISING_SECONDS)), _F(height)

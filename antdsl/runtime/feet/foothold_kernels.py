@@ -161,10 +161,10 @@ def find_nearest_on_mesh(
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
-    """Write the positions on one mesh that are nearest to `points`, within their `reach` (mm), to `hits`. Points from `begin`
-    to before `end` are processed. Returns `begin`, and the number of points with a reach that is too long for the grid. These
-    points are written to `beyond_grid` from index `begin` on. `number`: the number of the mesh in `FootGround`. `reach`:
-    reduced to the distance of the position found."""
+    """Write to `hits` the positions on one mesh that are nearest to `points`, within their `reach` (mm). Points from `begin` to
+    before `end` are processed. Returns `begin`, and the number of points with a reach that is too long for the grid. These points
+    are written to `beyond_grid` from index `begin` on. `number`: the number of the mesh in `FootGround`. `reach`: reduced to the
+    distance of the position found."""
     shape, (low, high), count = grid[0], box, 0
     zero = shape[6], shape[7], shape[8]
     for k in range(begin, end):

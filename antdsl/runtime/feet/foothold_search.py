@@ -61,7 +61,7 @@ class GroundHits:
         return self.ray_fraction, self.position, self.thing_numbers, self.face, self.weight
 
     def replace_rows(self, rows: Rows, other: GroundHits) -> None:
-        """Replace the hits at `rows` by those of `other`, in order."""
+        """Replace the hits at `rows` by those of `other`, which has one hit for each of `rows`."""
         self.ray_fraction[rows], self.thing_numbers[rows], self.face[rows] = other.ray_fraction, other.thing_numbers, other.face
         self.position[:, rows], self.weight[:, rows] = other.position, other.weight
 

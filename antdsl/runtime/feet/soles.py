@@ -23,10 +23,10 @@ Vectors = NDArray[np.float64]  # (3, k)
 def measure_tread_slopes(
     world: World, foot_ground: FootGround, feet: FeetState, selected_feet: tuple[Rows, Rows], up: Vectors
 ) -> None:
-    """Write the normals of the ground at footholds, on the side of the bodies, to `feet.tread`.
+    """Write to `feet.tread` the normals of the ground at footholds, on the side of the bodies.
 
-    `selected_feet`: two arrays [k], the rows of agents and the numbers of legs. `up` [3, k]: the up directions of their
-    bodies. For feet without ground, the result is the up direction of the body."""
+    `selected_feet`: two arrays [k], the rows of agents and the numbers of legs. `up` [3, k]: the up directions of their bodies.
+    For feet without ground, the result is the up direction of the body."""
     things, place, threads = feet.on[selected_feet], feet.place[:, selected_feet[0], selected_feet[1]], world.options.threads
     normals = np.array(up)
     normals[:, things == PLANE_GROUND_NUMBER] = np.asarray(world.up, np.float64)[:, None]

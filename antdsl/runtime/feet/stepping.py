@@ -95,10 +95,10 @@ def measure_ground_covered(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write how far the rest position of each foot moved over the ground to `covered_ground` [2, L, n].
+    """Write to `covered_ground` [2, L, n] how far the rest position of each foot moved over the ground.
 
-    The distances are ahead and aside in the current axes of the body, and 0 for `new` agents. `last_pose`: position, heading
-    and up of bodies at the end of the last frame."""
+    The distances are ahead and aside in the current axes of the body, and 0 for `new` agents. `last_pose`: position, heading and
+    up of bodies at the end of the last frame."""
     position, heading, up = last_pose
     for i in simd_range(begin, end):
         place, ahead, _, aside, size = read_footed_body(bodies, i)

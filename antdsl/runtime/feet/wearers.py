@@ -80,9 +80,8 @@ def get_body_wearers(world: World, key: str) -> BodyWearers:
 
 
 def compute_crouch_lowering(world: World, key: str) -> NDArray[np.float32] | None:
-    """Return by how much (mm) crouching lowers the body of each agent with the body `key`, in the order of ids.
-
-    None for a species that does not crouch."""
+    """Return by how much (mm) crouching lowers each agent with the body `key`, in the order of ids. Return None if the species
+    does not crouch."""
     population = world.populations.get(find_species_of_key(key))
     if population is None or not has_crouch(population):
         return None

@@ -96,9 +96,9 @@ class CorrectionWalker:
         return (step[0], step[1], step[2]), feet, up.T, heading.T, size
 
     def _move_back_in_range(self, population: Population, rows: Rows, move: GroundMove, size: Floats) -> Rows | None:
-        """Move agents back towards their start position if they went too far, as may happen on curved ground.
+        """Move agents back towards their start positions if they went too far. This can happen on curved ground.
 
-        Return the ascending indices of the rows that are within range afterwards, or None for all rows."""
+        Return the ascending indices of the rows that are within range afterwards. Return None if these are all rows."""
         for _ in range(_MAX_BACKTRACKS):
             far, most = self._measure_distance_limits(population, rows, move)
             if far is None:
@@ -115,19 +115,19 @@ class CorrectionWalker:
         return None if far is None else np.flatnonzero(far <= most * _DISTANCE_SLACK_FACTOR)
 
     def _measure_distance_limits(self, population: Population, rows: Rows, move: GroundMove) -> tuple[Floats | None, Floats]:
-        """Return the distances (mm) of agents from their start positions, and the largest allowed distances.
+        """Return the distances (mm) of agents from their start positions, and the greatest distances that are allowed.
 
-        The first result is None if no agent is farther away than allowed."""
+        The first result is None if all agents are within the allowed distances."""
         began, max_speed = self._start_positions[population.name], population.now["max_speed"]
         far, most = np.empty((2, len(rows)))
         is_too_far = _has_row_out_of_range(rows, move.position, began, population.position, max_speed, self._dt, far, most)
         return (far if is_too_far else None), most
 
     def _apply_move(self, population: Population, rows: Rows, move: GroundMove) -> Floats:
-        """Write the new positions and footings of agents; return their displacements (3, k) mm.
+        """Write the new positions and footings of agents. Return the displacements (3, k) mm of these agents.
 
-        Bodies retain their up direction, because otherwise leaning bodies might overlap others again. The next step aligns
-        them with their feet. The arrays are changed in place: the walk of this substep created them, so they are not shared."""
+        Bodies retain their up direction, because otherwise leaning bodies might overlap others again. The next step aligns them
+        with their feet. The arrays are changed in place: the walk of this substep created them, so they are not shared."""
         at, velocity = (vec.get_vector_registers(population.now, name) for name in ("position", "velocity"))
         got = np.empty((3, len(rows)))
         _store_arrivals(rows, move.position, move.up, self._dt, at, velocity, population.position, population.normal, got)
@@ -173,7 +173,7 @@ def write_stances(
 ) -> None:
     """Write the data of agents after a substep of `dt` s to the outputs, from index `first_index` on.
 
-    The outputs are fields of `contact_solver._ContactAgents`, and `travel` (3, k), the displacements (mm)."""
+    The outputs are `travel` (3, k), the displacements (mm), and arrays for the fields of `contact_solver._ContactAgents`."""
     began, place, feet, max_speed, weight = species
     for n in simd_range(0, rows.size):
         row, k = rows[n], first_index + n
@@ -259,7 +259,7 @@ def _store_arrivals(
     ground_normal: Strided2[F32],
     reached_moves: Array2[F64],
 ) -> None:
-    """Write positions, normals and velocities of agents after their corrections, and their displacements. `end_positions`,
+    """Write positions, normals and velocities of agents after corrections, and the displacements of the agents. `end_positions`,
     `arrival_ups` (k, 3): new positions and up directions. `reached_moves` (3, k) mm: receives the displacements."""
     for k in simd_range(0, rows.size):
         row = rows[k]
@@ -303,8 +303,8 @@ def find_unresolved_rows(
 
 
 def find_overlapping_pairs(nearby_pairs: NearbyCapsulePairs, is_touched: Flags) -> Flags | None:
-    """Return which pairs (m) have a row that is flagged in `is_touched` (k); None if none of these pairs overlaps enough for
-    another pass."""
+    """Return which pairs (m) have a row that is flagged in `is_touched` (k). Return None if none of these pairs overlaps enough
+    for another pass."""
     which = np.empty(len(nearby_pairs.first_indices), np.bool_)
     return (
         which

@@ -73,7 +73,8 @@ _ARRIVALS_PER_THREAD = 64  # fewer agents with separate arrival are not worth an
 def move_agents(world: World, population: Population, substep_index: int) -> BodyClearanceStep | None:
     """Move all agents of a species by one substep. This changes position, velocity, heading, up and footing.
 
-    If bodies stay outside their ground, return their clearance step, which is used again after contacts; else None."""
+    If the bodies of the species stay outside their ground, return their clearance step, which is used again after contacts.
+    Otherwise return None."""
     if not len(population):
         return None
     dt = _F(world.dt / world.setting.substeps)
@@ -120,8 +121,8 @@ def move_agents(world: World, population: Population, substep_index: int) -> Bod
 
 
 def _move_bodies_outside_ground(world: World, population: Population, dt: np.float32, substep: int) -> BodyClearanceStep | None:
-    """Move agents with bodies that stay outside their ground. Return their clearance step, or None if the ground does not
-    consist of triangles."""
+    """Move the agents of a species with bodies that stay outside their ground. Return their clearance step, or None if the ground
+    does not consist of triangles."""
     crowd = _CrowdSubstep.build(world, population, dt, False)
     crowd.prepare_steps(substep)
     crowd.deflect_at_obstacles()
@@ -305,7 +306,8 @@ class _CrowdSubstep:
         p.footing, p.position, p.normal = Footing.from_plane(place), place, arrival.normals
 
     def _walk_meshes(self, ground: MeshGround, arrival: ArrivalArrays) -> bool:
-        """Walk all agents over the triangles of the ground. Return whether the ground consists of triangles."""
+        """Walk all agents over the triangles of the ground. Return False, and walk no agent, if the ground does not consist of
+        triangles."""
         p, n = self.population, len(self.population)
         walk = ground.build_crowd_walk(self.max_step_length, self.max_size)
         if walk is None:
@@ -379,9 +381,9 @@ class _CrowdSubstep:
 def raise_to_min_speed(
     world: World, population: Population, step: VectorArrays, up: VectorComponents, dt: np.float32
 ) -> VectorArrays:
-    """Return the steps (mm), lengthened for agents that obstacles made slower than their minimum speed.
+    """Return the steps (mm) in which agents that obstacles slow down below their minimum speed walk farther.
 
-    These steps get the minimum length in the same direction, if the path is free."""
+    Such a step gets the length of the minimum speed, in the same direction, if the path is free."""
     now = population.now
     if MIN_SPEED_REGISTER not in now or not world.plan.obstacles:
         return step

@@ -57,8 +57,8 @@ def find_airborne(world: World, population: Population, rows: Rows) -> Rows:
 
 
 def move_airborne(world: World, population: Population, rows: Rows, displacement: Floats) -> GroundMove:
-    """Return the result of moving agents in the air of a solid by `displacement` (k, 3) mm. They move in a straight line, but
-    not into a solid."""
+    """Move agents in the air of a solid by `displacement` (k, 3) mm, and return the result. An agent that would enter a solid
+    stays where it is."""
     place = population.position[rows] + displacement
     for volume in world.solids.values():
         inside = volume.sample_distances(place) < 0

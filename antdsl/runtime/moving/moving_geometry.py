@@ -71,8 +71,8 @@ def get_moving_ground(world: World) -> MovingGround | None:
 
 
 def set_ground_pose(world: World, frame: int) -> None:
-    """Move only the ground to a frame, without updating the scenes for raycasts. For callers that read a world but cast no
-    rays."""
+    """Move only the ground to a frame, without updating the scenes for raycasts. This suffices for callers that read a world but
+    cast no rays."""
     ground = get_moving_ground(world)
     if ground is not None:
         moved = [name for name in world.setting.motion.meshes if name in world.setting.surfaces]
@@ -94,7 +94,7 @@ def make_sampled_curve(points: NDArray[np.float64]) -> SampledCurve:
 
 
 def measure_ground_velocity(world: World, population: Population) -> NDArray[np.float64] | None:
-    """Return the velocity (n, 3) mm/s of the ground points below agents in the last step; None if no ground moves."""
+    """Return the velocities (n, 3) mm/s, in the last step, of the ground points below agents. Return None if no ground moves."""
     ground, moves = get_moving_ground(world), world.setting.motion
     if ground is None:
         return None
@@ -112,8 +112,7 @@ def measure_ground_velocity(world: World, population: Population) -> NDArray[np.
 
 
 def compute_agent_rest_positions(world: World, population: Population) -> NDArray[np.float64]:
-    """Return the rest positions (n, 3) mm of the ground points below agents. The cells of fields are defined at rest
-    positions."""
+    """Return the rest positions (n, 3) mm of the ground points below agents. Fields define their cells at rest positions."""
     return compute_rest_positions(world, population.footing, population.position)
 
 
@@ -212,7 +211,8 @@ def _carry_agents_with_ground(
 
 
 def _rotate_vectors(previous_axes: FaceAxes, next_axes: FaceAxes, v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return vectors (3, n) that have the same components along `next_axes` as `v` has along `previous_axes`."""
+    """Return the vectors `v` (3, n) rotated from one frame to another: along `next_axes`, the results have the components that
+    `v` has along `previous_axes`."""
     parts = [(a[0] * v[0] + a[1] * v[1]) + a[2] * v[2] for a in previous_axes]
     turned: NDArray[np.float64] = (parts[0] * next_axes[0] + parts[1] * next_axes[1]) + parts[2] * next_axes[2]
     return turned

@@ -72,8 +72,8 @@ def _estimate_up_from_turns(
 
 
 def _limit_tilt(up: Floats, ground: Floats) -> Floats:
-    """Return the up vectors (3, n), rotated towards the ground's normals as far as necessary for an angle of at most 10
-    degrees."""
+    """Return the up vectors (3, n), each rotated towards the ground's normal as far as necessary. Afterwards they differ from the
+    normals by at most 10 degrees."""
     aside = _normalise_or_default(up - ground * dot(up, ground), np.zeros_like(up))
     most = ground * _MAX_TILT_COSINE + aside * np.sqrt(1.0 - _MAX_TILT_COSINE * _MAX_TILT_COSINE)
     return np.where(dot(up, ground) < _MAX_TILT_COSINE, _normalise_or_default(most, ground), up)
@@ -89,8 +89,8 @@ def _estimate_up_from_probes(
 ) -> Floats:
     """Return up vectors (3, n) perpendicular to the directions to two ground points.
 
-    These are the ground points nearest to the positions half a body length ahead and half a body length to the left. The
-    ground's normal is returned instead if this gives no direction, or one more than 45 degrees from the normal."""
+    These are the ground points nearest to the positions half a body length ahead and half a body length to the left. If this
+    gives no direction, or a direction more than 45 degrees from the ground's normal, the normal is returned instead."""
     heading = population.read_vector("heading").T
     reach = np.maximum(population.now["size"], np.float32(0)).astype(np.float64) / 2
     place = population.position.T

@@ -1,6 +1,6 @@
-"""Slows agents down to a fraction of their speed, as if their time passed more slowly. Between steps, velocities are those of
-the slowed motion, as seen in the scene. While agents decide and while their push acts, velocities are divided by the fraction.
-So a program sees the full speed of its agents, and agents regain it when they are no longer slowed."""
+"""Slows agents down to a fraction of their speed, as if their time passed more slowly. Between steps, velocities are those of the
+slowed motion, as seen in the scene. While agents decide and while their push acts, velocities are divided by the fraction. So a
+program sees its agents at full speed. Agents regain this speed when they are no longer slowed."""
 
 from __future__ import annotations
 
@@ -59,7 +59,8 @@ class SpeedShares:
         now["max_turn"][self.slowed_rows] = np.where(self.speed_shares > 0, fastest * self.speed_shares, 0)
 
     def scale_motions(self, population: Population, *motions: VectorArrays | NDArray[np.float32]) -> None:
-        """Multiply the given velocities, steps or step lengths by the fractions. Also scale the limits of speed, for contacts."""
+        """Multiply the given velocities, steps or step lengths by the fractions. Also scale the speed limits, because contacts
+        read them."""
         for motion in motions:
             for component in motion if isinstance(motion, tuple) else (motion,):
                 component[self.slowed_rows] *= self.speed_shares

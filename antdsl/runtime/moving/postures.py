@@ -46,12 +46,12 @@ class Posture(NamedTuple):
 
 
 def has_posture(population: Population) -> bool:
-    """Return whether a species sets `upright`, that is, how its bodies stand."""
+    """Return whether a species sets `upright`, which defines how its bodies stand."""
     return UPRIGHT_REGISTER in population.plan.settings
 
 
 def read_posture(world: World, population: Population) -> Posture:
-    """Return the posture of a population."""
+    """Return how upright the bodies of a population stand."""
     is_set = has_posture(population)
     upright = population.now[UPRIGHT_REGISTER if is_set else "size"]
     return Posture(is_set, upright, np.asarray(world.up, np.float64))

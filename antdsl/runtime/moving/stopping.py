@@ -31,8 +31,8 @@ def deflect_paths_at_impacts(
 ) -> I64:
     """Deflect paths at the impacts in `encounters`: from the impact on, a body continues along the other body.
 
-    Returns the number of stopped rows. `approach` (3, n) mm: the previous displacements, for a time of equal length. A body
-    may follow another body that moves away. The other arguments are as in `step_clamping.deflect_along_limits`."""
+    Returns the number of stopped rows. `approach` (3, n) mm: the displacements by the velocities before this substep, in the same
+    time. A body may follow another body that moves away. The other arguments are as in `step_clamping.deflect_along_limits`."""
     for pair in simd_range(0, encounters.first_rows.size):
         direction, over = get_column(encounters.separation_axis, pair), 0
         for side in range(2):
@@ -70,11 +70,11 @@ def find_next_impacts(
     was_touched: Array1[BOOL],
     first_impact_time: Array1[F64],
 ) -> I64:
-    """Write the impacts of pairs with a row in `is_touched` to `encounters`. Write the time of each row's first impact to
-    `first_impact_time` (n).
+    """Compute the impacts of pairs with a row in `is_touched`, and write them to `encounters`. Write the time of each row's first
+    impact to `first_impact_time` (n).
 
-    Returns the number of impacts. `was_touched` (n): flags of rows that have changed since the last call. Only impacts of
-    pairs with such a row are updated."""
+    Returns the number of impacts. `was_touched` (n): flags of rows that have changed since the last call. Only impacts of pairs
+    with such a row are updated."""
     for pair in range(encounters.first_rows.size):
         p, q = encounters.first_rows[pair], encounters.second_rows[pair]
         if (was_touched[p] | was_touched[q]) & (is_touched[p] | is_touched[q]):
@@ -128,7 +128,7 @@ def shorten_paths(
 
 @kernel
 def list_corrections(displacement: Array2[F64], travel: Array2[F64], rows: Array1[I64], corrections: Array2[F64]) -> I64:
-    """Write the rows with a displacement that differs from `travel` (3, n) mm to `rows`, and the differences to `corrections`.
+    """Write to `rows` the rows with a displacement that differs from `travel` (3, n) mm, and to `corrections` the differences.
     Return the number of rows."""
     for k in simd_range(0, rows.size):
         path, step = get_column(displacement, k), get_column(travel, k)

@@ -108,7 +108,7 @@ def prepare_steps(
 
 @inlined
 def _choose_level_heading(heading: VectorColumns, headings: VectorColumns, state: Array1[I32], i: I64) -> Vec3:
-    """Return the heading of agent `i` along the ground, in float64."""
+    """Return the heading of agent `i` along the ground, in float64. For an agent that leans, it comes from `headings`."""
     if state[i] == STANDING_BODY_STATE:
         return np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
     return np.float64(headings[0][i]), np.float64(headings[1][i]), np.float64(headings[2][i])

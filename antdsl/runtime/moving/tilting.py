@@ -103,7 +103,7 @@ def _is_leaning(up: VectorColumns, normal: Array2[F32], i: I64) -> BOOL:
 
 @inlined
 def _measure_approach(displacement: Vec3, wall: Vec3, ahead: Vec3) -> F64:
-    """Return by how much (mm) a displacement reduces the distance to a wall, measured along `ahead`."""
+    """Return by how much (mm) a displacement reduces the distance to a wall, where distances are measured along `ahead`."""
     return dot(displacement, wall) / min(dot(ahead, wall), -1e-3)
 
 
@@ -140,8 +140,8 @@ def compute_stance(
 ) -> None:
     """Compute the stance of the body at `row` at the start of a step.
 
-    Writes its tilt limit (radians) to `max_tilts`, and its state without regard to walls to `state`. If it leans, writes its
-    heading along the ground to `level_headings`."""
+    Write to `max_tilts` the body's tilt limit (radians), and to `state` its state without regard to walls. If it leans, write to
+    `level_headings` its heading along the ground."""
     walking = maximum(max_speed[row], _FLOAT32_ZERO) / (size[row] if size[row] > 0 else _FLOAT32_ONE) * _RIGHT_ANGLE
     rate = maximum(max_turn[row], _FLOAT32_ZERO)
     if not rate < walking and rate == rate:

@@ -1,8 +1,8 @@
 """Computes velocities after a push, and velocities and headings after a walk. Agents are processed one by one in float32.
 
-This module also defines how fast headings follow the movement, and the states of bodies. The `state` of a body is the number
-of a wall ahead, or one of three values: the body leans, is aligned with its feet, or hastens. A body hastens if it is aligned
-with its feet but would turn too fast."""
+This module also defines how fast headings follow the movement, and the states of bodies. The `state` of a body is the number of a
+wall ahead, or one of three values: the body leans, is aligned with its feet, or hastens. A body hastens if it is aligned with its
+feet, but would then turn faster than it can."""
 
 from __future__ import annotations
 
@@ -136,7 +136,8 @@ class ArrivalArrays(NamedTuple):
 
 
 class WalkedPoses(NamedTuple):
-    """Poses after a walk: position, up, heading and direction of motion (3, n), and whether each walk was blocked."""
+    """The poses of agents after a walk: position, up, heading and direction of motion, each (3, n). Also whether something
+    blocked each walk."""
 
     position: Strided2[F64]
     up: Strided2[F64]
@@ -320,8 +321,8 @@ def _turn_heading_to_velocity(
 ) -> Vec3F32:  # fmt: skip
     """Return the heading turned towards the velocity, or towards the direction to face.
 
-    It turns completely if `is_immediate`, else by the fraction `turn_share`. Turn and tilt of the body together are limited by
-    `max_turn`. `tilt`: the squared angle of the tilt. A turn by more than a right angle first leads to the side."""
+    It turns completely if `is_immediate`, else by the fraction `turn_share`. `max_turn` limits the sum of this turn and the tilt
+    of the body. `tilt`: the squared angle of the tilt. A turn by more than a right angle first leads to the side."""
     heading, good = _normalise(project_to_plane(heading, up))
     if not good:
         heading = _find_perpendicular(up)

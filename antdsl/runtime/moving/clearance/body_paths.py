@@ -79,8 +79,8 @@ class FacesNearby(NamedTuple):
 
 @inlined
 def may_faces_cross(nearby_faces: FacesNearby, face: I64, other_face: I64) -> BOOL:
-    """Return whether `other_face` may cross `face`. It may if the faces belong to different mesh pieces, or if both are cut by
-    faces of their own piece."""
+    """Return whether `other_face` may cross `face`. It may if the faces belong to different pieces of the ground, or if both are
+    cut by other faces of their piece."""
     pieces, cuts = nearby_faces.piece_numbers, nearby_faces.cut_starts
     return pieces[face] != pieces[other_face] or (
         cuts[face + 1] > cuts[face] and cuts[other_face + 1] > cuts[other_face] and face != other_face

@@ -96,8 +96,10 @@ def read_lifts(population: Population, rows: Rows) -> VectorArrays:
 def update_idle_times(
     population: Population, rows: Rows, start_positions: NDArray[np.float64], dt: np.float32
 ) -> NDArray[np.float32]:
-    """After a step of `dt` seconds, update how long the feet of the agents at `rows` have not moved although they should.
-    Return these times (s). `start_positions` (n, 3) mm: positions of all agents before the step."""
+    """Update for how long the feet of the agents at `rows` have not moved although they should. Called after a step of `dt`
+    seconds.
+
+    Return these times (s). `start_positions` (n, 3) mm: the positions of all agents before the step."""
     now, position = population.now, population.position
     walks = vec.length(vec.take_rows(vec.get_vector_registers(now, "velocity"), rows)) != 0
     walks &= (position[rows] == start_positions[rows]).all(axis=1)

@@ -201,9 +201,9 @@ def limit_steps(
 
 @inlined
 def _retreat_from_wall(step: Vec3, length: F64, wall: Vec3, distance: F64) -> Vec3:
-    """Return a step without its component into a wall, but with a component of `distance` away from the wall. A step that does
-    not lead into the wall is reversed instead. `length`: the length of `step`. `wall`: the direction away from the wall, along
-    the ground."""
+    """Return a step with its component into a wall replaced by a component of length `distance` away from the wall. A step that
+    does not lead into the wall is reversed instead. `length`: the length of `step`. `wall`: the direction away from the wall,
+    along the ground."""
     size = np.sqrt(dot(wall, wall))
     into = dot(step, wall)
     out, inside = times(step, -1 / length), -length
@@ -240,9 +240,9 @@ def aim_bodies(
     begin: I64,
     end: I64,
 ) -> None:
-    """Turn bodies towards their feet, and lift them off the path below them. Entries `begin` to before `end` of `body_rows`
-    are processed. `previous_poses`: poses before the step. `current_poses`: poses of the feet; they are replaced by the poses
-    of the bodies."""
+    """Turn bodies towards the poses of their feet, and lift the bodies off the path below. Entries `begin` to before `end` of
+    `body_rows` are processed. `previous_poses`: poses before the step. `current_poses`: poses of the feet; they are replaced by
+    the poses of the bodies."""
     table, first, rows, levels = surface.face_table, surface.first_faces, body_rows.rows, body_rows.bend_levels
     faces = FaceList(search.buffers.face_numbers, _get_face_list(search.buffers, search.box_tree, begin))
     ahead_points, behind_points = allocate_scratch(FLOATS_PER_PATH, F64), allocate_scratch(FLOATS_PER_PATH, F64)

@@ -16,9 +16,9 @@ HEAD_DEPTH_TOLERANCE = 0.1  # body lengths; a shallower overlap counts as contac
 def find_heads_inside(world: World, population: Population) -> NDArray[np.bool_]:
     """Return which heads are inside the ground or a solid in the current state, bool[n].
 
-    A head is half a body length ahead of the body's middle. The middle is above the feet, along the mean of the ground's
-    normal and the body's up. A head is inside if a surface separates it from the middle, or if it is in a solid. Its depth
-    must exceed a tenth of a body length."""
+    A head is half a body length ahead of the body's middle. The middle is above the feet, along the mean of the ground's normal
+    and the body's up. A head is inside if a surface separates it from the middle, or if it is in a solid. The head must be deeper
+    inside than a tenth of a body length."""
     now = population.now
     size = now["size"].astype(np.float64)
     high = np.maximum(MIN_BODY_HEIGHT_SHARE * size, now["clearance"])

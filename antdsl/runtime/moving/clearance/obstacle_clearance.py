@@ -17,8 +17,8 @@ _ROUNDING_SLACK = np.float32(ROUNDING_BOUND)
 
 
 def get_obstacle_clearance(world: World, population: Population, obstacle: str) -> NDArray[np.float32]:
-    """Return a lower bound of each agent's distance from an obstacle at the start of the step (mm, float32[n]); 0 for agents
-    near it. The result is cached for the step."""
+    """Return a lower bound of each agent's distance from an obstacle at the start of the step (mm, float32[n]). It is 0 for
+    agents near the obstacle. The result is cached for the step."""
     key = (population.name, obstacle, population.version)
     distances = world.clearances.get(key)
     if distances is None:

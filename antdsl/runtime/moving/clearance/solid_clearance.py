@@ -159,7 +159,7 @@ def _find_deepest_contact(bricks: BrickTables, shape: BodyShape, middle: Vec3, h
 
 
 def _find_free_shares(walked: Floats, change: Floats, longest: Floats) -> Floats:
-    """Return the fraction (n), 0 to 1, of `change` by which each body may shift.
+    """Return by which fraction (n), 0 to 1, of its shift `change` each body may shift.
 
     Together with the step `walked` (n, 3) mm, the body then moves by at most `longest` mm, or not farther than the step alone."""
     a, b, c = dot(change, change), dot(walked, change), dot(walked, walked) - longest * longest

@@ -100,7 +100,7 @@ def compute_half_length(size: F32) -> F64:
 
 @kernel
 def write_wall_reach(size: Array1[F32], reach: Array1[F64]) -> None:
-    """Write how far ahead bodies search for walls (mm) to `reach`. `size`: the sizes of the bodies (mm)."""
+    """Write to `reach` how far ahead (mm) bodies search for walls. `size`: the sizes of the bodies (mm)."""
     for i in simd_range(0, size.size):
         reach[i] = MAX_TILT_DISTANCE_HALF_LENGTHS * compute_half_length(size[i])
 

@@ -154,7 +154,7 @@ class CapsuleCrowd:
         return CrowdCapsules(self.middle, *axes, self.half, self.radius, self.period, self.tilted_cosine)
 
     def read_vector(self, name: str) -> vec.VectorArrays:
-        """Return the three components of the vector register `name`, each concatenated over all species."""
+        """Return the three components of the vector register `name`. Each is one array over all species."""
         x, y, z = (self.concatenate_species(lambda p, axis=axis: self._select_registers(p)[f"{name}.{axis}"]) for axis in AXES)  # type: ignore[misc]
         return x, y, z
 
@@ -320,8 +320,8 @@ def _find_pairs_of_images(crowd: CapsuleCrowd, box: PeriodicBox) -> tuple[Rows, 
 
 
 def measure_overlap_depths(world: World) -> Floats:
-    """Return each agent's greatest penetration depth, in widths of its trunk; 0 without overlap. The result is float64[n];
-    species follow one another."""
+    """Return each agent's greatest penetration depth, in widths of its trunk; 0 without overlap. The result is float64[n], with
+    the agents of one species after those of the other."""
     crowd = CapsuleCrowd(world)
     near = find_near_pairs(crowd)
     depth = np.zeros(len(crowd))
@@ -330,7 +330,7 @@ def measure_overlap_depths(world: World) -> Floats:
 
 
 def find_greatest_depths(count: int, first_indices: Rows, second_indices: Rows, gap: Floats) -> Floats:
-    """Return the greatest overlap (mm) of each row, from the gaps of its pairs. It is 0 without overlap."""
+    """Return the greatest overlap (mm) of each row, computed from the gaps of its pairs. It is 0 for rows without overlap."""
     depth, inside = np.zeros(count), np.flatnonzero(gap < 0)
     for k in (first_indices.take(inside), second_indices.take(inside)):
         np.maximum.at(depth, k, -gap.take(inside))

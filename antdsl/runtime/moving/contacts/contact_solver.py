@@ -51,8 +51,8 @@ class SolverIterations:
 
     @property
     def has_one_iteration(self) -> bool:
-        """Return whether there is only one outer iteration, one sweep and one pass. In this case, only agents that overlap at
-        the first measurement move."""
+        """Return whether there is only one outer iteration, one sweep and one pass. Then only agents that overlap at the first
+        measurement are moved."""
         return self.outer_iterations == self.sweeps == self.passes == 1
 
 
@@ -146,7 +146,7 @@ def resolve_contacts(world: World, step_start: StartStances, dt: float) -> Nearb
 
 
 def _compute_approach(crowd: CapsuleCrowd, rows: Rows, dt: float) -> Floats:
-    """Return the previous displacement (3, k) mm of the given rows: their velocity before this substep times `dt`."""
+    """Return the displacements (3, k) mm that the given rows would make in `dt` with their velocities before this substep."""
     first, displacement = 0, np.empty((3, len(rows)))
     for population, own in crowd.split_rows(rows):
         write_approach(own, first, vec.get_vector_registers(population.start, "velocity"), dt, displacement)
@@ -157,11 +157,12 @@ def _compute_approach(crowd: CapsuleCrowd, rows: Rows, dt: float) -> Floats:
 def _record_pushes(
     crowd: CapsuleCrowd, rows: Rows, own_corrections: Floats, moved_rows: Rows, requested_moves: Floats, reached_moves: Floats
 ) -> None:
-    """Add the distance by which others pushed each agent to the agent's register, for species with a program that reads it.
+    """Add to a register of each agent the distance by which others pushed it. This is done for species of which the program reads
+    the register.
 
-    Only displacements by other agents are added, not `own_corrections` (3, k), the corrections of the agents' own steps.
-    `rows`: ascending rows of the crowd. `moved_rows`: indices into `rows` of the agents that moved. `requested_moves` (3, k)
-    mm: the requested displacements. `reached_moves`: the actual displacements, from which the distances are computed."""
+    Only displacements by other agents are added, not `own_corrections` (3, k), the corrections of the agents' own steps. `rows`:
+    ascending rows of the crowd. `moved_rows`: indices into `rows` of the agents that moved. `requested_moves` (3, k) mm: the
+    requested displacements. `reached_moves`: the actual displacements, from which the distances are computed."""
     if not any(PUSHED_REGISTER in population.now for population in crowd.species):
         return
     pushed = requested_moves - own_corrections.take(moved_rows, axis=1)

@@ -196,7 +196,8 @@ def find_impact(
 
 @inlined
 def _are_paths_near(paths: CapsulePaths, first_row: I64, second_row: I64) -> BOOL:
-    """Return whether the paths of two bodies come so close, even at different times, that the bodies may touch."""
+    """Return whether the paths of two bodies come near enough for the bodies to touch, even if the bodies are there at different
+    times."""
     one, other = get_column(paths.displacement, first_row), get_column(paths.displacement, second_row)
     long, size = np.sqrt(dot(one, one)), np.sqrt(dot(other, other))
     away = minus(
@@ -225,11 +226,11 @@ def list_path_pairs(
     used_count: I64,
     pairs: PathEncounters,
 ) -> I64:
-    """Append pairs of agents with near paths to the first `used_count` pairs of `pairs`.
+    """Append the pairs of agents with near paths to `pairs`, after its first `used_count` entries.
 
-    Return the new number of pairs, or -1 if the arrays are too short. At least one agent of a pair is flagged in
-    `active_rows`. `rank_by_row` (n): the row of a pair with the lower rank is the first. `only_impacts`: append only pairs
-    that would pass through each other. For bodies that touch at the start, this is so only if they can pass to the other side."""
+    Return the new number of pairs, or -1 if the arrays are too short. At least one agent of a pair is flagged in `active_rows`.
+    `rank_by_row` (n): the row of a pair with the lower rank is the first. `only_impacts`: append only pairs that would pass
+    through each other. For bodies that touch at the start, this is so only if they can pass to the other side."""
     (asks, asking_rows, asking_keys), (ordered, rows, _) = search.searching_agents, search.agents
     for at in range(asking_rows.size):
         (x, y, z, extent), a = load_consecutive(asks, 4 * at, 4), asking_rows[at]

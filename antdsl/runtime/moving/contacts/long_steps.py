@@ -157,8 +157,8 @@ def _deflect_paths(crowd: CapsuleCrowd, paths: CapsulePaths, encounters: PathEnc
 
 
 def _shorten_paths(paths: CapsulePaths, pairs: PathEncounters, touched_flags: Flags) -> None:
-    """Shorten paths until no agent flagged in `touched_flags` (n) collides with another. Agents with shortened paths are
-    flagged, too."""
+    """Shorten paths until no agent that is flagged in `touched_flags` (n) collides with another. An agent with a shortened path
+    is then flagged as well."""
     latest, first, factor = touched_flags.copy(), *np.empty((2, len(touched_flags)))
     for turn in count():
         if not find_next_impacts(pairs, paths, touched_flags, latest, first):

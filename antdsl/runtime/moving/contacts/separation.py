@@ -118,12 +118,12 @@ def _find_maximum(numbers: Array1[F64], count: I64) -> F64:
 def _distribute_overlap(
     pair_count: I64, count: I64, buffers: SolverBuffers, mobility: Array1[F64], cluster_share: Array1[F64]
 ) -> None:
-    """Write the fractions of the overlap by which the first and the second agent of each pair move to `buffers`.
+    """Write to `buffers` the fractions of the overlap by which the first and the second agent of each pair move.
 
-    Their sum is 1. Lighter agents and less locked agents move more. Only the first `pair_count` pairs of `buffers` and the
-    first `count` rows are used. An agent is locked if it deeply overlaps agents that also deeply overlap others. How locked it
-    is decreases from the middle of a dense cluster to its rim. The measure is the first eigenvector of the contact graph,
-    computed by power iteration: overlaps are repeatedly added up along contacts."""
+    Their sum is 1. Lighter agents and less locked agents move more. Only the first `pair_count` pairs of `buffers` and the first
+    `count` rows are used. An agent is locked if it deeply overlaps agents that also deeply overlap others. How locked it is
+    decreases from the middle of a dense cluster to its rim. The measure is the first eigenvector of the contact graph, computed
+    by power iteration: overlaps are repeatedly added up along contacts."""
     locked, spread = buffers[2][_DENSITY_BUFFER_ROW], buffers[2][_SPREAD_BUFFER_ROW]
     numbers, first, second = buffers[5], buffers[7][_FIRST_AGENT_ROW], buffers[7][_SECOND_AGENT_ROW]
     depth = numbers[_DEPTH_ROW]
@@ -251,7 +251,7 @@ def _group_pairs_by_row(
 def _compute_row_limits(
     radius: Array1[F64], agents: ContactAgentArrays, row_list: Array1[I64], count: I64, row_limits: Array2[F64]
 ) -> None:
-    """Write four limits for each of the first `count` rows of `row_list` to `row_limits`. They are mobility, membership in a
+    """Write to `row_limits` four limits for each of the first `count` rows of `row_list`. They are mobility, membership in a
     dense cluster (0 to 1), largest distance from the start, and largest push by others (mm)."""
     mass, yields, reach, depth, held, _, walked, _ = agents
     light, heap_share, most, push_limit = (

@@ -28,12 +28,12 @@ def clamp_approaching_steps(
     """Deflect and shorten the steps `displacement` (3, k) mm so that no agent enters another.
 
     Returns the corrections (3, k) mm, the stopped rows, and flags (k) of rows with shortened or stopped steps. An agent is
-    stopped if less than half of its step remains. `approach` (3, k) mm: the previous displacements, for a time of equal
-    length. `gap` (m), `direction` (3, m): gaps and separation axes of pairs before the steps. As in J. van den Berg et al.,
-    Reciprocal n-Body Collision Avoidance, 2011, each agent independently stays within half-planes. It walks towards a
-    neighbour by at most half of the gap. If the neighbour continues its previous displacement away from the agent, this
-    distance is added. Since each agent observes its half, no iteration is needed, and a pressing crowd comes to rest. The step
-    of a heavier agent is shortened less."""
+    stopped if less than half of its step remains. `approach` (3, k) mm: the displacements by the velocities before this substep,
+    in the same time. `gap` (m), `direction` (3, m): gaps and separation axes of pairs before the steps. As in J. van den Berg et
+    al., Reciprocal n-Body Collision Avoidance, 2011, each agent independently stays within half-planes. It walks towards a
+    neighbour by at most half of the gap. If the neighbour continues its previous displacement away from the agent, this distance
+    is added. Since each agent observes its half, no iteration is needed, and a pressing crowd comes to rest. The step of a
+    heavier agent is shortened less."""
     magic = compute_rounding_constant(displacement)
     rows, pairs = len(nearby_pairs.rows), len(gap)
     (short, sums), part, changed = np.empty((2, 3, rows)), np.empty(rows), np.empty(rows, np.bool_)

@@ -89,7 +89,7 @@ def take_back_overlapping_steps(world: World, start: Mapping[str, Stances], near
 
 
 def _has_moved_far(previous_crowd: CapsuleCrowd, crowd: CapsuleCrowd) -> bool:
-    """Return whether any body has moved so far that it may touch a body with which it is in no listed pair."""
+    """Return whether any body has moved so far that it may touch a body with which it is not listed as a pair."""
     displacement = crowd.middle - previous_crowd.middle
     return bool((vec.dot(displacement, displacement) > (_LISTED_RADII * crowd.radius) ** 2).any())
 
