@@ -289,11 +289,11 @@ def simulate(shot: Shot, options: Options | None = None) -> Iterator[World]:
 def check_scene_text(
     path: Path, texts: Mapping[Path, bytes], *, parsed: ParsedFileCache | None = None
 ) -> tuple[Scene | None, Program | None, Report]:
-    """Check a scene as in an editor, with its programs and bodies. Return the scene, the program and a report.
+    """Check a scene as in an editor, with its programs and bodies. Return the scene, the program and a report. Scene and program
+    are None if errors prevent them.
 
     The findings are those of `check_path`, except those about the meshes of the world. `texts`: texts that override scene files
-    on disk: this scene, and the scenes that it extends.
-    """
+    on disk: this scene, and the scenes that it extends."""
     from antdsl.bodies.crowd_bodies import load_crowd_bodies
 
     scene, program, _, report = _read_scene(path, RunChoices(), parsed=parsed, data=texts[path], texts=texts)
@@ -310,10 +310,9 @@ def check_path(
     parsed: ParsedFileCache | None = None,
     specs: bool = True,
 ) -> tuple[Program | None, Report]:
-    """Check a file without simulating it. It is a program, or a scene with its programs and meshes. Return the program and a
-    report. `parsed`: a cache for checking many files. With it, findings about a program have the same location, whichever
-    file names the program. `specs`: whether to check that the scenes of the program's specs exist.
-    """
+    """Check a file without simulating it. It is a program, or a scene with its programs and meshes. Return (program, report). The
+    program is None if errors prevent it. `parsed`: a cache for checking many files. With it, findings about a program have the
+    same location, whichever file names the program. `specs`: whether to check that the scenes of the program's specs exist."""
     from antdsl.scene.checks.existence_checks import check_spec_scenes
 
     choices = choices or RunChoices()

@@ -151,7 +151,8 @@ class TriangleFaces:
 
     def find_nearest(self, points: Floats, face: Index) -> tuple[Floats, Floats, Index]:
         """Return the surface position nearest to each point [k,3], its squared distance and its face. `face`: the nearest face as
-        found in float32. The result is this face, or a face that meets it there. Of equally near faces, the first is returned."""
+        found in float32. The result is this face, or a face that meets it at the nearest position. Of equally near faces, the
+        first is returned."""
         tables = self.build_kernel_tables()
         if tables is not None:
             face, place, square = face.copy(), np.empty((len(points), 3)), np.empty(len(points))

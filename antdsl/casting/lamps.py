@@ -40,8 +40,8 @@ class LightSphere:
     strength: float
 
     def aim_rays(self, points: AnyFloats, numbers: NDArray[np.integer], count: int) -> AnyFloats:
-        """Return vectors (n, 3) from `points` (n, 3) to target points on the sphere. As ray directions, they reach the target at
-        the ray parameter 1.
+        """Return vectors (n, 3) from `points` (n, 3) to target points on the sphere. If they are used as ray directions, the ray
+        reaches the target at the ray parameter 1.
 
         There are `count` target points, spread evenly over the hemisphere that faces a point. `numbers` (n,): which of them each
         point uses."""

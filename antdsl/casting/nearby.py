@@ -80,7 +80,7 @@ class ProximityQueries(ABC):
 
     @abstractmethod
     def _get_facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the normals of faces, on the side that a ray with the given direction hits."""
+        """Return the normals of faces, each on the side that a ray with the given direction hits."""
 
     @abstractmethod
     def _get_triangle_grid(self) -> TriangleGrid | None:

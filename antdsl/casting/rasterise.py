@@ -68,8 +68,8 @@ def _iterate_touched_cells(
 def _drop_repeated_pairs(
     cells: NDArray[np.int64], triangle_numbers: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the pairs of a cell and a triangle with most duplicates removed. Duplicates occur because the parts into which a
-    triangle is cut share cells."""
+    """Remove most duplicates from pairs of a cell and a triangle, and return the remaining pairs. Duplicates occur because the
+    parts into which a triangle is cut share cells."""
     lowest = cells.min(axis=0, initial=np.iinfo(np.int64).max)
     key = triangle_numbers - triangle_numbers.min(initial=0)
     key_count = float(key.max(initial=0)) + 1

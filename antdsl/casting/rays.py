@@ -155,7 +155,7 @@ class RayScene(ProximityQueries):
         """Return the ascending numbers of the rays that hit between `origin` [n,3] and `origin + step`, with ray parameters,
         meshes and faces.
 
-        `most_hit`: whether most rays are expected to hit; an occlusion query before the search is then skipped."""
+        `most_hit`: whether most rays are expected to hit. If so, the occlusion query before the search is skipped."""
         hit_rays, t, face = self._find_hits_within(origin - self.origin, step, threads, most_hit)
         return hit_rays, t, *self._split_face_numbers(face)
 
@@ -293,7 +293,7 @@ class RayScene(ProximityQueries):
         return mesh, (face - self._first_face_of_mesh.take(mesh)).astype(np.int32)
 
     def _get_facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the normals of faces, on the side that a ray with the given direction hits."""
+        """Return the normals of faces, each on the side that a ray with the given direction hits."""
         normal = self._faces.get_normals(face)
         projection = (normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1]) + normal[:, 2] * direction[:, 2]
         facing: NDArray[np.float32] = np.where(projection[:, None] > 0, -normal, normal).astype(np.float32)

@@ -94,8 +94,8 @@ def build_study(request: SweepRequest) -> tuple[SweepStudy, list[SweepJob], Repo
 
 
 def open_scene_shots(study: SweepStudy, request: SweepRequest) -> list[Shot]:
-    """Return a shot for each scene of a sweep, opened with the scene's own values. One shot per scene is enough: all runs of a
-    scene have the same things, and only values differ."""
+    """Return a shot for each scene of a sweep, opened with the scene's own values. One shot per scene is enough, because the runs
+    of a scene differ only in values, not in the things of the world."""
     from antdsl.cli.arguments import parse_grants
     from antdsl.pipeline import RunChoices, open_scene
 

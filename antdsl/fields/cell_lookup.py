@@ -14,7 +14,8 @@ _PREFETCH_GROUP_SIZE = 64  # points with cells prefetched together
 def _find_voxel_along_axis(coordinate: F64, voxel_width: F64, lowest_voxel: I64, voxel_count: I64) -> I64:
     """Return the index of the voxel that contains `coordinate` (mm) along one axis of a box of voxels; -1 outside the box.
 
-    `voxel_width`: in mm. `lowest_voxel`, `voxel_count`: the first voxel of the box along this axis, and the number of voxels."""
+    `voxel_width`: the edge length of a voxel (mm). `lowest_voxel`, `voxel_count`: the first voxel of the box along this axis, and
+    the number of voxels."""
     step = np.floor(coordinate / voxel_width + 0.5) - np.float64(lowest_voxel)
     if step >= 0.0 and step < np.float64(voxel_count):
         return np.int64(step)

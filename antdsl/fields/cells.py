@@ -92,7 +92,7 @@ class SurfaceCells:
     def _build_cell_tables(self, corners: Floats, scaled_corners: Floats, normal: Floats, max_cells: int) -> stored_tables.Tables:
         """Return the arrays `keys`, `position` and `normal` of all cells of triangles with the given `corners` and normals.
 
-        `scaled_corners`: the corners in units of voxels. `max_cells`: raises FieldTooFineError if there are more cells."""
+        `scaled_corners`: the corners in units of voxels. Raises FieldTooFineError if there are more than `max_cells` cells."""
         side = classify_normal_directions(normal)
         keys, sums = np.empty(0, np.int64), np.empty((0, 7))
         waiting: list[tuple[NDArray[np.int64], Floats]] = []
@@ -119,7 +119,7 @@ class SurfaceCells:
         return self._keys % 6
 
     def _pack_keys(self, voxel: NDArray[np.int64], side: NDArray[np.int8]) -> NDArray[np.int64]:
-        """Return the key of each pair of a voxel [n,3] and a side: the voxel's number times 6, plus the side."""
+        """Return the key of each pair of a voxel [n,3] and a side. The key is the voxel's number times 6, plus the side."""
         key: NDArray[np.int64] = ((voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2]) * 6 + side
         return key
 
@@ -281,7 +281,7 @@ class SurfaceCells:
         self, cells: NDArray[np.int64], column: Callable[[int, int], int]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return sorted pairs of compatible cells in nearby voxels, as indices into `cells` and numbers of neighbour cells.
-        `column`: a function that returns how many voxels up and down to search at the offset (x, y); -1 for none."""
+        `column`: a function of an offset (x, y) that returns how many voxels to search above and below; -1 if none."""
         voxels = self._voxel_numbers[cells]
         z, rest = voxels % self._size[2], voxels // self._size[2]
         x, y = rest // self._size[1], rest % self._size[1]

@@ -40,7 +40,7 @@ def count_slots(edge_pieces: Index) -> int:
 def count_edge_pieces_by_length(edge_lengths: Floats, cell: float | Floats) -> Index:
     """Return into how many pieces to divide each edge, so that each piece is at most `cell` (mm) long.
 
-    The results are powers of two, and 1 if `cell` is infinite. `edge_lengths`: in mm."""
+    The results are powers of two, and 1 if `cell` is infinite. `edge_lengths`: the lengths of the edges (mm)."""
     with np.errstate(divide="ignore"):
         pieces = np.clip(edge_lengths / cell, 1.0, _MAX_PIECES_PER_EDGE)
     cuts: Index = np.left_shift(1, np.frexp(pieces * (1 - 1e-9))[1].astype(np.int64))
@@ -68,7 +68,8 @@ class FaceLattice:
         return count_slots(self.edge_pieces)
 
     def find_slots(self, face: Index, b1: Floats, b2: Floats) -> tuple[Index, Floats]:
-        """Return the three slots around each position in a face (3, n), and the interpolation weights of these slots (3, n).
+        """Return, for each position in a face, the three slots around it (3, n), and the interpolation weights of these slots (3,
+        n).
 
         `face`, `b1`, `b2` (n): the faces, and the barycentric weights of their second and third corners."""
         n, start = self.edge_pieces.take(face), self.first_slots.take(face)
@@ -114,7 +115,8 @@ class FaceLattice:
     def _group_by_edge_pieces(self) -> list[tuple[int, Index, Index, Index]]:
         """Group faces by the number of pieces per edge.
 
-        Return a tuple for each group: the number of pieces, the faces, and the column and row of each slot in a face."""
+        Return a tuple for each group: the number of pieces, the faces, and two arrays with the column and the row of each slot in
+        a face."""
         groups = []
         for n in np.unique(self.edge_pieces).tolist():
             j = np.repeat(np.arange(n + 1), np.arange(n + 1, 0, -1))

@@ -100,7 +100,7 @@ class SurfaceFlow:
         return tuple(np.ascontiguousarray(part, np.float32) for part in vectors)  # type: ignore[return-value]
 
     def has_flow_at(self, meshes: MeshSurfaces | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
-        """Return whether the flow is non-zero at each agent's position, bool[n]. The arguments are those of `sample`."""
+        """Return for each agent whether the flow at its position is non-zero, bool[n]. The arguments are those of `sample`."""
         x, y, z = self.sample(meshes, footing, place, up)
         is_flowing: NDArray[np.bool_] = (x != 0) | (y != 0) | (z != 0)
         return is_flowing

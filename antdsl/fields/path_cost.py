@@ -112,7 +112,7 @@ def _compute_edge_costs(surface: WalkableSurface, cost: Floats, start: Index, st
 
 
 def _compute_link_costs(surface: WalkableSurface, cost: Floats) -> Floats:
-    """Return the cost of each link: its length times the median cost per mm of the walkable triangles."""
+    """Return the cost of each link, which is its length times the median cost per mm of the walkable triangles."""
     step = surface.points[surface.point_links[:, 1]] - surface.points[surface.point_links[:, 0]]
     usual = float(np.median(cost[surface.is_walkable])) if surface.is_walkable.any() else 1.0
     price: Floats = np.maximum(np.sqrt((step * step).sum(axis=1)), 1e-9) * usual

@@ -98,13 +98,13 @@ class PathFlow(SurfaceFlow):
         return is_on_mesh & g.is_crossable_face[face] & self.is_goal_reachable[g.slot_points[slot]]
 
     def _find_nearest_slots(self, face: Index, footing: Footing) -> Index:
-        """Return the slot nearest to each footing, which is the one with the largest interpolation weight."""
+        """Return the slot nearest to each footing. It is the slot with the largest interpolation weight."""
         slots, weights = self.lattice.find_slots(face, footing.b1, footing.b2)
         nearest: Index = np.take_along_axis(slots, weights.argmax(axis=0)[None], axis=0)[0]
         return nearest
 
     def _compute_crowd_shares(self, crowd: NDArray[np.int64]) -> Floats:
-        """Return the fraction of each triangle's area that agents cover, smoothed over adjacent triangles, (t,)."""
+        """Return the fraction (t,) of each triangle's area that agents cover. It is smoothed over adjacent triangles."""
         g = self.crossable_ground
         assert g is not None
         point_areas = self._sum_to_points(np.repeat(g.triangle_areas / 3, 3))

@@ -58,8 +58,8 @@ class PeriodicCells(SurfaceCells):
             self.position = np.clip(middles, ends.min(axis=0), ends.max(axis=0))
 
     def _keep_voxels(self, first: NDArray[np.int64]) -> None:
-        """Remove the cells in voxels outside the box: before the voxel `first`, or after the last one, along an axis that
-        wraps."""
+        """Remove the cells in voxels outside the box. Along an axis that wraps, these are the voxels before `first`, and those
+        after the last voxel of the box."""
         wraps = self._counts > 0
         voxels = self._list_voxels(np.arange(len(self))) + self._low
         low, size = np.where(wraps, first, self._low), np.where(wraps, self._counts, self._size)

@@ -182,7 +182,7 @@ class PheromoneField:
         )
 
     def _build_flow_matrix(self, links: CellLinks, share: float) -> Any:
-        """Return the fractions that flow between linked cells, as a sparse matrix [cells, cells].
+        """Return a sparse matrix [cells, cells] with the fractions of the amounts that flow between linked cells.
 
         Each entry is `share` times 4 / max(4, links of either cell)."""
         from scipy.sparse import csr_array

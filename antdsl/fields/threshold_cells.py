@@ -32,7 +32,7 @@ class CellsNearThreshold:
         self._changed_buffer = np.empty(len(self._is_above), np.int64)
 
     def has_same_settings(self, field: PheromoneField, threshold: np.float32) -> bool:
-        """Return whether this object was made for `field`, the field's current cells and `threshold`."""
+        """Return whether this object was made for `field` with its current cells, and for `threshold`."""
         own_field, own_version, own_threshold = self._inputs
         return own_field is field and own_version == field.version and own_threshold == threshold
 

@@ -379,7 +379,7 @@ class CombinedGround:
     def _find_mesh_crossings(
         self, start: Floats, end: Floats, up: Floats, end_up: Floats, body: Floats, threads: int
     ) -> tuple[NDArray[np.bool_], Floats, Footing]:
-        """Return a mask of the agents that have a mesh in their path, as seen from slightly above the path.
+        """Return a mask of the agents that have a mesh in their path. The view is from slightly above the path.
 
         Also return the fraction of each path before the mesh, and the footing on the mesh."""
         n = len(start)

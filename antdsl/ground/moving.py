@@ -43,7 +43,7 @@ class MovingGround(MeshGround):
         self._scale = replace(self._scale, max_below_height=np.inf)
 
     def copy(self) -> MovingGround:
-        """Return a copy with meshes that can be moved independently of this ground."""
+        """Return a copy of this ground. Moving the meshes of the copy does not move those of this ground."""
         ground = copy(self)
         ground._vertices, ground._topology = self._vertices.copy(), self._topology.copy()
         ground._box_tree = replace(self._box_tree, bounds=self._box_tree.bounds.copy())
@@ -68,7 +68,8 @@ class MovingGround(MeshGround):
         self._clearances.reset()  # type: ignore[attr-defined]
 
     def find_rows_on_moving_meshes(self, mesh: NDArray[np.int32]) -> NDArray[np.intp]:
-        """Return the rows of agents that stand on a moving mesh. Mesh numbers out of range are ignored."""
+        """Return the rows of the agents that stand on a moving mesh. `mesh`: the mesh number of each agent; numbers out of range
+        are ignored."""
         known = (mesh >= 0) & (mesh < len(self._is_moving))
         return np.flatnonzero(known & self._is_moving.take(np.where(known, mesh, 0)))
 
@@ -82,7 +83,7 @@ class MovingGround(MeshGround):
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
 
     def compute_rest_axes(self, footing: Footing) -> FaceAxes:
-        """Return the axes of the face below each agent for the face's rest position, in the form of `compute_axes`."""
+        """Return the axes of the face below each agent as they are in the face's rest position, in the form of `compute_axes`."""
         face, _ = self._compute_face_numbers(footing)
         t = self._rest_topology
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
@@ -95,7 +96,7 @@ class MovingGround(MeshGround):
         return np.ascontiguousarray(np.where(known, place, 0.0).T)
 
     def list_moving_boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
-        """Return a mask of faces for each moving mesh, and the lowest and highest corner of its bounding box at its current
+        """For each moving mesh, return a mask of its faces, and the lowest and highest corner of its bounding box at its current
         position."""
         return [(self._mesh_of_face == k, *self._box_by_mesh[name]) for k, name in enumerate(self.names) if self._is_moving[k]]
 
@@ -103,8 +104,8 @@ class MovingGround(MeshGround):
         return np.where(self._is_moving.take(self._mesh_of_face), self._mesh_of_face + 1, 0).astype(np.int32)
 
     def _get_ray_scene(self, surface_names: Iterable[str] | None) -> tuple[RayScene, Index]:
-        """Return the ray scenes of static and of moving surfaces, combined, and for each face of these scenes its face number in
-        the ground."""
+        """Return the ray scenes of static and of moving surfaces, combined. Also return, for each face of these scenes, its face
+        number in the ground."""
         chosen = self._find_surface_numbers(surface_names)
         if chosen not in self._ray_scenes:
             still = tuple(k for k in chosen if not self._is_moving[k])
@@ -116,7 +117,7 @@ class MovingGround(MeshGround):
         return self._ray_scenes[chosen]
 
     def _build_ray_scene(self, surfaces: tuple[int, ...], store_tables: bool = True) -> tuple[RayScene, Index]:
-        """Return a ray scene of the given surfaces, and for each of its faces its face number in the ground."""
+        """Return a ray scene of the given surfaces. Also return, for each face of this scene, its face number in the ground."""
         live = np.flatnonzero(self._topology.is_live & np.isin(self._mesh_of_face, surfaces))
         return RayScene(self._vertices, self._faces[live], store_tables=store_tables), live
 

@@ -49,7 +49,8 @@ class PlaneGround:
     def place_points(
         self, points: Floats, up: Floats, surface_names: Iterable[str] | None = None
     ) -> tuple[Footing, NDArray[np.bool_]]:
-        """Project points [n,3] onto the plane, along its normal. Return their footings, and True for every point."""
+        """Project points [n,3] onto the plane, along its normal. Return the footings, and an array that is True for
+        every point."""
         return Footing.from_plane(self._flatten_vectors(np.asarray(points, np.float64).reshape(-1, 3))), np.ones(
             len(points), np.bool_
         )
@@ -85,7 +86,7 @@ class PlaneGround:
         threads: int = 1,
         stop_at_borders: bool = False,
     ) -> GroundMove:
-        """Move agents straight ahead on the plane."""
+        """Move agents by their displacements, projected onto the plane."""
         n, none = len(displacement), np.zeros(len(displacement), np.bool_)
         point, ahead, direction, travelled = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
         walk_all_agents_straight(self._up, footing.point, displacement, heading, point, ahead, direction, travelled)

@@ -94,7 +94,7 @@ class Footing:
 
     @property
     def face(self) -> Int32Array:
-        """Return the number of the face in its mesh, int32[n]."""
+        """Return the number of each footing's face within its mesh, int32[n]."""
         return self.columns["face"]
 
     @property

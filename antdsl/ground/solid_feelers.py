@@ -123,7 +123,7 @@ class SolidProximityQueries:
         return np.fmax.reduce(np.fmin(*ends), axis=1), np.fmin.reduce(np.fmax(*ends), axis=1)
 
     def _find_entry(self, origin: Floats, direction: Floats, free_lengths: Floats, inside_lengths: Floats) -> Floats:
-        """Return the length along each ray at which it enters the solid. It is in air at `free_lengths` and in the solid at
+        """Return the length along each ray at which it enters the solid. The ray is in air at `free_lengths`, and in the solid at
         `inside_lengths`. The result is accurate to 1/256 of the interval between these."""
         for _ in range(_ENTRY_BISECTIONS):
             middle = (free_lengths + inside_lengths) / 2
@@ -156,7 +156,7 @@ class SolidProximityQueries:
         return distance.astype(np.float32), (away / np.maximum(distance, 1e-12)[:, None]).astype(np.float32)
 
     def _sample_surface(self) -> Floats:
-        """Return points float64[n,3] on the surface, one in each small block of nodes that the surface crosses."""
+        """Return points float64[n,3] on the surface: one point in each small block of nodes that the surface crosses."""
         bricks, parts = self.volume.bricks, NODES_PER_BRICK_SIDE // _SAMPLE_BLOCK_NODES
         stored = np.flatnonzero(bricks.table >= 2)
         pool = bricks.values[: bricks.used_slots * NODES_PER_BRICK].reshape((-1,) + (parts, _SAMPLE_BLOCK_NODES) * 3)[

@@ -24,7 +24,7 @@ def move_agents_by_rays(
     Ray 1 goes down, against the agent's up, from above its intended position. Ray 2 goes ahead, rotated 30 degrees upward about
     side = heading x up. The nearer hit is the new position, and the new heading is normal x side (T. Kewlani, Art Directed Ant
     Crowd Simulation in Houdini, section 4.3.8). The text of that section uses the longer ray, but its pseudo-code the nearer hit.
-    With the longer ray, agents would pass through every wall that ray 2 hits.
+    If the longer ray were used, agents would pass through every wall that ray 2 hits.
 
     `position` of the result is the ray's hit in float32, so it is slightly off its face. An agent without a hit does not move and
     is blocked (`is_blocked`)."""

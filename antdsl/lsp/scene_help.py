@@ -65,7 +65,7 @@ def _find_open_keys(line: str) -> list[str]:
 
 
 def complete_scene(workspace: Workspace, document: OpenDocument, offset: int) -> list[CompletionItem]:
-    """Return the proposals at an offset of a scene."""
+    """Return the completion proposals at an offset of a scene."""
     path, line = find_key_path(document.text.text, offset)
     value = re.search(r"([A-Za-z_.][A-Za-z_0-9.]*):\s*[A-Za-z_0-9./]*$", line)
     if "#" in line:

@@ -81,7 +81,7 @@ def _allow_scalar_texts(part: Any) -> Any:
 
 
 def _describe(key: str, schema: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of a key with the help for this key added."""
+    """Return the schema of a key, extended by the help for this key."""
     help = find_scene_key_help(key)
     return {**schema, "description": help} if help else schema
 

@@ -187,7 +187,7 @@ def _make_word_rule(table: Mapping[str, tables.WordHelp | ThingKindRow], explana
 def describe_keyword(word: str, begins_line: bool) -> str | None:
     """Return the description of a keyword; None for another word.
 
-    `begins_line`: whether the word begins a line. Its meaning may then differ: compare `on` in `on spawn { … }` and in `field
+    `begins_line`: whether the word begins a line. The meaning can depend on this: compare `on` in `on spawn { … }` and in `field
     trail on ground`."""
     if not begins_line:
         return (

@@ -89,7 +89,7 @@ class OpenDocument:
 
     @cached_property
     def used_files(self) -> list[Path]:
-        """Return the files that `use "PATH"` lines of the program name."""
+        """Return the files that the program names in its `use "PATH"` lines."""
         paths = (item.path for item in self.parsed[0].items if isinstance(item, nodes.Use))
         return [resolve_path(self.path.parent.joinpath(path.text)) for path in paths if path is not None]
 

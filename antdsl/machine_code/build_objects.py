@@ -74,7 +74,7 @@ def _compile_tasks(tasks: list[_CompileTask], entries: Sequence[library.LibraryE
 
 
 def _compile_task(task: _CompileTask) -> list[bytes]:
-    """Compile one kernel or text for each target of the task, and return the object codes. Runs in a worker process."""
+    """Compile one kernel or text for each target of the task. Return one object code per target. Runs in a worker process."""
     place, names = task
     return _compile_for_targets(_load_library()[place], names)
 

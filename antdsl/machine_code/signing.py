@@ -88,7 +88,7 @@ def _read_key(path: Path) -> bytes:
 
 
 def _has_hard_links(path: Path) -> bool:
-    """Return whether a file has more than one name (hard link). This is so while another process creates it."""
+    """Return whether a file has more than one name (hard link). A file has two names while another process is creating it."""
     with suppress(OSError):
         return os.lstat(path).st_nlink == 2
     return False

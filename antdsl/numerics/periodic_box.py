@@ -74,8 +74,8 @@ class PeriodicBox:
         return counts
 
     def list_images(self) -> list[NDArray[np.int64]]:
-        """Return all images of the box that touch it, each as its offset in box widths, int64[3]. The first one is the box
-        itself."""
+        """Return all periodic images of the box that touch the box, each as its offset in box widths, int64[3]. The first one is
+        the box itself."""
         return [np.array(step, np.int64) for step in product(*((0, -1, 1) if width else (0,) for width in self.widths))]
 
     def find_image_rows(self, position: tuple[NDArray[Any], ...], reach: float) -> tuple[NDArray[np.intp], tuple[Any, ...]]:

@@ -51,7 +51,7 @@ def run_philox(counter: WordColumns, key: tuple[Any, Any]) -> WordColumns:
 
 @lru_cache(maxsize=4096)
 def compute_site_words(species: str, site: str) -> tuple[int, int]:
-    """Return two 32-bit words that identify a site, a random draw in the program of a species."""
+    """Return two 32-bit words that identify a site. A site is a random draw in the program of a species."""
     digest = blake2b(f"{species}\0{site}".encode(), digest_size=8).digest()
     return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")
 

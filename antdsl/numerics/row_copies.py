@@ -32,8 +32,8 @@ class RowCopier:
         self._table = self._parts = np.zeros(0, np.int64)
 
     def copy(self, targets: Sequence[NDArray[Any]], sources: Sequence[NDArray[Any]], threads: int) -> None:
-        """Copy the contiguous arrays `sources` [n, ..] to the arrays `targets`, which are different arrays with the same lengths
-        and types."""
+        """Copy the contiguous arrays `sources` [n, ..] to the arrays `targets`, which have the same lengths and types and share
+        no memory with `sources`."""
         arrays = [*targets, *sources]
         if not arrays:
             return

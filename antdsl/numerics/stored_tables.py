@@ -90,7 +90,7 @@ _open_store_once = cache(open_store)
 
 
 def _compute_key(name: str, inputs: Sequence[NDArray[Any] | float | str]) -> str:
-    """Return the key of a table: a hash of its name, its inputs and the sources."""
+    """Return the key of a table. It is a hash of the table's name, its inputs and the sources."""
     hashed = blake2b(digest_size=32)
     for part in (name, antdsl.__version__, np.__version__, _hash_sources(), *inputs):
         if isinstance(part, np.ndarray):

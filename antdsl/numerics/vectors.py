@@ -26,7 +26,7 @@ def cross(a: VectorComponents, b: VectorComponents) -> VectorArrays:
 
 
 def compute_stacked_cross(a: VectorComponents, b: VectorComponents) -> Array:
-    """Return the cross product as one array (3, n)."""
+    """Return the cross products of `a` and `b` as one array (3, n)."""
     return np.stack(cross(a, b))
 
 

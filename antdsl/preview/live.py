@@ -282,7 +282,7 @@ class LiveSimulation:
         self._wait_for_work()
 
     def _advance_once(self, session: PreviewSession) -> None:
-        """Run one unit of work: a step towards the frame of a seek, a requested step, or the next step of play."""
+        """Run one unit of work. This is a step towards the frame of a seek, a requested step, or the next step of play."""
         if self._target_frame is not None:
             end = monotonic() + _MAX_SEEK_SECONDS
             while session.frame != self._target_frame and monotonic() < end:
@@ -301,8 +301,8 @@ class LiveSimulation:
             )
 
     def _look_ahead(self, session: PreviewSession) -> None:
-        """Simulate future frames while a page displays them and no request waits. During play, simulate one per played frame,
-        and more if time is left."""
+        """Simulate future frames as long as a page displays them and no request waits. During play, simulate one future frame per
+        played frame, and more if time is left."""
         version = self.look_ahead.version
         if not self.screen.needs_look_ahead(session):
             self.look_ahead.clear()

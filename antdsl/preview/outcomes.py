@@ -69,7 +69,8 @@ def make_error_outcome(message: str) -> EditOutcome:
 
 
 def find_binding_params(plan: Plan) -> frozenset[str]:
-    """Return the params that cannot change between two steps, because fields, other params or newborn agents depend on them."""
+    """Return the params that cannot be changed between two steps, because fields, other params or newborn agents depend on these
+    params."""
     nodes = [node for field_plan in plan.fields.values() for node in list_field_nodes(field_plan)]
     nodes += [param.default for param in plan.params.values()]
     for species in plan.species.values():

@@ -264,7 +264,7 @@ class PreviewSession:
         return self._recompile_files(self.choices, off, text, f"layer `{shorten_text(layer)}` is off")
 
     def replace_notes(self, notes: HandNotes, description: str, text: str = "") -> EditOutcome:
-        """Replace the notes that users added. The session goes back to the last frame that this change does not affect. It
+        """Replace the notes that users added. The session goes back to the last frame that this change does not affect, and
         continues from there with the current files and values. `description`, `text`: the outcome's values of the same names."""
         frame = find_last_unaffected_frame(self.notes, notes)
         choices, layers = replace(self.choices, notes=list_active_lines(notes)), self._current_stretch.disabled_layers

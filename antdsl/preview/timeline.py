@@ -146,7 +146,7 @@ class SimulationSegment:
         return world
 
     def apply_param_changes(self, world: World) -> None:
-        """Apply the recorded param changes of the world's frame to the world."""
+        """Apply the param changes that are recorded for the world's current frame to the world."""
         for change in self.param_changes:
             if change.frame == world.frame:
                 set_param(world, change.name, change.value)
@@ -284,8 +284,8 @@ class Timeline:
             pass
 
     def _drop_least_useful(self, current: SimulationSegment) -> bool:
-        """Drop the least useful stored data. Return False if only one reduced frame and the first checkpoint of each segment are
-        left."""
+        """Drop the stored data that are the least useful. Return False if only one reduced frame and the first checkpoint of each
+        segment are left."""
         if self.poses.nbytes > _POSES_BUDGET_SHARE * self.max_bytes:
             self.poses.drop_frame(next(iter(self.poses)))
             return True

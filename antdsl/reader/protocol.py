@@ -162,7 +162,7 @@ def _parse_array_entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
 
 
 def _read_bytes(file: IO[bytes], size: int) -> NDArray[np.uint8]:
-    """Read exactly `size` bytes. The memory in use grows with the bytes that arrive, not with the announced size."""
+    """Read exactly `size` bytes. The memory that this uses grows with the bytes that arrive, not with the announced size."""
     buffer = np.empty(min(size, _READ_BLOCK_BYTES), np.uint8)
     filled = 0
     while filled < size:

@@ -87,8 +87,8 @@ class GridShape:
         return GridShape(self.axes, self.low_corner, self.extent, widths, counts)
 
     def is_one_layer_enough(self, positions: Positions) -> bool:
-        """Return whether one layer of cells is enough for a crowd at `positions` (float32[n] mm). It is if few agents, or few
-        layers of cells, are above each other along the shortest axis, as on ground."""
+        """Return whether one layer of cells is enough for a crowd at `positions` (float32[n] mm). It is enough if few agents, or
+        few layers of cells, are above each other along the shortest axis. On ground, this is usually so."""
         if not self.extent[2] > 0:
             return False  # there is already only one layer of cells
         occupied = np.zeros((2, max(1 << 16, 64 * len(positions[0]))), np.bool_)

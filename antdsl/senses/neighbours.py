@@ -201,7 +201,7 @@ def _find_pairs(
 
 @inlined
 def find_first_cell(coordinate: F64, low: F64, inverse: F64, size: I64) -> I64:
-    """Return the first cell, 0 to `size`, of a range of cells that starts at `coordinate` (mm) along an axis.
+    """Return the index, 0 to `size`, of the first cell in a range of cells that starts at `coordinate` (mm) along an axis.
 
     `low`: the lowest coordinate of the grid (mm). `inverse`: cells per mm. `size`: the number of cells."""
     return math.floor(min(max((coordinate - low) * inverse, 0.0), float(size)))
@@ -209,7 +209,7 @@ def find_first_cell(coordinate: F64, low: F64, inverse: F64, size: I64) -> I64:
 
 @inlined
 def find_last_cell(coordinate: F64, low: F64, inverse: F64, size: I64) -> I64:
-    """Return the last cell, -1 to `size` - 1, of a range of cells that ends at `coordinate` (mm) along an axis."""
+    """Return the index, -1 to `size` - 1, of the last cell in a range of cells that ends at `coordinate` (mm) along an axis."""
     return math.floor(min(max((coordinate - low) * inverse, -1.0), size - 1.0))
 
 

@@ -94,7 +94,8 @@ def find_touching_pairs(
 
 
 def iterate_neighbour_searches(place: PositionColumns, reach: Floats) -> Iterator[PairSearch]:
-    """Yield searches that together visit each touching pair of agents (within the sum of both reaches) exactly once.
+    """Yield searches that together visit each touching pair of agents exactly once. Two agents touch if they are within the sum
+    of their reaches.
 
     The arguments are those of `find_touching_pairs`. Sparse crowds get wider cells, so that a table of all cells stays small."""
     x, y, z, reach = make_contiguous(*place, reach)
@@ -174,10 +175,10 @@ class PairSearch(NamedTuple):
 class _ContactGrid(NamedTuple):
     """A grid of agents of similar size, sorted by cell. At either end of each axis, one row of cells is empty.
 
-    `axes`: the axes from the longest to the shortest; `low_corner` and `cells_per_axis` use this order. `low_corner`: in mm.
-    `cells_per_mm`: cells per mm. `cells_per_axis`: the number of cells along each axis; 1 for the shortest if layers are not
-    separated. `agents`: position and reach (four entries per agent), row, and cell of each agent. `cell_starts`: the first
-    agent of each cell, empty if there are too many cells for a table."""
+    `axes`: the axes from the longest to the shortest; `low_corner` and `cells_per_axis` use this order. `low_corner`: the low
+    corner of the grid (mm). `cells_per_mm`: the inverse of a cell's width. `cells_per_axis`: the number of cells along each axis;
+    1 for the shortest if layers are not separated. `agents`: position and reach (four entries per agent), row, and cell of each
+    agent. `cell_starts`: the first agent of each cell, empty if there are too many cells for a table."""
 
     axes: tuple[int, ...]
     low_corner: tuple[float, ...]
@@ -248,7 +249,7 @@ class _ContactGrid(NamedTuple):
     def build_query_search(self, place: PositionColumns, reach: Floats, rows: Rows) -> PairSearch:
         """Return the search for pairs of the agents `rows`, which are not in the grid, with the grid's agents.
 
-        Each row is paired with all agents in its cell and in the neighbour cells."""
+        Each of these agents is paired with all agents of the grid in its cell and in the neighbour cells."""
         width, layer = self.cells_per_axis[0], self.cells_per_axis[0] * self.cells_per_axis[1]
         shifts = [depth * layer + row_offset * width for depth in (0, -1, 1) for row_offset in (-1, 0, 1)][
             : 3 if self.cells_per_axis[2] == 1 else 9

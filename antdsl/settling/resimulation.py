@@ -165,7 +165,8 @@ def _choose_agents(cache: EditedCache, shot: Shot, affected: dict[int, int]) -> 
 
 
 def _restore_world(history: History, frame: int) -> tuple[World, int]:
-    """Return a world at `frame` with contacts turned on, and the frame of the checkpoint from which it was simulated.
+    """Return a world at `frame` in which contacts are on. Also return the frame of the checkpoint from which the world was
+    simulated.
 
     Raises ExplainError if no valid checkpoint leads to this frame."""
     points = reversed([each for each in history.checkpoint_frames() if each <= frame])

@@ -129,7 +129,7 @@ def _write_register(population: Population, name: str, rows: NDArray[np.intp], v
 def increase_mass_of_scripted_agents(world: World, free_ids: Mapping[str, Ids]) -> Iterator[None]:
     """Within the `with` block, make all agents except `free_ids` so heavy that contacts push only the free agents.
 
-    Also raise the speed limits of the heavy agents so that they can follow their paths."""
+    Also raise the speed limits of the heavy agents, so that these can follow their paths."""
     limits = {}
     for name, population in world.populations.items():
         own = population.ids[~np.isin(population.ids, free_ids[name])]

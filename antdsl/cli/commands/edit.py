@@ -79,8 +79,8 @@ def run_edit_command(
 def _open_view(folder: Path, edits: Path | None, width: int | None, resimulation: _SceneAndRoots | None) -> Cache:
     """Return a view of the cache with the edits of a file, with smoothed orientations, or with the stored edits.
 
-    `edits`: the file of edits, or None. `width`: the number of frames over which orientations are smoothed, or None.
-    `resimulation`: the scene and roots for simulating affected agents again, or None to skip this."""
+    `edits`: the file of edits, if any. `width`: the number of frames over which orientations are smoothed, if any.
+    `resimulation`: the scene and roots for simulating affected agents again; None to leave this out."""
     from antdsl.outputs.edits.edited_cache import open_edited_cache, smooth_cache
 
     if width is not None:

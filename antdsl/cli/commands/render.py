@@ -283,7 +283,7 @@ def _draw_frames(
 def _draw_images(
     gallery: Gallery, settings: DrawRequest, frames: list[int], camera_frames: list[int], threads: int
 ) -> Iterator[Any]:
-    """Yield the picture of each frame, drawn by antdsl or rendered by Blender. `camera_frames`: as for `_draw_frames`."""
+    """Yield the picture of each frame, which antdsl draws or Blender renders. `camera_frames`: as for `_draw_frames`."""
     from antdsl.outputs.blender.rendering import render_with_blender
     from antdsl.outputs.drawing import FrameDrawer
 

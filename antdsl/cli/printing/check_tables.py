@@ -179,7 +179,7 @@ def explain_missing_table(table_kind: str, file: Path, report: Report) -> str:
 
 
 def format_agent_counts(files: Sequence[Path], choices: RunChoices) -> Iterator[str]:
-    """Yield a line with the largest possible number of agents, for each scene that creates agents during the run."""
+    """For each scene that creates agents during the run, yield a line with the largest number of agents that it may have."""
     from antdsl.scene.crowds.crowd_checks import count_agents
     from antdsl.scene.load import load_scene
 

@@ -289,7 +289,7 @@ class SlopeMap:
     - `corners` float64[m,3,3]: the corners of the faces
     - `table`: the topology of the faces
     - `moving_masks`: for each moving mesh, a mask bool[m] of its faces
-    - `half`: the half-edges that count as creases"""
+    - `half`: the half-edges that are creases"""
 
     def __init__(self, corners: Floats, table: MeshTopology, moving_masks: Sequence[NDArray[np.bool_]], half: Index) -> None:
         still = np.ones(len(corners), np.bool_)

@@ -1,6 +1,7 @@
 """Fast loops over all agents: positions and sides of footings, and the greatest displacement and size.
 
-Positions are computed from vertices instead of a table of faces. Neighbouring faces share vertices, so less memory is read."""
+Positions are computed from vertices instead of a table of faces. Neighbouring faces share vertices, so less memory is read than
+with such a table."""
 
 import numpy as np
 

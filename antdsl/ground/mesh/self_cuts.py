@@ -37,8 +37,8 @@ class SelfIntersections:
         return np.diff(self.cut_starts) > 0
 
     def list_cutting_faces(self, face: Index) -> tuple[Index, Index]:
-        """Return all pairs of a face in `face` and a face that cuts it, as two arrays: indices into `face`, and numbers of
-        cutting faces."""
+        """Return all pairs of a face in `face` and a face that cuts it. The result is two arrays: indices into `face`, and
+        numbers of the cutting faces."""
         count = np.diff(self.cut_starts).take(face)
         which = np.repeat(np.arange(face.size), count)
         step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
@@ -50,7 +50,7 @@ def find_self_intersections(corners: Floats, weld: Ints, piece: Ints, coordinate
 
     - `weld` (m, 3): a number for each corner; corners at the same position have the same number
     - `piece` int32[m]: the piece of each face, -1 for none
-    - `coordinate_precision`: faces within this distance (mm) of each other touch, which counts as a cut"""
+    - `coordinate_precision`: faces within this distance (mm) of each other touch; this counts as a cut"""
     flat = weld.ravel()
     one_place = np.zeros((int(flat.max(initial=-1)) + 1, 3))
     one_place[flat[::-1]] = corners.reshape(-1, 3)[::-1]  # nearly equal corners get one position, so they cut nothing
@@ -61,7 +61,7 @@ def find_self_intersections(corners: Floats, weld: Ints, piece: Ints, coordinate
 
 
 def _find_intersecting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
-    """Return pairs of faces of one piece that cut or touch each other."""
+    """Return pairs of faces that cut or touch each other and belong to the same piece of the ground."""
     cut_pairs = [np.empty((2, 0), np.int64)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(length(normal), 1e-300)[:, None]
@@ -115,8 +115,8 @@ def _iterate_overlapping_pairs(corners: Floats, live_faces: Index) -> Iterator[t
 
 
 def _iterate_pairs_in_cells(corners: Floats, faces: Index, smaller_faces: Index, width: float) -> Iterator[tuple[Index, Index]]:
-    """Yield pairs of faces that are in the same cell of a grid: pairs within `faces`, and pairs of `faces` with `smaller_faces`.
-    `width`: the width of a cell."""
+    """Yield the pairs of faces that share a cell of a grid. They are pairs of two `faces`, and pairs of one of `faces` and one of
+    `smaller_faces`. `width`: the width of a cell."""
     listed = np.concatenate([faces, smaller_faces])
     if listed.size < 2:
         return

@@ -236,7 +236,7 @@ class MeshGround:
         return has_bend
 
     def list_moving_boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
-        """Return a mask of faces for each moving mesh, and the lowest and highest corner of its bounding box at its current
+        """For each moving mesh, return a mask of its faces, and the lowest and highest corner of its bounding box at its current
         position."""
         return []
 
@@ -325,7 +325,7 @@ class MeshGround:
         return part, face
 
     def _get_ray_scene(self, surface_names: Iterable[str] | None) -> tuple[RayScene, Index]:
-        """Return a ray scene of the named surfaces, and for each face of this scene its face number in the ground."""
+        """Return a ray scene of the named surfaces. Also return, for each face of this scene, its face number in the ground."""
         chosen = self._find_surface_numbers(surface_names)
         if chosen not in self._ray_scenes:
             live = np.flatnonzero(self._topology.is_live & np.isin(self._mesh_of_face, chosen))
@@ -342,8 +342,8 @@ class MeshGround:
 
     @staticmethod
     def _to_ground_faces(mesh: NDArray[np.int32], face: NDArray[np.int32], live_faces: Index) -> Index:
-        """Convert faces hit in a ray scene to face numbers of the ground, -1 for no hit. `live_faces`: the number of each scene
-        face."""
+        """Convert the face hits of a ray scene to face numbers of the ground; -1 means no hit. `live_faces`: the ground's face
+        number of each face in the scene."""
         result = np.full(len(face), -1, np.int64)
         hit = mesh >= 0
         result[hit] = live_faces[face[hit]]

@@ -74,7 +74,7 @@ class PieceClearances:
         return FacePartClearances(reach, tables["first"], tables["count"], tables["least"])
 
     def _measure_face_parts(self, reach: float) -> stored_tables.Tables:
-        """Return the arrays of `FacePartClearances` by field name, measured for distances up to `reach` mm."""
+        """Return the arrays of `FacePartClearances` by field name. Distances are measured up to `reach` mm."""
         m = len(self._piece)
         near = (
             np.flatnonzero(self._find_faces_near_pieces(reach) | self._is_cut)

@@ -123,7 +123,7 @@ def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> s
 
 
 def update_face_shapes(table: MeshTopology, vertices: Floats, faces: Ints, rows: slice) -> None:
-    """Update the arrays of `table` after vertices have moved. `rows`: the faces that moved, all faces of one mesh.
+    """Update the arrays of `table` after vertices have moved. `rows`: the faces that moved, which are all faces of one mesh.
 
     Connections between faces do not change. A face that now has no area retains its normal and has zero width."""
     live, weld = table.is_live[rows], table.weld[rows]

@@ -76,8 +76,8 @@ def carve_balls(bricks: BrickGrid, centres: Floats, radii: Floats, owners: Index
 
 
 def _select_balls_near_grid(bricks: BrickGrid, centres: Floats, radii: Floats) -> tuple[Index, Index]:
-    """Return the balls that may change the grid, in ascending order, and the radius of influence of each, in voxels, rounded
-    up."""
+    """Return the balls that may change the grid, in ascending order. Also return the radius of influence of each ball in voxels,
+    rounded up."""
     local = (centres - bricks.origin) / bricks.voxel
     reach = (radii - bricks.min_distance) / bricks.voxel
     with np.errstate(invalid="ignore"):

@@ -51,8 +51,8 @@ def _shift_columns(columns: list[Index], step: tuple[int, ...]) -> list[Index]:
 
 
 def iterate_nodes_near_triangles(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
-    """Yield the nodes near each triangle: the columns of their coordinates, and the triangle of each node. They are near the
-    triangle's plane, and project into the triangle or near its outline. The search goes along grid lines parallel to the axis
+    """Yield the nodes near each triangle: the columns of their coordinates, and the triangle of each node. Such nodes are near
+    the triangle's plane, and project into the triangle or near its outline. The search goes along grid lines parallel to the axis
     nearest to the normal, because a triangle crosses few of these."""
     edges = corners[:, [1, 2]] - corners[:, :1]
     normal = np.cross(edges[:, 0], edges[:, 1])
@@ -198,8 +198,8 @@ def _pack_triangle_data(corners: Floats) -> Floats:
 
 
 def _compute_distances(measures: Floats, triangle: NDArray[np.integer], nodes: list[Index]) -> Distances:
-    """Return the distance of each node from its triangle: from the plane if the node projects into the triangle, else from the
-    nearest edge."""
+    """Return the distance of each node from its triangle. If the node projects into the triangle, this is the distance from the
+    plane, otherwise that from the nearest edge."""
     m = measures.take(triangle, axis=1)
     nx, ny, nz = m[0], m[1], m[2]
     inside: NDArray[np.bool_] | bool = True

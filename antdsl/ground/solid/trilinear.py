@@ -27,7 +27,7 @@ SMOOTH_NORMAL_REACH_VOXELS = 0.5  # voxels to both sides over which the smooth g
 
 
 def make_brick_tables(bricks: BrickGrid) -> tuple[Any, ...]:
-    """Return bricks in the form that kernels read."""
+    """Return the tables of bricks that kernels read."""
     return bricks.table, bricks.values, *bricks.origin, bricks.voxel, *bricks.shape
 
 

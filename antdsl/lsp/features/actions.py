@@ -36,8 +36,8 @@ def find_quick_fixes(workspace: Workspace, document: OpenDocument, start: int, e
 
 
 def find_edit(document: OpenDocument, diagnostic: Diagnostic) -> TextEdit | None:
-    """Return the edit for a finding, or None if there is none. It is the fix of the finding, or replaces the marked name by the
-    suggested name if the finding marks a single name."""
+    """Return the edit for a finding, or None if there is none. The edit is the fix of the finding. For a finding that marks a
+    single name, the edit may also replace this name by the suggested name."""
     if diagnostic.fix is not None:
         span = diagnostic.fix.span
         return TextEdit(document.find_start(span), document.find_end(span), diagnostic.fix.text)

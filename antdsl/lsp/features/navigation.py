@@ -306,7 +306,7 @@ def _reject_collision(workspace: Workspace, document: OpenDocument, key: NameKey
 
 
 def _is_scope_shared(key: NameKey, other: NameKey) -> bool:
-    """Return whether both names are visible at some common position in a program."""
+    """Return whether there is a position in a program at which both names are visible."""
     world = ("thing", "field", "species", "event")
     if key[0] in world or other[0] in world:
         return key[0] in world or key[0] in ("own", "let", "element", "inner")

@@ -35,7 +35,7 @@ class ArithmeticEmitter(VectorBuilder[Number]):
     reached_mask: Number | None = None
 
     def emit_any_lane(self, mask: Number) -> Number:
-        """Emit a test of whether a mask is true in at least one lane, and return its result as a condition."""
+        """Emit a test of whether a mask is true in at least one lane. Return the result of the test as a condition."""
         bits = self.op("lanes", f"i{LANE_COUNT}", mask, lanes=1)
         return self.op("ne", TRUTH, bits, Number(bits.kind, "0"))
 

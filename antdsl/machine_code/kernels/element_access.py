@@ -1,7 +1,7 @@
 """Emits loads and stores of array elements, either for one iteration of a loop or for several in SIMD lanes.
 
-If the elements of all lanes are contiguous in memory, they are loaded or stored at once, else one by one. Inactive lanes read
-from a dummy address and store nothing."""
+If the elements of all lanes are contiguous in memory, one instruction loads or stores all of them. Otherwise they are loaded or
+stored one by one. Inactive lanes read from a dummy address and store nothing."""
 
 from __future__ import annotations
 
@@ -165,8 +165,7 @@ class ElementAccess(ArithmeticEmitter):
         return place if counts.literal_value is not None else self.op("select", "ptr", counts, place, ZEROS_CONSTANT)
 
     def _emit_lane_addresses(self, array: Array, index: Number) -> Number:
-        """Return the addresses of elements, one per lane. Inactive lanes get the address of a block of zeros that no code
-        writes to."""
+        """Return one element address per lane. Inactive lanes get the address of a block of zeros to which no code writes."""
         addresses = self._offset_address(array, index)
         if self.mask is None or self.mask.literal_value is not None:
             return addresses

@@ -92,7 +92,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         self.fail(node, f"`{ast.unparse(node)}` is not in the subset")
 
     def _emit_tuple_items(self, node: ast.expr) -> Any:
-        """Return the items that one element of a tuple expression adds to the tuple; `*value` adds several."""
+        """Return the items that one element of a tuple expression adds to the tuple. An element `*value` adds several items."""
         if not isinstance(node, ast.Starred):
             return (self.emit_item(node),)
         spread = self.emit_item(node.value)
@@ -333,7 +333,7 @@ class ExpressionEmitter(ElementAccess, ABC):
         return self._build_checked_record(node, type(item), {**item._asdict(), **fields})
 
     def _add_keyword_fields(self, node: ast.Call, record: Any, fields: dict[str, KernelItem]) -> None:
-        """Add the keyword arguments of a call to `fields`."""
+        """Add the fields that a call sets by keyword to `fields`."""
         for each in node.keywords:
             name = each.arg or "**"
             if name not in record._fields:

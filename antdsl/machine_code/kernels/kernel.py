@@ -51,8 +51,8 @@ class KernelPart:
 
     @lru_cache(maxsize=512)  # noqa: B019
     def types(self) -> dict[str, Any]:
-        """Return the annotated types by parameter name; the key `return` has the type of the result. Parameters without an
-        annotation are left out."""
+        """Return the annotated type of each parameter, by name, and the type of the result under the key `return`. Parameters
+        without an annotation are left out."""
         function = self.function
         return {
             name: () if annotation in ("None", None) else resolve_annotation(annotation, function.__globals__)

@@ -171,7 +171,8 @@ class HashTable:
         self.replace_arrays(columns, [None] * len(columns))
 
     def replace_arrays(self, columns: Sequence[NDArray[Any]], previous_columns: Sequence[NDArray[Any] | None]) -> bool:
-        """Use the arrays `columns` instead of `previous_columns` if both have the same memory layout. Return whether they do."""
+        """Use the arrays `columns` instead of `previous_columns` if both have the same memory layout. Return whether this is the
+        case."""
         for k, (column, other) in enumerate(zip(columns, previous_columns, strict=True)):
             if column is other:
                 continue

@@ -1,4 +1,4 @@
-"""Breakpoints on a condition, written in the language of specs, that becomes true.
+"""Breakpoints that are hit when a condition, written in the language of specs, becomes true.
 
 The condition is about the world as a whole, or about each agent of a species (`each SPECIES: …`)."""
 

@@ -226,8 +226,8 @@ class EditedRunView:
         return apply_edits(frames, listed, EditInputs(ground, {**arrays, **packed}, caches, self._find_next_ids()))
 
     def _read_files(self, edits: EditList) -> tuple[Arrays, Mapping[str, Cache], Report]:
-        """Return the arrays of meshes and bodies that edits name, the caches that they name, and a report. Files must be in the
-        folder of the scene or below it."""
+        """Return the arrays of meshes and bodies that edits name, the caches that they name, and a report. These files must be in
+        the folder of the scene or below it."""
         frames = self._read_frames()
         return read_edit_files(edits, frames.manifest, frames.folder)
 

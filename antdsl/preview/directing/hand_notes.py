@@ -30,7 +30,7 @@ HandNotes = tuple[HandNote, ...]
 
 
 def list_active_lines(notes: Iterable[HandNote]) -> tuple[str, ...]:
-    """Return the lines of the notes that apply to the run."""
+    """Return the lines of those notes that are active."""
     return tuple(note.text for note in notes if note.is_on)
 
 

@@ -48,9 +48,9 @@ class _RecordedFrameStore:
 
 @dataclass(frozen=True, eq=False)
 class RecordedFrames(Cache):
-    """The simulated frames of a session, as a cache. A frame other than the session's current one is simulated from the nearest
-    checkpoint when it is read. `shot`: the shot that the manifest describes. `static`: the arrays of `static.npz`. `last`:
-    the last frame; None for all frames."""
+    """The simulated frames of a session, presented as a cache. When a frame other than the session's current one is read, it is
+    simulated from the nearest checkpoint. `shot`: the shot that the manifest describes. `static`: the arrays of `static.npz`.
+    `last`: the last frame; None for all frames."""
 
     session: PreviewSession
     shot: Shot

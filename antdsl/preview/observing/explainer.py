@@ -48,7 +48,7 @@ class StretchHistory:
         return self.stretch.shot
 
     def checkpoint_frames(self) -> Sequence[int]:
-        """Return the numbers of the frames that have a checkpoint, ascending."""
+        """Return the numbers of all frames that have a checkpoint, in ascending order."""
         return sorted({*self.stretch.checkpoints, *self.extra_checkpoints})
 
     def restore_world(self, point: int) -> World | None:

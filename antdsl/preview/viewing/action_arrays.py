@@ -101,7 +101,7 @@ class SpeciesActions:
     displayed_arrays: Arrays
 
     def select_rows(self, rows: NDArray[np.intp]) -> SpeciesActions:
-        """Return the actions of the agents in `rows`. The arrays of feet are not selected, because their rows are numbered by
+        """Return the actions of the agents in `rows`. The arrays of feet are left unchanged, because their rows are numbered by
         body, not by agent."""
         stored = {name: array if name.startswith("feet.") else array[rows] for name, array in self.stored_arrays.items()}
         displayed = {name: array[rows] for name, array in self.displayed_arrays.items()}
@@ -153,7 +153,7 @@ def make_action_arrays(actions: SpeciesActions) -> Arrays:
 
 
 def _make_body_arrays(actions: SpeciesActions, key: str, worn: BodyOutfit) -> Arrays:
-    """Return the arrays of the agents that have the body `key`."""
+    """Return the action arrays of those agents that have the body `key`."""
     stored, displayed = actions.stored_arrays, actions.displayed_arrays
     count = len(displayed["id"])
     clips_by_machine = {each: read_machine_clips(actions.species, each, stored, count) for each in actions.machines}

@@ -164,8 +164,8 @@ def _make_rig(body_outfit: BodyOutfit) -> tuple[Arrays, dict[str, Any]]:
 
 
 def _count_texels(table: ClipTable) -> int:
-    """Return the number of texels (four numbers each) per joint and sample. They hold the translation, the rotation, and, if the
-    rig has these, scale and shear."""
+    """Return the number of texels (four numbers each) per joint and sample. The texels hold the translation and the rotation, and
+    also scale and shear if the rig has them."""
     return 2 + table.has_scale + table.has_shear
 
 

@@ -22,7 +22,8 @@ class SentCurveTracker:
         self._sent_branches: list[TimelineBranch] = []
 
     def mark_unsent_from(self, frame: int) -> None:
-        """Record that `frame` and all later frames must be sent again, because they will be simulated again."""
+        """Record that the values of `frame` and of all later frames must be sent again, because these frames will be simulated
+        again."""
         if self._last_sent_frame is not None and self._last_sent_frame >= frame:
             self._last_sent_frame = frame - 1
 

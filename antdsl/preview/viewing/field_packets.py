@@ -58,7 +58,7 @@ class FieldPackets:
         self._last_sent_time = -1.0
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the meshes and values that changed. The rate is limited."""
+        """Yield the packets of field meshes and values that changed. Their rate is limited."""
         world = view_state.world
         field_names = sorted(view_state.interest.fields & list_program_fields(world).keys())
         if world is not self._world:  # the same cells, often, and other values
@@ -220,8 +220,8 @@ def _make_moving_vertices(
     vertices: Floats,
     faces: NDArray[np.int64],
 ) -> MovingVertices:
-    """Return the vertices of a field mesh that move with the mesh `name`. Each point is stored as a triangle of that mesh and
-    its barycentric weights there."""
+    """Return the vertices of a field mesh that move with the mesh `name`. For each point, a triangle of that mesh and the
+    barycentric weights of the point in the triangle are stored."""
     from trimesh.triangles import points_to_barycentric
 
     face = np.zeros(len(points), np.int64)
@@ -233,7 +233,8 @@ def _make_moving_vertices(
 def _find_cell_weights(
     points: Floats, point_normals: Floats, positions: Floats, normals: Floats, cell: float
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return, for each point, the nearest cells on the side that it faces, and their weights, which decrease with distance."""
+    """Return, for each point, the nearest cells on the side that the point faces, and the weights of these cells. Weights
+    decrease with distance."""
     from scipy.spatial import cKDTree
 
     distance, near = cKDTree(positions).query(points, k=[min(k, len(positions)) for k in range(1, _CELLS_PER_VERTEX + 1)])

@@ -37,7 +37,7 @@ class MeshPackets:
         self._sent_meshes: dict[str, tuple[MeshData, bytes] | None] = {}  # None: it moves
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the meshes that are new, changed, moving or removed."""
+        """Yield the packets of meshes that are new, changed, moving or removed."""
         world, moves, view = view_state.world, view_state.world.setting.motion.meshes, view_state.edited.find_view()
         is_fresh = world is not self._world or view is not self._view
         if not is_fresh and (not moves or world.frame == self._frame):
@@ -89,7 +89,7 @@ class CurvePackets:
         self._frame = 0
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the curves that are new or that move."""
+        """Yield the packets of curves that are new or that move."""
         world = view_state.world
         moves = world.setting.motion
         if world is self._world and (not moves.curves or world.frame == self._frame):
@@ -114,7 +114,7 @@ class FlowPackets:
         self._last_solved_time = 0.0
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the displayed flows that are new or have been recomputed."""
+        """Yield the packets of displayed flows that are new or have been recomputed."""
         world = view_state.world
         if world is not self._world:
             self._world, self._sent_flows = world, set()

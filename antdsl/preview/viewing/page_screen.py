@@ -132,7 +132,8 @@ class PageUpdates:
         self._world_changed, self._last_report_time = True, -inf
 
     def on_edit(self, *, files_changed: bool) -> None:
-        """Record a change of the program, or an attempt. `files_changed`: whether texts of files may have changed."""
+        """Record that the program was changed, or that a change failed. `files_changed`: whether texts of files may
+        have changed."""
         self._program_changed, self._files_changed = True, self._files_changed or files_changed
         self._hash = None  # a param may be another one at the same frame
         if self.live.is_open:

@@ -24,7 +24,7 @@ class PathPackets:
         self._last_sent_time = 0.0
 
     def make_packets(self, view_state: ViewState) -> SlotPackets:
-        """Yield the planned paths if they changed. The rate is limited."""
+        """Yield the packet of the planned paths if these changed. The rate of packets is limited."""
         if view_state.interest.planned_agents is None:
             if self._last_key is not None:
                 self._last_key = None

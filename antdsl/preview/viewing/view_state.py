@@ -49,12 +49,10 @@ class PageInterest:
 class ViewState:
     """A snapshot of the inputs from which packets are made.
 
-    `session`, `look_ahead`: the session and its simulated future frames.
-    `is_edited`: the session's frames with the edits that users added.
-    `interest`: the data that pages display.
-    `stored_frame`: the stored frame that is displayed instead of the session's current one, or None.
-    `time`: the time in seconds.
-    `is_advancing`: whether the session plays or is simulating towards a frame."""
+    `session`, `look_ahead`: the session and its simulated future frames. `edited`: the session's frames with the edits that users
+    added. `interest`: the data that pages display. `stored_frame`: the stored frame that is displayed instead of the session's
+    current one, or None. `time`: the time in seconds. `is_advancing`: whether the session plays or is simulating towards a frame.
+    """
 
     session: PreviewSession
     look_ahead: LookAheadSimulation

@@ -53,7 +53,7 @@ def prepare_feet_of_bodies(world: World) -> None:
 
 
 def record_ground_covered(world: World) -> None:
-    """Record how far the rest position of each foot moved over the ground in this step. Must be called before the ground
+    """Record how far the rest position of each foot moved over the ground in this step. Call this before the ground
     itself moves."""
     for name, feet in world.feet.items():
         population, walkers = get_body_wearers(world, name), world.legs_by_species[name]
@@ -84,7 +84,7 @@ def _transpose_legs(array: NDArray[Any]) -> NDArray[Any]:
 
 
 class _FeetStep:
-    """One step of the feet of n agents with the same body, with L legs."""
+    """One step of the feet of n agents that have the same body, with L legs."""
 
     def __init__(self, world: World, name: str, population: BodyWearers, walkers: LegsOfBody) -> None:
         assert world.foot_ground is not None
@@ -128,7 +128,7 @@ class _FeetStep:
         feet.covered = feet.stood = None
 
     def _move_feet_with_ground(self) -> None:
-        """Move footholds with the ground below them, and the start points of swings with the bodies."""
+        """Move footholds with the ground below them. Move the start points of swings with the bodies."""
         feet = self.feet
         if self.foot_ground.moving_numbers:
             self.foot_ground.move_positions_with_ground(self.world, feet.on, feet.face, feet.weight, feet.place)
@@ -137,7 +137,7 @@ class _FeetStep:
                 feet.start += np.where(np.isfinite(displacement), displacement, 0.0)[:, :, None]
 
     def _place_newborn_feet(self) -> None:
-        """Place the feet of newborn agents at their rest positions, and give each agent a different gait phase."""
+        """Place the feet of newborn agents at their rest positions. Give each of these agents a different gait phase."""
         rows, feet, legs = self.newborn_rows, self.feet, self.gaits.legs
         if not rows.size:
             return

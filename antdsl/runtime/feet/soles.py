@@ -48,9 +48,9 @@ def measure_tread_slopes(
 def rotate_soles_to_ground(
     world: World, foot_ground: FootGround, feet: FeetState, up: Vectors, frames_left: NDArray[np.float32]
 ) -> None:
-    """Turn the soles of n agents. Soles of standing feet are aligned with their ground, all others turn towards the ground
-    where they will land. `up`: float64[3, n], the up directions of bodies. `frames_left` [n, L]: the number of frames until a
-    foot lands."""
+    """Turn the soles of n agents. The sole of a standing foot is aligned with its ground. Any other sole turns towards the ground
+    on which its foot will land. `up`: float64[3, n], the up directions of bodies. `frames_left` [n, L]: the number of frames
+    until a foot lands."""
     stale = (feet.on == NO_GROUND_NUMBER) | np.isin(feet.on, foot_ground.moving_numbers)
     if stale.any():
         rows, legs = np.nonzero(stale)

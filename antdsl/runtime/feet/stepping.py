@@ -362,7 +362,8 @@ def _compute_hip_position(legs: Any, leg: Any, slope: Any, rise: Any) -> Any:
 def _compute_rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
     """Return the distance (body lengths) of a foot from its rest position.
 
-    It is the lesser of two distances: the horizontal one, and that from the line through the hip and the rest position."""
+    It is the lesser of two distances: the horizontal distance, and the distance from the line through the hip and the rest
+    position."""
     rest_x, rest_z = legs[REST_X_ROW, leg], legs[REST_Z_ROW, leg]
     x, z = local_foot[0] - rest_x, local_foot[2] - rest_z
     by = hip[1] / max(hip[1] - local_foot[1], _MIN_HIP_HEIGHT_SHARE * legs[LEG_LENGTH_ROW, leg])

@@ -1,4 +1,4 @@
-"""The wearers of a body, that is, all agents that have this body, in the form that the code of feet needs."""
+"""The wearers of a body: all agents that have this body. They are presented in the form that the code of feet needs."""
 
 from __future__ import annotations
 

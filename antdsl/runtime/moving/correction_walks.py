@@ -54,7 +54,7 @@ class CorrectionWalker:
     def _walk_species(self, population: Population, rows: Rows, displacement: Floats) -> Floats:
         """Move agents of one species by `displacement` (3, k) mm over their ground and along obstacles.
 
-        Return their actual displacements. Their velocity loses its component against the displacement."""
+        Return their actual displacements. The velocities of the agents lose their component against the displacement."""
         if not len(rows):
             return np.empty_like(displacement)
         world, threads = self._crowd.world, self._crowd.world.options.threads
@@ -293,7 +293,7 @@ def select_corrected_rows(corrections: Floats) -> tuple[Rows, Floats]:
 def find_unresolved_rows(
     nearby_pairs: NearbyCapsulePairs, moved_rows: Rows, requested_moves: Floats, reached_moves: Floats, is_held: Flags
 ) -> Flags:
-    """Return which rows (k) must be measured again, because they moved or could not move.
+    """Return which rows (k) must be measured again because they have moved, or because they could not move as requested.
 
     Also update their capsules. `moved_rows`: the rows that had to move. `requested_moves`, `reached_moves` (3, ..) mm: their
     requested and actual displacements. `is_held` (k): set for rows that moved too little; flags that are set already stay set."""

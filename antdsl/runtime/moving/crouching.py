@@ -80,7 +80,7 @@ def crouch_below_ceilings(
 
 
 def _find_least_shares(population: Population, rows: Rows) -> Floats:
-    """Return the lowest height to which each body can crouch, as a fraction of its standing height."""
+    """Return the least height to which each body can crouch, as a fraction of the body's standing height."""
     return np.clip(population.now[CROUCH_REGISTER][rows].astype(np.float64), 0.05, 1.0)
 
 

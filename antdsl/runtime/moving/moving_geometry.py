@@ -117,7 +117,7 @@ def compute_agent_rest_positions(world: World, population: Population) -> NDArra
 
 
 def compute_rest_positions(world: World, footing: Footing, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rest positions (n, 3) mm of ground points. `footing`, `place` (n, 3) mm: footings, and their current
+    """Return the rest positions (n, 3) mm of ground points. `footing`: the points as footings. `place` (n, 3) mm: their current
     positions."""
     ground = get_moving_ground(world)
     if ground is None:
@@ -129,7 +129,7 @@ def compute_rest_positions(world: World, footing: Footing, place: NDArray[np.flo
 
 
 def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, vectors: VectorArrays) -> VectorArrays:
-    """Rotate vectors near agents from the rest pose of the ground to its current pose. `vectors` and result: three float32
+    """Rotate vectors near agents from the rest pose of the ground to its current pose. `vectors`, and the result: three float32
     arrays."""
     ground = get_moving_ground(world)
     if ground is None:
@@ -189,7 +189,8 @@ def _find_agents_on_moving_ground(
 def _carry_agents_with_ground(
     ground: MovingGround, population: Population, rows: NDArray[np.intp], previous_axes: FaceAxes
 ) -> None:
-    """Move and rotate agents with their face after the ground has moved: position, up, heading and velocity."""
+    """After the ground has moved, move and rotate agents along with their face. This changes position, up, heading
+    and velocity."""
     footing = population.footing.select_rows_on_meshes(rows)
     next_axes = ground.compute_axes(footing)
     now = population.now

@@ -82,7 +82,8 @@ def read_vector(vectors: VectorColumns, i: I64) -> Vec3:
 
 @inlined
 def compute_perpendicular_direction(v: Vec3, up: Vec3) -> Vec3:
-    """Return the unit vector perpendicular to `up` that is nearest to `v`, or an arbitrary one if there is no nearest."""
+    """Return the unit vector that is perpendicular to `up` and nearest to `v`. If no such vector is nearest, return an arbitrary
+    perpendicular one."""
     flat = minus(v, times(up, dot(v, up)))
     size = np.sqrt(dot(flat, flat))
     if size > 1e-6:

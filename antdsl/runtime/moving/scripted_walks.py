@@ -26,7 +26,7 @@ def find_scripted_walks_by_line(world: World, population: Population) -> dict[in
 
 
 def find_scripted_agents(world: World, population: Population) -> NDArray[np.bool_]:
-    """Return which agents the scene guides, bool[n]."""
+    """Return a mask bool[n] of the agents that the scene guides."""
     is_walker: NDArray[np.bool_] = np.isin(population.now["group"], list(find_scripted_walks_by_line(world, population)))
     return is_walker
 
@@ -57,7 +57,8 @@ def start_scripted_walks(world: World, population: Population, rows: Rows) -> No
 
 
 def compute_scripted_velocities(world: World, population: Population, velocity: VectorArrays, up: VectorArrays) -> VectorArrays:
-    """Return `velocity` (mm/s), changed so that guided agents continue in their direction at the scene's speed.
+    """Return the velocities `velocity` (mm/s), changed so that guided agents continue in their direction at the speed that the
+    scene sets.
 
     They stop when they have walked the distance that the scene sets."""
     velocities = velocity

@@ -64,7 +64,8 @@ class StepStartStance:
 
 
 def _dot_vectors(a: Floats, b: Floats) -> Floats:
-    """Return the dot products of vectors (k, 3) with vectors (k, 3) or with one vector (3). Terms are added in a fixed order."""
+    """Return the dot products of vectors (k, 3) with other vectors (k, 3), or with a single vector (3). Terms are added in a
+    fixed order."""
     product: Floats = (a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]) + a[..., 2] * b[..., 2]
     return product
 
@@ -146,7 +147,8 @@ def _can_stand_beyond_slope(world: World, population: Population, start: StepSta
 def deflect_steps_along_slopes(
     world: World, population: Population, start: StepStartStance, rows: Rows, step: Floats
 ) -> tuple[Floats, GroundMove]:
-    """Return steps (k, 3) mm of agents along the edge of the steep ground that stopped them, and the ends of these steps.
+    """Return steps (k, 3) mm with which agents walk along the edge of the steep ground that stopped them, and the ends of these
+    steps.
 
     `step` (k, 3) mm: the steps that were too steep. Agents that would meet steep ground again do not move."""
     up = np.asarray(world.up, np.float64)

@@ -45,9 +45,9 @@ _FLOAT32_ZERO = _F(0)
 class IntendedMotion(NamedTuple):
     """The intended motion of agents in a substep.
 
-    `velocity`: in mm/s. `step`: the displacement in `dt` (mm). `step_length`: the length of the step (mm). `level_heading`:
-    the heading along the ground of agents that lean. `max_tilt`: the largest tilt (radians). `wall_reach`: how far ahead the
-    agent searches for walls (mm). `state`: the state of the body, see `velocities`."""
+    `velocity`: the intended velocity (mm/s). `step`: the displacement in `dt` (mm). `step_length`: the length of the step (mm).
+    `level_heading`: the heading along the ground of agents that lean. `max_tilt`: the largest tilt (radians). `wall_reach`: how
+    far ahead the agent searches for walls (mm). `state`: the state of the body, see `velocities`."""
 
     velocity: VectorColumns
     step: VectorColumns

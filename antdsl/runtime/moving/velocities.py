@@ -198,8 +198,8 @@ def apply_push(
 def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32, min_speed: F32) -> Vec3F32:
     """Return `velocity`, increased to at least `min_speed`.
 
-    A slower agent is accelerated in its previous direction, or along its heading if it was at rest. A sideways push still
-    turns it, and braking never reverses its direction."""
+    A slower agent is accelerated in its previous direction, or along its heading if it was at rest. A sideways push still turns
+    such an agent, and braking never reverses its direction."""
     square = dot(velocity, velocity)
     if not square < min_speed * min_speed:
         return velocity

@@ -107,7 +107,7 @@ class CheckRenderer:
         return [branch, f"{label}.fault:", *lines, f"  {passed}", f"{label}.fine:"]
 
     def render_definitions(self) -> str:
-        """Return the LLVM IR of the definitions that all checks of a module share."""
+        """Return the LLVM IR of those definitions that all checks of a module share."""
         data = "\n".join(self._messages).encode("utf-8", "surrogateescape") + b"\0"
         escaped = "".join(chr(each) if 32 <= each < 127 and each not in b'"\\' else f"\\{each:02X}" for each in data)
         return f'{_HELPER_FUNCTIONS_TEXT}\n@{_FAULT_MESSAGES_VARIABLE} = constant [{len(data)} x i8] c"{escaped}"'

@@ -54,6 +54,6 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
 
 
 def _measure_room_below(shapes: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return the height (body lengths) of trunks above level ground, for body shapes (k, 4). A crouching body is lowered by at
+    """Return how high (body lengths) the trunks of body shapes (k, 4) are above level ground. A crouching body is lowered by at
     most this height."""
     return np.maximum(shapes[:, 2] - shapes[:, 1], 0).astype(np.float32)

@@ -84,7 +84,7 @@ def select_stances(stances: SurfaceStances, selection: NDArray[np.int64] | NDArr
 
 
 def compute_row_dots(columns: Sequence[NDArray[np.float32]], vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the dot products (k) of vectors in three columns with vectors in rows (k, 3)."""
+    """Return the dot products (k) of two sets of vectors. `columns` are three arrays (k); `vectors` is an array (k, 3)."""
     result: NDArray[np.float32] = (columns[0] * vectors[:, 0] + columns[1] * vectors[:, 1]) + columns[2] * vectors[:, 2]
     return result
 

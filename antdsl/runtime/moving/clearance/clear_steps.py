@@ -255,8 +255,7 @@ class BodyClearanceStep:
     def correct_moved_bodies(self) -> None:
         """Turn and shift the bodies that contacts have moved.
 
-        A move is undone if it brings the body deeper into a surface. It is also undone if the body then leans more than
-        allowed."""
+        A move is undone if it brings the body deeper into a surface, or if the body then leans more than allowed."""
         p, now, rows, climbers = self.population, self.population.now, self.rows, self.climbers
         self.lift_climbers(climbers[(p.position.take(climbers, axis=0) != self.climber_positions).any(axis=1)])
         (footing, position, normal), columns = self.recorded_stances

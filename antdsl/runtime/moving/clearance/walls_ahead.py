@@ -1,6 +1,6 @@
-"""Finds walls ahead of agents, and how far bodies tilt before them. Walls are parts of the ground that the next steps may
-reach. A body of length L tilts linearly over a distance of L before a wall. Its head is L/2 ahead of its feet, so it does not
-enter a wall at an angle of up to 90 degrees. For an overhanging wall, the distance is multiplied by angle / sine."""
+"""Finds walls ahead of agents, and how far bodies tilt in front of these walls. Walls are parts of the ground that the next steps
+may reach. A body of length L tilts linearly over a distance of L in front of a wall. Its head is L/2 ahead of its feet, so it
+does not enter a wall at an angle of up to 90 degrees. For an overhanging wall, the distance is multiplied by angle / sine."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def write_wall_reach(size: Array1[F32], reach: Array1[F64]) -> None:
 class BodyDirections(NamedTuple):
     """The headings and steps of agents.
 
-    `level_heading`: the headings along the ground of agents that lean according to `state`. `step`: in mm. `has_facing`:
+    `level_heading`: the headings along the ground of agents that lean according to `state`. `step`: the steps (mm). `has_facing`:
     whether `facing` contains directions that agents face instead of their path."""
 
     heading: VectorColumns

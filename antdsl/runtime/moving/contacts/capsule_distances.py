@@ -72,8 +72,8 @@ class CapsuleShape(NamedTuple):
 
 
 class TrunkCapsules(NamedTuple):
-    """The capsules of all agents, with the fields of `capsules.CapsuleCrowd`. `forward_offset`: the distance (mm) of each
-    middle ahead of the feet."""
+    """The capsules of the trunks of all agents. The fields are those of `capsules.CapsuleCrowd`. `forward_offset`: the distance
+    (mm) of each middle ahead of the feet."""
 
     half_length: Array1[F64]
     radius: Array1[F64]
@@ -83,7 +83,8 @@ class TrunkCapsules(NamedTuple):
 
 
 class CrowdBounds(NamedTuple):
-    """The least and greatest x, y and z of the middles, and the least and greatest reach (mm). NaN if a value is not finite."""
+    """The bounds of the capsules of a crowd: the least and greatest x, y and z of their middles, and the least and greatest reach
+    (mm). NaN if any value is not finite."""
 
     lower_bounds: tuple[F64, F64, F64, F64]
     upper_bounds: tuple[F64, F64, F64, F64]

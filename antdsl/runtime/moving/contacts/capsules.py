@@ -229,9 +229,8 @@ class NearbyCapsulePairs:
         )
 
     def measure_before_step(self, travel: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return gaps and separation axes of all pairs before the rows move by `travel` (3, k) mm, with current headings.
-
-        Also returns the greatest overlap (k) mm of each row."""
+        """Measure all pairs before the rows move by `travel` (3, k) mm, with current headings. Return the gaps, the separation
+        axes, and the greatest overlap (k) mm of each row."""
         pairs, rows = len(self.first_indices), len(self.rows)
         gap, direction, depth, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
         count = measure_pairs_before_step(

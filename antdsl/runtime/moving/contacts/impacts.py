@@ -30,9 +30,9 @@ _APPROACH_TOLERANCE = 1e-6  # share of the path; a slower approach does not coun
 class CapsulePaths(NamedTuple):
     """The capsules and straight paths of all agents in a substep.
 
-    `middle` (3, n) mm: their middles at the start. `displacement` (3, n) mm: their displacements. `axis_direction`, `up` (3,
-    n): unit vectors. `half_length`, `radius` (n) mm: size of the capsules. `path_sag` (n) mm: how far the path over curved
-    ground deviates from the straight line. `mass` (n)."""
+    `middle` (3, n) mm: their middles at the start. `displacement` (3, n) mm: their displacements. `axis_direction`, `up` (3, n):
+    unit vectors. `half_length`, `radius` (n) mm: size of the capsules. `path_sag` (n) mm: how far the path over curved ground
+    deviates from the straight line. `mass` (n): the masses of the agents."""
 
     middle: Array2[F64]
     displacement: Array2[F64]

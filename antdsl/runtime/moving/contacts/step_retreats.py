@@ -59,8 +59,8 @@ class Stances:
 def take_back_overlapping_steps(world: World, start: Mapping[str, Stances], near: NearbyCapsulePairs) -> None:
     """Move pairs of agents that still overlap back to their stances at the start of a substep.
 
-    Agents that overlapped others at the start do not return, because dense clusters must be able to separate. `near`: the
-    pairs that could touch before contacts moved agents."""
+    Agents that overlapped others at the start do not return, because dense clusters must be able to separate. `near`: the pairs
+    that were near enough to touch before contacts moved agents."""
     crowd = CapsuleCrowd(world)
     if not _has_moved_far(near.crowd, crowd) and not (_measure_depths(crowd, near) > _MAX_DEPTH).any():
         return
