@@ -167,6 +167,7 @@ def test_late_workers_get_the_files(project: Path, stage: Stage) -> None:
     assert ended(client)[0] == 0 and len(rows(project / "a")) == 3
 
 
+@pytest.mark.slow
 def test_a_cluster_of_this_machine_gives_the_same_table(project: Path) -> None:
     words = ["sweep", "walkers/scene.yaml", "--frames", "1..2", "--seeds", "2", "--no-plots"]
     for extra_words in (["--out", "a", "--scheduler", "local", "--jobs", "2"], ["--out", "b", "--jobs", "1"]):

@@ -85,8 +85,8 @@ MANY_NOTES = (
     "options",
     [
         Options(backend="numpy", chunk=7, threads=2, shuffle_rows=3),
-        Options(backend="reference", shuffle_rows=1),
-        Options(threads=2),
+        pytest.param(Options(backend="reference", shuffle_rows=1), marks=pytest.mark.slow),
+        pytest.param(Options(threads=2), marks=pytest.mark.slow),
     ],
 )
 def test_all_notes_together_give_the_same_bits_on_all_backends(tmp_path: Path, options: Options) -> None:

@@ -563,7 +563,7 @@ def test_a_forged_checkpoint_is_refused_and_reads_no_other_memory(
         restore_checkpoint(world, {**arrays, **STRANGE[kind](arrays)})  # type: ignore[dict-item]
 
 
-@pytest.mark.parametrize("last_frame", sampled([0, 7, 22, 43], [7, 22]))
+@pytest.mark.parametrize("last_frame", sampled([0, 7, 22, 43], [22]))
 def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
     unbroken: tuple[Path, dict[int, str]], tmp_path: Path, last_frame: int
 ) -> None:

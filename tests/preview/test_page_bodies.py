@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from page_messages import WALK, scene, status, texts
 from page_stage import Stage, stage
 from PIL import Image
+from sampling import sampled
 
 from antdsl.bodies.agents.blending import ClipPlayback, blend_poses
 from antdsl.bodies.agents.definition import (
@@ -210,7 +211,7 @@ def page(browser: Browser) -> Iterator[Stage]:
         yield opened
 
 
-@pytest.mark.parametrize("near", [False, True])
+@pytest.mark.parametrize("near", sampled([False, True], [True]))
 def test_bones_are_where_antdsl_puts_them(page: Stage, near: bool) -> None:
     body, plays = crane(), machines(60)
     page.tell(scene(camera=CAMERA), texts(), status(), rig(body), frame(plays))
@@ -225,7 +226,7 @@ def test_bones_are_where_antdsl_puts_them(page: Stage, near: bool) -> None:
         assert np.abs(bones(page, 10 + row) - expected[row]).max() < 1e-3, row
 
 
-@pytest.mark.parametrize("make_body", [legged, with_ankles])
+@pytest.mark.parametrize("make_body", sampled([legged, with_ankles], [legged]))
 def test_legs_are_bent_as_antdsl_bends_them(page: Stage, make_body: Callable[[], Definition]) -> None:
     body, plays, count = make_body(), machines(40), 40
     feet, light = standing(count)

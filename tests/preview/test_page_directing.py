@@ -30,6 +30,7 @@ def browser() -> Iterator[Browser]:
         yield chromium_browser
 
 
+@pytest.mark.slow
 def test_a_selected_agent_is_held_and_the_copied_lines_work_in_a_scene(browser: Browser, tmp_path: Path) -> None:
     open_directed(tmp_path / "shown", count=30)
     permissions = ["clipboard-read", "clipboard-write"]
@@ -129,6 +130,7 @@ def test_edits_are_shown_at_once_and_the_copied_lines_work_with_a_cache(browser:
     assert np.allclose(arrays["P"][-1], copied_agent, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_caches_are_merged_agents_stand_on_a_drawn_mesh_and_frames_are_settled(browser: Browser, tmp_path: Path) -> None:
     open_directed(tmp_path, count=30, last=12)
     vertices, faces = meshes.terrain(300.0, 24)

@@ -140,6 +140,7 @@ def test_markup_in_words_of_users_is_shown_as_words(browser: Browser, tmp_path: 
         assert preview.page.evaluate("() => window.hacked === undefined && document.querySelectorAll('img').length === 0")
 
 
+@pytest.mark.slow
 def test_a_name_with_markup_is_shown_as_words(browser: Browser, tmp_path: Path) -> None:
     """The language has no such names; a page does not rely on it."""
     bad = "<img src=x onerror=window.hacked=1>"

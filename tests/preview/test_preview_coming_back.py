@@ -61,6 +61,7 @@ def test_a_page_of_another_build_loads_itself_again_and_only_once(page: Page, tm
         assert page.evaluate("[sessionStorage.getItem('loads'), location.hash]") == ["2", ""]
 
 
+@pytest.mark.slow
 def test_a_page_comes_back_to_a_server_that_is_started_again_on_its_port(
     page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
