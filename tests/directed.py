@@ -82,7 +82,7 @@ class Track:
         rows: dict[str, list[np.ndarray]] = {name: [] for name in ("position", "velocity", "heading", *names)}
         while True:
             population = world.populations["ant"]
-            order = population.rows_by_id()
+            order = population.get_rows_by_id()
             self.frames.append(world.frame)
             rows["position"].append(population.position[order].copy())
             for name in ("velocity", "heading"):

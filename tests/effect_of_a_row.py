@@ -75,14 +75,14 @@ from antdsl.syntax.grammar import write_tables  # noqa: E402
 def scratched(world: World) -> None:
     """Give all who scratch what comes of it."""
     for population in world.populations.values():
-        for entry in population.effects.take_requests("scratch"):
+        for entry in population.effects.pop_requests("scratch"):
             if entry.request.register is not None:
                 population.now[entry.request.register][entry.rows] += entry.get_required_operand(0) * entry.get_required_operand(
                     1
                 )
 
 
-phases.SETTLER_BY_EFFECT["scratch"] = scratched
+phases.RESOLVER_BY_EFFECT["scratch"] = scratched
 
 PROGRAM = """ant 1
 world { surface ground }

@@ -24,7 +24,7 @@ class BodyFrames:
     @staticmethod
     def of(population: Population) -> BodyFrames:
         """The bodies of a population by id."""
-        rows = population.rows_by_id()
+        rows = population.get_rows_by_id()
         heading, up = (
             np.stack(vec.get_vector_registers(population.now, name), axis=1)[rows].astype(float) for name in ("heading", "up")
         )

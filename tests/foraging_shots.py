@@ -105,7 +105,7 @@ def watch(world: World, frames: int, every: int = 24) -> Watched:
         if frame:
             step(world)
         if frame == 48:
-            world.motion.reset()
+            world.motion.reset_step_measures()
         record.crumbs.append(crumbs(world))
         record.surface_error = max(record.surface_error, surface_error(world))
         if frame and frame % every == 0:
@@ -124,7 +124,7 @@ def surface_error(world: World) -> float:
 
 def motion(world: World, **bounds: float) -> None:
     """Assert that each measure of motion is at most its bound; `straightness` at least."""
-    summary = world.motion.summary()
+    summary = world.motion.summarise()
     for name, bound in bounds.items():
         good = summary[name] >= bound if name == "straightness" else summary[name] <= bound
         assert good, (name, summary[name], bound)
@@ -133,7 +133,7 @@ def motion(world: World, **bounds: float) -> None:
 def by_id(world: World, names: Sequence[str] | None = None, species: str = "forager") -> dict[str, NDArray[Any]]:
     """Registers of a species in the order of ids, for comparing bit for bit; those that belong to one step only are left out."""
     population = world.populations[species]
-    order = population.rows_by_id()
+    order = population.get_rows_by_id()
     column_names = names or [name for name, register in population.plan.registers.items() if register.role != "temp"]
     columns = {name: population.now[name][order].copy() for name in column_names}
     return columns | {"ids": population.ids[order], "exact position": population.position[order]}

@@ -46,7 +46,7 @@ class RunHistory:
         self.world = world
         frame = {}
         for name, population in world.populations.items():
-            rows = population.rows_by_id()
+            rows = population.get_rows_by_id()
             frame[name] = {register: array[rows].copy() for register, array in population.now.items()}
             frame[name]["id"] = population.ids[rows].copy()
         self.frames.append(frame)

@@ -248,7 +248,7 @@ def spoil(world: World, frame: int, seed: int) -> None:
     if frame % 5:
         return
     for _, population in sorted(world.populations.items()):
-        rows = population.rows_by_id()
+        rows = population.get_rows_by_id()
         for register in SPOILED:
             hit, value = draw.integers(0, 12, len(rows)) == 0, draw.choice(ODD, len(rows)).astype(np.float32)
             if register in population.now and (register not in BODY or frame % 20 == 0):

@@ -103,7 +103,7 @@ class Crowd:
     @property
     def ids(self) -> NDArray[np.int64]:
         """The ids of the agents (n,), ascending."""
-        return make_read_only(self._population.sorted_ids()[0].copy())
+        return make_read_only(self._population.get_sorted_ids()[0].copy())
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -136,7 +136,7 @@ class Crowd:
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Return the array called `name`, one of `names`. Raises AntdslError for another name."""
-        population, rows = self._population, self._population.rows_by_id()
+        population, rows = self._population, self._population.get_rows_by_id()
         if name == "position":
             return make_read_only(population.read_vector(name)[rows] + self._world.origin)
         if name in _MOTION_ARRAY_NAMES:
@@ -186,7 +186,7 @@ class Crowd:
         for extreme in (columns.min(), columns.max()) if columns.size else ():
             if (advice := explain_range(name, float(extreme))) is not None:
                 raise AntdslError(f"`{name}` cannot be {extreme:g}", advice)
-        rows = population.rows_by_id()
+        rows = population.get_rows_by_id()
         for k, register in enumerate(registers):
             column = columns if len(registers) == 1 else columns[:, k]
             for arrays in (population.now, population.start):

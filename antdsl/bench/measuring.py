@@ -73,7 +73,7 @@ def _measure_job(job: BenchJob, make_comparison_frames: Callable[[int], Mapping[
     most = measure_memory()[1]  # before other frames are made
     runners |= make_comparison_frames(agents)
     costs = _measure_turns(runners, worlds, steps, job.turns)
-    messages = [f"{name}: {sentence}" for name, each in worlds.items() for sentence in each.backend.messages()]
+    messages = [f"{name}: {sentence}" for name, each in worlds.items() for sentence in each.backend.list_messages()]
     load_seconds, load_messages = _time_code_load(world)
     return Measurement(
         job=job,
@@ -102,7 +102,7 @@ def _use_empty_code_folder() -> Iterator[None]:
     previous_values = {name: os.environ.get(name) for name in (CACHE_VARIABLE, stored_tables.TABLE_STORE.variable)}
     with tempfile.TemporaryDirectory(prefix="antdsl-code-") as folder:
         os.environ |= dict.fromkeys(previous_values, folder)
-        compile_queue.release_code()
+        compile_queue.release_unused_code()
         stored_tables.reset_store()
         try:
             yield
@@ -111,7 +111,7 @@ def _use_empty_code_folder() -> Iterator[None]:
                 os.environ.pop(name)
                 if value is not None:
                     os.environ[name] = value
-            compile_queue.release_code()
+            compile_queue.release_unused_code()
             stored_tables.reset_store()
 
 
@@ -153,10 +153,10 @@ def _time_code_load(world: World) -> tuple[float | None, list[str]]:
     The seconds are None for a backend without machine code, and for code that cannot be cached; the messages then say why."""
     if not wait_for_code(world):
         return None, []
-    compile_queue.release_code()
+    compile_queue.release_unused_code()
     again = NativeBackend(world.plan)
     _, seconds = _time_call(lambda: again.wait_for_code(world))
-    messages = again.messages()
+    messages = again.list_messages()
     return (None if messages else seconds), messages
 
 

@@ -52,7 +52,7 @@ def require_available_memory(shots: Sequence[Shot], parallel_runs: int = 1, runs
     _, k, work = works[0]
     largest = sorted(work, key=lambda estimate: -estimate.bytes)[:_MAX_LISTED_THINGS]
     names = ", ".join(
-        f"{each.thing} {format_bytes(each.bytes)} ({each.part_count:,} {each.unit_name})" for each in largest if each.bytes
+        f"{each.subject} {format_bytes(each.bytes)} ({each.part_count:,} {each.unit_name})" for each in largest if each.bytes
     )
     words = f"this needs at least {format_bytes(needed)}, but 80 % of the available memory are "
     words += f"{format_bytes(int(_USABLE_MEMORY_SHARE * available))}: {names}"
@@ -63,7 +63,7 @@ def require_available_memory(shots: Sequence[Shot], parallel_runs: int = 1, runs
 
 def _find_work_span(shot: Shot, work: WorkEstimate) -> Span:
     """Return the location, in the scene or its program, of the text that causes an allocation."""
-    kind, _, name = work.thing.partition(" ")
+    kind, _, name = work.subject.partition(" ")
     if kind == "field":
         return shot.program.fields[name].span
     return shot.scene.find_span("crowd") if kind == "species" else shot.scene.find_span("world", name)

@@ -19,7 +19,7 @@ from antdsl.explain.tracing import AgentTrace
 from antdsl.explain.value_text import locate_span, to_float_triple
 from antdsl.plan.lowering.source_map import make_resting_site
 from antdsl.program.model import Handler, Species
-from antdsl.runtime.notes.active_notes import NoteAgents
+from antdsl.runtime.notes.active_notes import NotedAgents
 from antdsl.runtime.world import AXES, Population, World
 
 MAX_NEIGHBOUR_POSITIONS = 256  # maximum per set
@@ -127,11 +127,11 @@ def _list_scene_notes(replay: StepReplay, world: World, population: Population, 
     """Return a sentence for each note of the scene that directs the agent in `row` in this step."""
     scene = replay.shot.scene
     lines = []
-    for active in world.notes.active if world.notes is not None else ():
+    for active in world.notes.active_notes if world.notes is not None else ():
         at = np.flatnonzero(active.rows.get(population.name, np.empty(0, np.intp)) == row)
         if len(at):
             where = locate_span(scene.find_span("notes", scene.model.notes.index(active.note)))
-            agents = NoteAgents(world, active, population).select(at)
+            agents = NotedAgents(world, active, population).select_agents(at)
             words = f"the scene directs it by {where.text} in {Path(where.file).name}:{where.line}, "
             later = f", {agents.delays[0]} frames later than the note" if agents.delays[0] else ""
             lines.append(f"{words}with weight {agents.weight[0]:.3g}{later}")

@@ -15,7 +15,7 @@ from antdsl.plan import ir
 from antdsl.plan.lowering.source_map import ChangeNote, ExpressionNote, LayerNote, SourceNotes
 from antdsl.plan.registers import number_statements
 from antdsl.program.tables.senses import SENSE_BY_OPERATION
-from antdsl.runtime.backends.reference import STEP_BLOCKS, AgentRun, SetMember, apply_claims
+from antdsl.runtime.backends.reference import STEP_BLOCKS, AgentRun, SetMember, apply_claim_results
 from antdsl.runtime.requests import ClaimEntry, EffectRequests
 from antdsl.runtime.world import DTYPE_BY_KIND, Population, World
 
@@ -67,7 +67,7 @@ class TracedAgent(AgentRun):
             if block == "decide":
                 self._fill_impossible_changes()
                 self.trace.claims = list(self.effects.claims)
-                apply_claims(self, self.population)
+                apply_claim_results(self, self.population)
             self._record_block_values(block)
         self.trace.end_registers = {name: array[0] for name, array in self.now.items()}
         self.trace.effects = self.effects

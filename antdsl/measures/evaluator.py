@@ -20,7 +20,7 @@ from antdsl.plan.lowering.spec_plans import QueryPlan, StartValuePlan
 from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_operands
 from antdsl.program.expectations import MOTION_MEASURES
 from antdsl.runtime.backends import BACKENDS
-from antdsl.runtime.lifecycle import find_own_cells
+from antdsl.runtime.lifecycle import update_agent_cells
 from antdsl.runtime.periodic_world import measure_overlaps
 from antdsl.runtime.requests import EffectRequests
 from antdsl.runtime.world import AXES, DTYPE_BY_KIND, Items, Population, World, make_fixed_columns
@@ -65,13 +65,13 @@ class RunEvaluator:
         )
         spec_world.populations = {name: self._make_queried_population(spec_world, name) for name in self.plan.plan.species}
         spec_world.spec_values = dict.fromkeys(self.value_names, np.float32(0))  # no value is computed yet
-        self.backend.begin(spec_world)
+        self.backend.begin_step(spec_world)
         self.run_block(spec_world, "decide")
         for each in self.plan.aggregates:
             self.values[each.name] = evaluate_aggregate(world, spec_world.populations, each)
         self._store_values(world, spec_world)
         spec_world.spec_values |= {name: np.float32(number) for name, number in self.values.items()}
-        self.backend.begin(spec_world)
+        self.backend.begin_step(spec_world)
         self.run_block(spec_world, "act")
         return spec_world
 
@@ -98,7 +98,7 @@ class RunEvaluator:
 
     def _store_motion_measures(self, world: World) -> None:
         """Store the motion measures of this frame. A measure without data is NaN."""
-        for name, number in world.motion.summary().items():
+        for name, number in world.motion.summarise().items():
             unknown = world.motion.ways == 0 and name in ("circling", "straightness")
             value = radians(number) if MOTION_MEASURES[name] == "angle" else number
             self.values[f"motion.{name}"] = np.float32(np.nan if unknown else value)
@@ -131,7 +131,7 @@ class RunEvaluator:
             respondents.now[f"geometry.{name}"] = measure_geometry(spec_world, population, name)
         respondents.start = {**population.start, **respondents.now}
         if population.name in self.field_reading_species:
-            find_own_cells(spec_world, respondents)
+            update_agent_cells(spec_world, respondents)
         return respondents
 
     def _make_item_population(self, items: Items) -> Population:

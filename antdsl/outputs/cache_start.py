@@ -15,7 +15,7 @@ from antdsl.outputs.cache.manifest import ManifestError
 from antdsl.outputs.cache.npz import MAX_FILE_BYTES
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, World, restore_checkpoint
-from antdsl.runtime.line_tables import restore_lines
+from antdsl.runtime.line_tables import restore_line_tables
 from antdsl.runtime.moving.moving_geometry import pose_geometry
 from antdsl.safe_read import read_blocks
 from antdsl.scene.paths import PathRefused
@@ -95,13 +95,13 @@ def start_from_cache(shot: Shot, world: World) -> None:
         raise _make_error(shot, "wrong-value", words, "cache", "start from a cache of the same programs") from None
     shift = first - world.frame
     world.frame = first
-    restore_lines(world, state, as_start=True)
+    restore_line_tables(world, state, is_run_start=True)
     pose_geometry(world, first)
     world.params = params
     world.transitions.clear()
-    world.motion.reset()
-    world.motion.begin(world)
-    world.faults.count = 0
+    world.motion.reset_step_measures()
+    world.motion.begin_measuring(world)
+    world.faults.fault_count = 0
     for population in world.populations.values():
         population.born = population.born + shift
         footed = world.ground.position(population.footing)

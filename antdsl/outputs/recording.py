@@ -237,7 +237,7 @@ def record_frames(recording: Recording, on_frame: Callable[[str, int], None] = l
                     return
                 _run_timed_step(recording, "preroll")
                 on_frame("preroll", world.frame)
-            world.motion.reset()
+            world.motion.reset_step_measures()
             collect_emissions(world)  # events of the preroll do not belong to the first frame
             world.timings.clear()
             world.cpu_seconds.clear()
@@ -264,10 +264,10 @@ def _run_timed_step(recording: Recording, label: str) -> None:
     began = time.perf_counter()
     meter = recording.step_meter if label == "step" and "first_step" in recording.seconds else None
     if meter is not None:
-        meter.begin(recording.world)
+        meter.begin_measuring(recording.world)
     step(recording.world)
     if meter is not None:
-        meter.end(recording.world)
+        meter.record_steps(recording.world)
     if "first_step" in recording.seconds:
         recording.add_time(label, began)
         recording.steps += label == "step"

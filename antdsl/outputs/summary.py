@@ -36,10 +36,10 @@ def summarise_run(recording: Recording) -> dict[str, Any]:
             for name, items in world.items.items()
         },
         "carried": sum_carried_amounts(recording),
-        "faults": world.faults.count,
+        "faults": world.faults.fault_count,
         "max_surface_error": recording.surface_error,
-        "motion": world.motion.summary(),
-        **({} if world.detail_levels is None else {"lod": world.detail_levels.summary(world)}),
+        "motion": world.motion.summarise(),
+        **({} if world.detail_levels is None else {"lod": world.detail_levels.summarise_counts(world)}),
         **({"measures": dict(recording.measures.values)} if recording.measures is not None and recording.measures.values else {}),
         "state_hash": recording.last_state_hash,
         "peak_memory": measure_peak_memory(),

@@ -23,7 +23,7 @@ CURRENT_COLUMNS = [column for column in _PACKET_COLUMNS if not column.in_preview
 def make_reduced_frame(population: Population, previous_arrays: Arrays | None = None) -> Arrays:
     """Return the arrays of a species that are stored for each frame, including the states of each machine. `previous_arrays`:
     the arrays of the previous frame. An array that did not change is not copied: both frames share one object."""
-    rows = population.rows_by_id()
+    rows = population.get_rows_by_id()
     states = {f"state/{m.name}": population.now[f"{m.name}.state"][rows].astype(np.uint8) for m in population.plan.machines}
     return reuse_arrays(make_packet_arrays(population, _REDUCED_FRAME_COLUMNS) | states, previous_arrays or {})
 
@@ -40,7 +40,7 @@ def reuse_arrays(arrays: Arrays, previous_arrays: Arrays) -> Arrays:
 def make_packet_arrays(population: Population, columns: Iterable[Column]) -> Arrays:
     """Return the arrays of `columns` as a packet stores them. A unit vector is stored as three signed bytes: its components
     times 127."""
-    rows = population.rows_by_id()
+    rows = population.get_rows_by_id()
     return {column.packet.split()[0]: _make_column_array(population, column, rows) for column in columns}
 
 

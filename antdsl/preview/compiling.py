@@ -62,7 +62,7 @@ class SceneCompiler:
                 new_world, migration = migrate_world(world, shot.plan, shot.setting, self.binding_cache)
             except BindError as why:
                 return None, Migration(), why.report
-        self.binding_cache.drop_unused()
+        self.binding_cache.drop_unused_values()
         return new_world, migration, Report()
 
     def get_watched_files(self) -> RequestedPaths:

@@ -37,7 +37,7 @@ from antdsl.preview.precompiled_shot import describe_changed_files
 from antdsl.preview.timeline import SimulationSegment, Timeline, find_nearest_checkpoint
 from antdsl.reload import describe_migration
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step
-from antdsl.runtime.binding.start_findings import find_start_warnings
+from antdsl.runtime.binding.start_findings import find_unreachable_target_warnings
 from antdsl.runtime.profiling import StepMeter
 
 _RESTARTED_TEXT = "simulated again from the first frame"
@@ -161,7 +161,7 @@ class PreviewSession:
         self.fault_text = None
         self._current_stretch.apply_param_changes(self.world)
         if self.meter is not None:
-            self.meter.begin(self.world)
+            self.meter.begin_measuring(self.world)
         frame = self.world.frame
         try:
             step(self.world)
@@ -173,12 +173,12 @@ class PreviewSession:
         except FaultStop as stop:
             self.fault_text, self.playing = stop.fault.brief_text, False
         if self.meter is not None:
-            self.meter.end(self.world)
+            self.meter.record_steps(self.world)
 
     def set_measuring(self, is_on: bool) -> None:
         """Start or stop measuring the time of each part of a step. The measurements are in `meter`; results do not change."""
         if self.meter is not None:
-            self.meter.stop()
+            self.meter.stop_measuring()
         self.meter = StepMeter() if is_on else None
 
     def _restore_checkpoint(self, stretch: SimulationSegment, frame: int) -> None:
@@ -295,7 +295,7 @@ class PreviewSession:
             world = bind(shot.plan, shot.setting, self.options, binding_cache=self.compiler.binding_cache)
         except BindError as why:
             return EditOutcome(why.report)
-        report.extend(find_start_warnings(shot.scene, world))
+        report.extend(find_unreachable_target_warnings(shot.scene, world))
         self.timeline = self.timeline.make_empty_successor(_RESTARTED_TEXT)
         stretch = SimulationSegment(shot, world.frame, "from the first frame", world.origin, choices, disabled_layers)
         self.timeline.start_stretch(stretch, world)
@@ -354,7 +354,7 @@ class PreviewSession:
         if world is None:
             self.seek(frame)
             return EditOutcome(report)
-        report.extend(find_start_warnings(shot.scene, world))
+        report.extend(find_unreachable_target_warnings(shot.scene, world))
         lines = [f"layer `{layer}` no longer exists" for _, layer in missing_layers]
         line = " · ".join([describe_migration(migration), *lines, *describe_switched_notes(old_notes, self.notes)])
         disabled_layers = {key: path for key, path in disabled_layers.items() if key not in missing_layers}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from antdsl.pipeline import RunChoices, Shot
 from antdsl.preview.agent_columns import Arrays, make_reduced_frame
 from antdsl.runtime import BindingCache, Options, World, restore_checkpoint, set_param, state_hash, take_checkpoint
-from antdsl.runtime.binding.bind_world import bind_empty
+from antdsl.runtime.binding.bind_world import bind_world_without_agents
 
 _REDUCED_FRAMES_BUDGET_SHARE = 0.25  # share of the budget for reduced frames
 _POSES_BUDGET_SHARE = 0.125  # share of the budget for poses of bodies
@@ -141,7 +141,9 @@ class SimulationSegment:
 
     def restore_world(self, arrays: Arrays, options: Options, binding_cache: BindingCache) -> World:
         """Return a new world with the state of a checkpoint. `arrays`: the arrays of the checkpoint."""
-        world = bind_empty(self.shot.plan, self.shot.setting, options, binding_cache=binding_cache, origin=self.origin)
+        world = bind_world_without_agents(
+            self.shot.plan, self.shot.setting, options, binding_cache=binding_cache, origin=self.origin
+        )
         restore_checkpoint(world, arrays)
         return world
 

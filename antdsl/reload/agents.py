@@ -21,7 +21,7 @@ from antdsl.runtime.binding.binding_cache import compute_digest
 from antdsl.runtime.binding.initial_attributes import write_initial_values
 from antdsl.runtime.lifecycle import initialise_newborn
 from antdsl.runtime.requests import EffectRequests
-from antdsl.runtime.world import Population, World, add_rows, stored_registers
+from antdsl.runtime.world import Population, World, add_rows, list_stored_registers
 from antdsl.scene.setting import WorldSetting
 
 _REGISTER_READS = frozenset(("snap", "load"))
@@ -156,7 +156,7 @@ def _is_memory_complete(memory: str, new_plan: ir.SpeciesPlan, matching_names: l
 def _find_changed_defaults(old_world: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan) -> set[str]:
     """Return the attributes that both plans set only at birth, but to different values. Agents get the new values."""
     one, other = hash_birth_values(old_plan, find_birth_params(old_world)), hash_birth_values(new_plan, find_birth_params(world))
-    stored = stored_registers(old_plan) | stored_registers(new_plan) | set(MIGRATED_REGISTERS)
+    stored = list_stored_registers(old_plan) | list_stored_registers(new_plan) | set(MIGRATED_REGISTERS)
     attributes = {name for name, register in new_plan.registers.items() if register.role == "attribute"}
     placed = {
         name

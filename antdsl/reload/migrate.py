@@ -16,12 +16,12 @@ from antdsl.plan import ir
 from antdsl.reload.agents import SpeciesMigration, fill_registers, migrate_agents, write_registers
 from antdsl.reload.footing import is_same_solid
 from antdsl.runtime.binding.agent_placement import initialise_agents, place_new_agents
-from antdsl.runtime.binding.bind_world import bind_empty
+from antdsl.runtime.binding.bind_world import bind_world_without_agents
 from antdsl.runtime.binding.binding_cache import BindingCache, compute_digest
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.feet import feet_step
 from antdsl.runtime.lifecycle import clear_dead_references
-from antdsl.runtime.line_tables import count_released, list_line_names, match_lines
+from antdsl.runtime.line_tables import count_released_agents, list_line_names, match_crowd_lines
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import pose_geometry
 from antdsl.runtime.world import World
@@ -60,7 +60,7 @@ def migrate_world(
 
     Raises BindError like `bind`. `binding_cache`: a cache that the caller passes to every call, so that unchanged meshes are not
     processed again."""
-    world = bind_empty(plan, setting, old_world.options, binding_cache=binding_cache, origin=old_world.origin)
+    world = bind_world_without_agents(plan, setting, old_world.options, binding_cache=binding_cache, origin=old_world.origin)
     world.frame = old_world.frame
     migration = Migration()
     with np.errstate(all="ignore"):
@@ -95,7 +95,7 @@ def _migrate_agents(old_world: World, world: World, migration: Migration) -> lis
     for crowd, old in _match_crowds(old_world, world.setting):
         population = world.populations[crowd.species]
         line = CrowdLineIds(crowd.species) if old is None else old[1]
-        released = 0 if old is None else count_released(*old, world.frame)
+        released = 0 if old is None else count_released_agents(*old, world.frame)
         due = crowd.count_created(world.frame)
         joining_count = due - (0 if old is None else old[0].count_created(world.frame))
         if joining_count < 0:  # ids of removed agents are not used again
@@ -119,7 +119,7 @@ def _migrate_agents(old_world: World, world: World, migration: Migration) -> lis
 def _match_crowds(old_world: World, setting: WorldSetting) -> list[tuple[CrowdData, tuple[CrowdData, CrowdLineIds] | None]]:
     """Return the crowd lines of the new setting, each paired with its old line and the ids of that line's agents, or with
     None."""
-    matches = match_lines(list_line_names(old_world.setting), list_line_names(setting))
+    matches = match_crowd_lines(list_line_names(old_world.setting), list_line_names(setting))
     old = list(zip(old_world.setting.crowds, old_world.crowd_lines, strict=True))
     return [(crowd, old[k] if k >= 0 else None) for crowd, k in zip(setting.crowds, matches, strict=True)]
 
@@ -146,7 +146,7 @@ def _find_staying_rows(old_world: World, setting: WorldSetting, name: str, migra
 
 def _number_new_lines(old_setting: WorldSetting, setting: WorldSetting) -> dict[int, int]:
     """Return the index of the new crowd line for each old one, by old index."""
-    matches = match_lines(list_line_names(old_setting), list_line_names(setting))
+    matches = match_crowd_lines(list_line_names(old_setting), list_line_names(setting))
     return {old: new for new, old in enumerate(matches) if old >= 0}
 
 
@@ -248,11 +248,13 @@ def _migrate_feet(old_world: World, world: World) -> None:
 def _migrate_counts(old_world: World, world: World) -> None:
     """Copy counts, measurements and watchers."""
     world.transitions = dict(old_world.transitions)
-    world.motion = MotionMeasures.from_arrays(old_world.motion.checkpoint_arrays())
-    world.faults = FaultLog(old_world.faults.count, old_world.faults.rejected_births, list(old_world.faults.reported_faults))
+    world.motion = MotionMeasures.from_arrays(old_world.motion.collect_checkpoint_arrays())
+    world.faults = FaultLog(
+        old_world.faults.fault_count, old_world.faults.rejected_births, list(old_world.faults.reported_faults)
+    )
     world.watchers = list(old_world.watchers)
     if world.notes is not None and old_world.notes is not None:
-        world.notes.restore_memory(old_world.notes.memory)
+        world.notes.restore_memory(old_world.notes.stored_arrays)
     world.dug_balls = None if old_world.dug_balls is None else {}
     world.emissions = None if old_world.emissions is None else []
     if world.detail_levels is not None and old_world.detail_levels is not None:

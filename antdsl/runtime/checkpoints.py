@@ -18,7 +18,7 @@ from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME
 from antdsl.runtime.feet import feet_step
 from antdsl.runtime.feet.feet_state import restore_feet
 from antdsl.runtime.feet.wearers import find_sorted_ids
-from antdsl.runtime.line_tables import collect_line_arrays, restore_lines
+from antdsl.runtime.line_tables import collect_line_arrays, restore_line_tables
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import pose_geometry
 from antdsl.runtime.world import Population, World, make_fixed_columns
@@ -26,7 +26,7 @@ from antdsl.runtime.world import Population, World, make_fixed_columns
 STATE_HASH_VERSION = 2  # version of the hash method; hashes of other versions are not comparable
 _HASHED_COLUMNS = tuple(name for name, column in FIXED_COLUMN_BY_NAME.items() if column.is_hashed)
 _STORED_COLUMNS = ("ids", *(name for name, column in FIXED_COLUMN_BY_NAME.items() if name != "ids" and column.is_checkpointed))
-NOTE_PREFIX = "notes."  # of the arrays that notes remember
+NOTE_ARRAY_PREFIX = "notes."  # of the arrays that notes remember
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -36,7 +36,7 @@ class CheckpointError(ValueError):
 
 def take_checkpoint(world: World) -> Arrays:
     """Return copies of the arrays that form a world's state between two steps, by name."""
-    arrays: Arrays = {"frame": np.array(world.frame, np.int64), "faults": np.array(world.faults.count, np.int64)}
+    arrays: Arrays = {"frame": np.array(world.frame, np.int64), "faults": np.array(world.faults.fault_count, np.int64)}
     arrays |= {f"param.{name}": np.array(value) for name, value in world.params.items()}
     for name, population in world.populations.items():
         arrays |= {f"species.{name}.{key}": array for key, array in _collect_population_arrays(population).items()}
@@ -58,8 +58,10 @@ def take_checkpoint(world: World) -> Arrays:
     if world.detail_levels is not None:
         arrays["lod.counts"] = world.detail_levels.counts
     arrays |= collect_line_arrays(world)
-    arrays |= {} if world.notes is None else {f"{NOTE_PREFIX}{name}": array for name, array in world.notes.memory.items()}
-    arrays |= {f"motion.{name}": array for name, array in world.motion.checkpoint_arrays().items()}
+    arrays |= (
+        {} if world.notes is None else {f"{NOTE_ARRAY_PREFIX}{name}": array for name, array in world.notes.stored_arrays.items()}
+    )
+    arrays |= {f"motion.{name}": array for name, array in world.motion.collect_checkpoint_arrays().items()}
     arrays |= {
         f"solid.{name}.{key}": array for name, volume in world.solids.items() for key, array in volume.get_changes().items()
     }
@@ -84,7 +86,7 @@ def restore_checkpoint(world: World, arrays: Mapping[str, NDArray[Any]]) -> None
 def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Restore a state. Raises exceptions of various types if the arrays do not match."""
     world.frame = int(_read_array_of_shape(arrays, "frame"))
-    world.faults.count = int(_read_array_of_shape(arrays, "faults"))
+    world.faults.fault_count = int(_read_array_of_shape(arrays, "faults"))
     for name in world.params:
         world.params[name] = np.float32(_read_array_of_shape(arrays, f"param.{name}"))
     for name, population in world.populations.items():
@@ -114,9 +116,9 @@ def _restore_world(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     text = _read_array_of_shape(arrays, "transitions.names").astype(np.uint8).tobytes().decode()
     counts = _read_array_of_shape(arrays, "transitions.counts")
     world.transitions = dict(zip(text.split("\n") if text else [], (int(c) for c in counts), strict=True))
-    restore_lines(world, arrays)
+    restore_line_tables(world, arrays)
     if world.notes is not None:
-        world.notes.restore_memory(select_by_prefix(arrays, NOTE_PREFIX))
+        world.notes.restore_memory(select_by_prefix(arrays, NOTE_ARRAY_PREFIX))
     world.motion = MotionMeasures.from_arrays(select_by_prefix(arrays, "motion."))
     if world.detail_levels is not None:
         world.detail_levels.counts = _read_array_of_shape(arrays, "lod.counts", world.detail_levels.counts.shape).copy()
@@ -200,7 +202,7 @@ def state_hash(world: World) -> str:
     for name in sorted(world.populations):
         population = world.populations[name]
         digest.update(f"\0{name}\0{len(population)}".encode())
-        digest.update(_hash_rows(population, threads))
+        digest.update(_compute_rows_hash(population, threads))
         digest.update(np.int64(population.next_id).tobytes())
     for name in sorted(world.items):
         for attribute, amounts in sorted(world.items[name].amounts.items()):
@@ -213,16 +215,16 @@ def state_hash(world: World) -> str:
     for name in sorted(world.flows):
         for key, array in sorted(world.flows[name].get_state().items()):
             digest.update(f"\0{name}\0{key}\0".encode() + array.tobytes())
-    for name, array in sorted(world.notes.memory.items()) if world.notes is not None else ():
+    for name, array in sorted(world.notes.stored_arrays.items()) if world.notes is not None else ():
         digest.update(f"\0{name}\0".encode() + array.tobytes())
     return digest.hexdigest()[:32]
 
 
-def _hash_rows(population: Population, threads: int) -> bytes:
+def _compute_rows_hash(population: Population, threads: int) -> bytes:
     """Return the hash of all arrays that form the state of a species' agents."""
     columns = [(name, population.columns[name]) for name in _HASHED_COLUMNS]
     columns += [(f"footing.{name}", array) for name, array in population.footing.columns.items()]
-    columns += [(name, population.now[name]) for name in population.state_registers()]
+    columns += [(name, population.now[name]) for name in population.list_state_registers()]
     columns += [(f"event.{name}", flags) for name, flags in sorted(population.events.items())]
     names, arrays = zip(*columns, strict=True)
     return describe_columns(names, arrays) + population.row_hasher.hash_rows(population.ids, arrays, threads)

@@ -20,7 +20,7 @@ from antdsl.runtime.world import Population, World
 ClaimEntries = list[tuple[Population, ClaimEntry]]
 
 
-def settle_claims(world: World) -> None:
+def resolve_claims(world: World) -> None:
     """Resolve all claims. For each amount, claims are granted in random order (ties by id) as long as enough remains."""
     item_claims: dict[tuple[str, str], ClaimEntries] = {}
     of_fields: dict[str, ClaimEntries] = {}
@@ -37,7 +37,7 @@ def settle_claims(world: World) -> None:
     for (items, attribute), entries in sorted(item_claims.items(), key=lambda pair: pair[0]):
         entries = _merge_by_statement(entries)
         item, amount = _join_arrays([e.item for _, e in entries]), _join_arrays([e.amount for _, e in entries])
-        _settle_amount(world, world.items[items].amounts[attribute], item, amount, 0.0, entries)
+        _resolve_claims_on_amount(world, world.items[items].amounts[attribute], item, amount, 0.0, entries)
     for name, entries in sorted(of_fields.items()):
         entries = _merge_by_statement(entries)
         field = world.fields[name]
@@ -47,7 +47,7 @@ def settle_claims(world: World) -> None:
         rest = field.amounts[cells]
         amount = _join_arrays([e.amount for _, e in entries]).astype(np.float64)
         amount = np.where(np.isinf(amount), amount, np.rint(amount / DEPOSIT_QUANTUM) * DEPOSIT_QUANTUM).astype(np.float32)
-        _settle_amount(world, rest, which - somewhere, amount, DEPOSIT_QUANTUM, entries)
+        _resolve_claims_on_amount(world, rest, which - somewhere, amount, DEPOSIT_QUANTUM, entries)
         field.set_remaining_amounts(cells, rest)
 
 
@@ -71,7 +71,7 @@ def _join_arrays(arrays: list[NDArray[Any]]) -> NDArray[Any]:
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
-def _settle_amount(
+def _resolve_claims_on_amount(
     world: World,
     rest: NDArray[np.float64],
     item: NDArray[np.integer],
@@ -86,24 +86,24 @@ def _settle_amount(
     draw = _join_arrays([_draw_claim_order(world, p, e) for p, e in entries])
     ids = _join_arrays([p.ids[e.rows] for p, e in entries])
     row = _join_arrays([e.rows for _, e in entries])
-    if len(entries) == 1 and _settle_by_kernel(rest, (ids, draw, item), row, amount, *entries[0]):
+    if len(entries) == 1 and _try_to_resolve_by_kernel(rest, (ids, draw, item), row, amount, *entries[0]):
         return
     valid = (item >= 0) & (item < len(rest)) & (amount >= 0)
     if len(entries) == 1:
-        _serve_claims(rest, np.flatnonzero(valid), (ids, draw, item), row, amount, unit, entries, None)
+        _grant_claims(rest, np.flatnonzero(valid), (ids, draw, item), row, amount, unit, entries, None)
         return
     names = list(world.populations)
     species, place, source = (
         np.repeat(numbers, [len(e.rows) for _, e in entries])
         for numbers in ([names.index(p.name) for p, _ in entries], [e.order for _, e in entries], np.arange(len(entries)))
     )
-    turn = _number_agent_claims(species, ids, place)
+    turn = _number_claims_of_agents(species, ids, place)
     for number in range(int(turn.max()) + 1):  # the second claim of an agent reads its register after the first claim
         now = np.flatnonzero(valid & (turn == number))
-        _serve_claims(rest, now, (place, species, ids, draw, item), row, amount, unit, entries, source)
+        _grant_claims(rest, now, (place, species, ids, draw, item), row, amount, unit, entries, source)
 
 
-def _settle_by_kernel(
+def _try_to_resolve_by_kernel(
     rest: NDArray[np.float64],
     keys: tuple[NDArray[Any], ...],
     row: NDArray[np.intp],
@@ -118,13 +118,13 @@ def _settle_by_kernel(
         return False
     item, claimed, (change, got) = keys[-1].astype(np.int64, copy=False), np.empty(len(row), np.int64), np.empty((2, len(row)))
     now, order = population.now, np.lexsort(keys)
-    is_settled: bool = _settle_in_order(
+    is_settled: bool = _resolve_claims_in_order(
         rest, order, item, row, amount, now[statement.register], now[statement.won_register], claimed, change, got
     )
     return is_settled
 
 
-def _serve_claims(
+def _grant_claims(
     rest: NDArray[np.float64],
     claim_indices: NDArray[np.intp],
     keys: tuple[NDArray[Any], ...],
@@ -138,7 +138,7 @@ def _serve_claims(
     item, is the primary key. `source`: the index in `entries` of each claim; None if there is only one entry."""
     claim_indices = claim_indices[np.lexsort([key[claim_indices] for key in keys])]
     item, row, amount = keys[-1][claim_indices], row[claim_indices], amount[claim_indices]
-    asks = _ServedClaims(
+    asks = _OrderedClaims(
         np.empty(len(claim_indices)),
         np.isinf(amount),
         np.zeros(len(claim_indices), np.float32),
@@ -154,10 +154,10 @@ def _serve_claims(
         mine = mine[got[mine] >= 0]
         population.now[entry.statement.won_register][row[mine]] = True
         if entry.statement.register is not None:
-            _add_winnings(population, entry, row[mine], amount[mine], got[mine])
+            _add_granted_amounts(population, entry, row[mine], amount[mine], got[mine])
 
 
-def _add_winnings(
+def _add_granted_amounts(
     population: Population,
     entry: ClaimEntry,
     rows: NDArray[np.intp],
@@ -175,7 +175,7 @@ def _add_winnings(
     taken[rows] = granted_amounts
 
 
-class _ServedClaims:
+class _OrderedClaims:
     """Claims in the order in which they are served.
 
     `changes` float64: the exact increase of the register that receives the claim; without a register, the claimed amount.
@@ -234,7 +234,7 @@ def _draw_claim_order(world: World, population: Population, entry: ClaimEntry) -
     return randomness.draw_word(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)
 
 
-def _number_agent_claims(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
+def _number_claims_of_agents(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the position of each claim among the claims of its agent, in source order."""
     order = np.lexsort((place, ids, species))
     fresh = np.ones(len(order), np.bool_)
@@ -245,21 +245,21 @@ def _number_agent_claims(species: NDArray[np.int64], ids: NDArray[np.int64], pla
     return turn
 
 
-def _grant_amounts(rest: NDArray[np.float64], item_numbers: NDArray[np.integer], claims: _ServedClaims) -> NDArray[np.float64]:
+def _grant_amounts(rest: NDArray[np.float64], item_numbers: NDArray[np.integer], claims: _OrderedClaims) -> NDArray[np.float64]:
     """Grant claims. Return the amount that each claim gets (-1 if not granted), and subtract these amounts from `rest`.
 
     `item_numbers`: for each claim, its index in `rest`, ascending."""
     item: NDArray[np.int64] = item_numbers.astype(np.int64, copy=False)
     got = np.full(len(item), -1.0)
     if not claims.claims_all.any():
-        _serve_in_order(rest, item, claims.changes, got)
+        _grant_claims_in_order(rest, item, claims.changes, got)
         return got
     starts = np.flatnonzero(np.concatenate(([True], item[1:] != item[:-1])))
     ends = np.append(starts[1:], len(item))
     every = np.logical_or.reduceat(claims.claims_all, starts)
     simple_rows = np.flatnonzero(np.repeat(~every, ends - starts))
     part = np.full(len(simple_rows), -1.0)
-    _serve_in_order(rest, item[simple_rows], claims.changes[simple_rows], part)
+    _grant_claims_in_order(rest, item[simple_rows], claims.changes[simple_rows], part)
     got[simple_rows] = part
     alone = starts[every & (ends - starts == 1)]
     part = claims.compute_total_amounts(alone, rest[item[alone]])
@@ -268,19 +268,19 @@ def _grant_amounts(rest: NDArray[np.float64], item_numbers: NDArray[np.integer],
     rest[item[winners]] -= part
     several = every & (ends - starts > 1)
     for begin, end in zip(starts[several].tolist(), ends[several].tolist(), strict=True):
-        _serve_mixed(rest, item[begin:end], begin, claims, got[begin:end])
+        _grant_claims_on_item(rest, item[begin:end], begin, claims, got[begin:end])
     return got
 
 
-def _serve_mixed(
-    rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, claims: _ServedClaims, obtained_amounts: NDArray[np.float64]
+def _grant_claims_on_item(
+    rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, claims: _OrderedClaims, obtained_amounts: NDArray[np.float64]
 ) -> None:
     """Serve the claims on one item in order, until one of them exceeds what is left. Some claims are for all that is left.
 
     `begin`: the index in `claims` of the item's first claim. `obtained_amounts`: receives the amount that each claim gets."""
     first, change = 0, claims.changes[begin : begin + len(item)]
     for stop in (*np.flatnonzero(claims.claims_all[begin : begin + len(item)]).tolist(), len(item)):
-        _serve_in_order(rest, item[first:stop], change[first:stop], obtained_amounts[first:stop])
+        _grant_claims_in_order(rest, item[first:stop], change[first:stop], obtained_amounts[first:stop])
         if stop == len(item) or (obtained_amounts[first:stop] < 0).any():
             return
         part = float(claims.compute_total_amounts(np.array([begin + stop]), rest[item[:1]])[0])
@@ -291,7 +291,7 @@ def _serve_mixed(
         first = stop + 1
 
 
-def settle_gifts(world: World) -> None:
+def resolve_gifts(world: World) -> None:
     """Add the agents' gifts to the items, smallest first, so that rounding does not depend on the order of agents."""
     gifts: dict[tuple[str, str], list[GiftEntry]] = {}
     for population in world.populations.values():
@@ -305,16 +305,16 @@ def settle_gifts(world: World) -> None:
 
 
 @kernel
-def _serve_in_order(rest: Array1[F64], item: Array1[I64], change: Array1[F64], obtained_amounts: Array1[F64]) -> None:
+def _grant_claims_in_order(rest: Array1[F64], item: Array1[I64], change: Array1[F64], obtained_amounts: Array1[F64]) -> None:
     """Serve claims in order. Write the amount that each claim gets to `obtained_amounts`, and subtract it from `rest`.
 
     A claim gets its `change` if enough is left for it and for all earlier claims on the same item. `item`: for each claim, its
     index in `rest`, ascending."""
-    _serve_one_by_one(rest, item, change, obtained_amounts, item.size)
+    _grant_claims_one_by_one(rest, item, change, obtained_amounts, item.size)
 
 
 @kernel
-def _settle_in_order(
+def _resolve_claims_in_order(
     rest: Array1[F64],
     order: Array1[I64],
     item: Array1[I64],
@@ -341,7 +341,7 @@ def _settle_in_order(
             order[count], claimed_items[count], obtained_amounts[count] = n, item[n], -1.0
             change[count] = np.float64(had + amount[n]) - np.float64(had)
             count += 1
-    _serve_one_by_one(rest, claimed_items, change, obtained_amounts, count)
+    _grant_claims_one_by_one(rest, claimed_items, change, obtained_amounts, count)
     for k in range(count):
         n = order[k]
         if obtained_amounts[k] >= 0.0:
@@ -351,7 +351,7 @@ def _settle_in_order(
 
 
 @inlined
-def _serve_one_by_one(
+def _grant_claims_one_by_one(
     rest: Array1[F64], item: Array1[I64], change: Array1[F64], obtained_amounts: Array1[F64], count: I64
 ) -> None:
     """Serve the claims item by item, in order, until one of an item's claims exceeds what is left of the item."""

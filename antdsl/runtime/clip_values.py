@@ -26,7 +26,7 @@ def make_clip_table(world: World, population: Population, property_name: str) ->
     return np.array([_read_clip_property(each, property_name) for each in every], np.float32)
 
 
-def find_table_starts(world: World, population: Population) -> NDArray[np.int32]:
+def find_clip_table_starts(world: World, population: Population) -> NDArray[np.int32]:
     """Return, for each agent, the index at which the values of its body begin in the result of `make_clip_table`, int32[n]."""
     return find_body_numbers(population, world.setting).astype(np.int32) * np.int32(len(population.plan.clips) + 1)
 
@@ -41,7 +41,7 @@ def read_clip_value(
     number, last = np.asarray(clip), len(population.plan.clips)
     place = np.where((number >= 0) & (number < last), number, last)
     if len(values) > last + 1:
-        place = place + find_table_starts(world, population)[rows]
+        place = place + find_clip_table_starts(world, population)[rows]
     chosen_values: NDArray[np.float32] = values[place]
     return chosen_values
 

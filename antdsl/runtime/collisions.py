@@ -19,8 +19,8 @@ from antdsl.senses.touching import TouchingAgents
 Ids = NDArray[np.int64]
 Rows = NDArray[np.intp]
 
-_CONTACT_BEGIN_GAP = 0.02  # share of the sum of two radii: a contact begins below this gap
-_CONTACT_END_GAP = 0.25  # share of the sum of two radii: a contact ends above this gap
+_CONTACT_BEGIN_OVERLAP_SHARE = 0.02  # share of the sum of two radii: a contact begins below this gap
+_CONTACT_END_GAP_SHARE = 0.25  # share of the sum of two radii: a contact ends above this gap
 
 
 def find_new_contacts(world: World, population: Population, other_species: str, rows: Rows, touched_ids: Ids) -> tuple[Ids, Ids]:
@@ -66,10 +66,10 @@ def _find_touching_agents(crowd: CapsuleCrowd) -> dict[tuple[str, str], Touching
     pairs = find_near_pairs(crowd)
     gap = pairs.gap
     radius_sum = pairs.radius.take(pairs.first_indices) + pairs.radius.take(pairs.second_indices)
-    close_rows = np.flatnonzero(gap < _CONTACT_END_GAP * radius_sum)
+    close_rows = np.flatnonzero(gap < _CONTACT_END_GAP_SHARE * radius_sum)
     i, j = pairs.rows.take(pairs.first_indices.take(close_rows)), pairs.rows.take(pairs.second_indices.take(close_rows))
     one, other, gap = np.concatenate([i, j]), np.concatenate([j, i]), np.tile(gap.take(close_rows), 2)
-    near = gap < _CONTACT_BEGIN_GAP * np.tile(radius_sum.take(close_rows), 2)
+    near = gap < _CONTACT_BEGIN_OVERLAP_SHARE * np.tile(radius_sum.take(close_rows), 2)
     kinds: Any = [np.searchsorted(crowd.first, rows, "right") - 1 for rows in (one, other)]
     for a, species in enumerate(crowd.species):
         for b, other_species in enumerate(crowd.species):

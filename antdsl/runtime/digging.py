@@ -22,13 +22,13 @@ _SURFACE_DISTANCE_VOXELS = 0.5  # ball points within this distance of the surfac
 _MAX_POINTS_PER_EDGE = 16  # points along an edge of the cube that is projected onto a ball
 
 
-def dig_solids(world: World) -> None:
+def apply_dig_requests(world: World) -> None:
     """Remove the balls that agents dig from the solids, and add the dug volume to each agent's register.
 
     Agents that lose the ground below them fall in the phase `move`."""
     requests: dict[str, list[tuple[Population, RequestEntry]]] = {}
     for population in world.populations.values():
-        for entry in population.effects.take_requests("carve"):
+        for entry in population.effects.pop_requests("carve"):
             if len(entry.rows):
                 requests.setdefault(entry.request.target, []).append((population, entry))
     for name, entries in sorted(requests.items()):
@@ -52,7 +52,7 @@ def _carve_solid(world: World, solid: str, entries: list[tuple[Population, Reque
     dug = order[removed[order] > 0]
     fields = [field for name, field in world.fields.items() if solid in world.plan.fields[name].surfaces]
     if fields:
-        grow_wall_cells(fields, world.solids[solid], middle[dug], radius[dug])
+        add_cells_on_dug_walls(fields, world.solids[solid], middle[dug], radius[dug])
     if world.dug_balls is not None:
         world.dug_balls.setdefault(solid, []).append(np.column_stack([middle, radius]))
     first = 0
@@ -76,7 +76,7 @@ def take_dug_balls(world: World) -> dict[str, NDArray[np.float64]]:
     return {name: np.concatenate(balls) for name, balls in balls_by_solid.items() if sum(map(len, balls))}
 
 
-def grow_wall_cells(fields: Iterable[PheromoneField], volume: Volume, centres: Floats, radius: Floats) -> None:
+def add_cells_on_dug_walls(fields: Iterable[PheromoneField], volume: Volume, centres: Floats, radius: Floats) -> None:
     """Add cells to the fields on a solid, at the walls of dug balls with centres [k,3] and radii [k] in mm.
 
     The result depends on the order of the balls."""

@@ -57,7 +57,7 @@ class FaultLog:
     """The faults of a run: their total number, and details of the first ones. `rejected_births`: the number of births that
     were rejected at the limit of agents. `fault_of_step`: the first fault of the current step."""
 
-    count: int = 0
+    fault_count: int = 0
     rejected_births: int = 0  # births rejected because of `limits.AGENTS`
     reported_faults: list[Fault] = field(default_factory=list)
     fault_of_step: Fault | None = None  # the first fault of the last step
@@ -90,7 +90,7 @@ def collect_faults(world: World) -> None:
             # a vector has three components but counts as one fault
             rows = np.unique(np.concatenate([entry.rows for entry in entries]))
             rows = rows[np.argsort(population.ids[rows])]
-            log.count += len(rows)
+            log.fault_count += len(rows)
             for row in rows[: max(_MAX_REPORTED_FAULTS - len(log.reported_faults), 0 if log.fault_of_step else 1)]:
                 entry = min((e for e in entries if row in e.rows), key=lambda e: e.register)
                 fault = _make_fault(world, population, int(row), entry, word)

@@ -46,15 +46,15 @@ class DetailLevels:
         self._boxes: dict[str, BoxArrays] = {}
         self._scenes: dict[str, RayScene] = {}
         for name, mesh in obstacles.items():
-            self.move_boxes(name, mesh.vertices)
+            self.update_boxes(name, mesh.vertices)
         self.counts = np.zeros(1 + len(DETAIL_LEVELS), np.int64)
 
-    def move_boxes(self, name: str, vertices: NDArray[np.float64]) -> None:
+    def update_boxes(self, name: str, vertices: NDArray[np.float64]) -> None:
         """Move the bounding boxes of an obstacle's pieces to the current `vertices` of the obstacle."""
         self._boxes[name] = self._pieces[name].compute_bounding_boxes(vertices)
         self._scenes[name] = _make_box_scene(*self._boxes[name])
 
-    def count_step(self, world: World) -> None:
+    def count_agents_of_step(self, world: World) -> None:
         """Add the current number of agents at each level to `counts`, at the start of a step."""
         self.counts[0] += 1
         self.counts[1:] += self.count_agents(world)
@@ -67,7 +67,7 @@ class DetailLevels:
         ]
         return np.sum(each, axis=0, dtype=np.int64) if each else np.zeros(len(DETAIL_LEVELS), np.int64)
 
-    def summary(self, world: World) -> dict[str, dict[str, float]]:
+    def summarise_counts(self, world: World) -> dict[str, dict[str, float]]:
         """Return the number of agents at each level, by the name of the level: `end`, at the end of the run, and `mean` over
         all steps."""
         steps = max(int(self.counts[0]), 1)
@@ -133,7 +133,7 @@ class MeshPieces:
 
     def __init__(self, mesh: MeshData) -> None:
         self._used_vertices = np.unique(mesh.faces)
-        self._piece_numbers = _number_pieces(mesh, self._used_vertices)
+        self._piece_numbers = _number_mesh_pieces(mesh, self._used_vertices)
         self._piece_count = int(self._piece_numbers.max(initial=-1)) + 1
 
     def compute_bounding_boxes(self, vertices: NDArray[np.float64]) -> BoxArrays:
@@ -144,7 +144,7 @@ class MeshPieces:
         return low.astype(np.float32), high.astype(np.float32)
 
 
-def _number_pieces(mesh: MeshData, used_vertices: NDArray[np.int32]) -> NDArray[np.int64]:
+def _number_mesh_pieces(mesh: MeshData, used_vertices: NDArray[np.int32]) -> NDArray[np.int64]:
     """Return, for each of `used_vertices`, the number of the piece to which it belongs."""
     if not len(mesh.faces):
         return np.zeros(0, np.int64)

@@ -16,12 +16,12 @@ from antdsl.ground.protocol import Footing
 from antdsl.plan import ir
 from antdsl.plan.traverse import collect_required_nodes, iterate_with_positions, list_operands
 from antdsl.program.tables.columns import EMIT_COLUMNS, FIXED_COLUMN_BY_NAME, MIGRATED_REGISTERS
-from antdsl.runtime.claims import settle_gifts
-from antdsl.runtime.digging import dig_solids
+from antdsl.runtime.claims import resolve_gifts
+from antdsl.runtime.digging import apply_dig_requests
 from antdsl.runtime.moving.moving_geometry import compute_agent_rest_positions
 from antdsl.runtime.requests import RequestEntry
 from antdsl.runtime.sensing.image_pairs import measure_offsets
-from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows, shares_start_array, stored_registers
+from antdsl.runtime.world import AXES, Population, World, add_rows, is_start_array_shared, list_stored_registers, retain_rows
 
 _PAIRS_PER_BLOCK = 1 << 22  # pairs of emitter and receiver that are measured at once
 _INHERITED_COLUMNS = {
@@ -29,7 +29,7 @@ _INHERITED_COLUMNS = {
 }  # fixed columns of newborns
 
 
-def find_own_cells(world: World, population: Population) -> None:
+def update_agent_cells(world: World, population: Population) -> None:
     """Find the cell in which each agent is, for every field."""
     if world.fields and len(population):
         sides = world.ground.find_sides(population.footing, world.options.threads)
@@ -47,21 +47,21 @@ def find_own_cells(world: World, population: Population) -> None:
 def apply_deposits(world: World) -> None:
     """Add the agents' deposits to the cells in which they are. Deposits take effect when the fields advance."""
     for population in world.populations.values():
-        for entry in population.effects.take_requests("deposit"):
+        for entry in population.effects.pop_requests("deposit"):
             name = entry.request.target
             world.fields[name].deposit(population.cells[name][entry.rows], entry.get_required_operand(0))
 
 
-def settle_newborn(world: World) -> None:
+def initialise_cells_of_newborn(world: World) -> None:
     """Apply the requests that newborn agents have made at birth, so that none is pending between two steps."""
     if not any([population.effects.has_pending for population in world.populations.values()]):
         return
     raise_events(world)
-    settle_gifts(world)
-    dig_solids(world)
+    resolve_gifts(world)
+    apply_dig_requests(world)
     laying = [p for p in world.populations.values() if "deposit" in p.effects.requests]
     for population in laying:
-        find_own_cells(world, population)
+        update_agent_cells(world, population)
     fields = {entry.request.target for p in laying for entry in p.effects.requests["deposit"]}
     apply_deposits(world)
     for name in fields:
@@ -75,7 +75,7 @@ def settle_newborn(world: World) -> None:
 def raise_events(world: World) -> None:
     """Deliver emitted events: flag the agents that each event reaches. They sense the event in the next step."""
     for population in world.populations.values():
-        for entry in population.effects.take_requests("emit"):
+        for entry in population.effects.pop_requests("emit"):
             event = entry.request.target
             record_emission(world, population, entry.rows, event)
             if entry.args[1] is not None:
@@ -87,7 +87,7 @@ def raise_events(world: World) -> None:
                 continue
             for other in world.populations.values():
                 if event in other.raised_events and len(other):
-                    _flag_in_reach(world, population, entry, other, other.raised_events[event])
+                    _flag_agents_in_reach(world, population, entry, other, other.raised_events[event])
 
 
 def _notify_receiver(world: World, population: Population, entry: RequestEntry) -> None:
@@ -105,7 +105,7 @@ def _notify_receiver(world: World, population: Population, entry: RequestEntry) 
     other.raised_events[entry.request.target][receivers[is_reached]] = True
 
 
-def _flag_in_reach(
+def _flag_agents_in_reach(
     world: World, population: Population, entry: RequestEntry, other: Population, flags: NDArray[np.bool_]
 ) -> None:
     """Set `flags` of all agents that were within the emitters' reach at the start of the step, including the emitters."""
@@ -122,19 +122,19 @@ def apply_deaths_and_births(world: World) -> None:
     """Remove dead agents, then add newborn agents.
 
     New ids are in the order of (parent's species, parent's id, position in the source)."""
-    coming, bereft = _collect_births(world), False
+    coming, bereft = _collect_birth_rows(world), False
     for population in world.populations.values():
-        if dying := population.effects.take_requests("die"):
+        if dying := population.effects.pop_requests("die"):
             dead = np.zeros(len(population), np.bool_)
             for entry in dying:
                 dead[entry.rows] = True
-            select_rows(population, np.flatnonzero(~dead))
+            retain_rows(population, np.flatnonzero(~dead))
             bereft = True
     generation = 0
     while coming and generation < limits.MAX_BIRTH_GENERATIONS:
         newborn = {name: _add_newborn(world, world.populations[name], births) for name, births in coming.items()}
         initialise_newborn(world, {name: rows for name, rows in newborn.items() if len(rows)})
-        coming = _collect_births(world)
+        coming = _collect_birth_rows(world)
         generation += 1
     for population in world.populations.values() if bereft else ():
         clear_dead_references(world, population)
@@ -144,13 +144,13 @@ Arrays = dict[str, NDArray[Any]]
 BirthRows = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], Footing, Arrays, Arrays]]
 
 
-def _collect_births(world: World) -> dict[str, BirthRows]:
+def _collect_birth_rows(world: World) -> dict[str, BirthRows]:
     """Return the requested births, by species of the children, in the order in which children get their ids.
 
     Values that children inherit are copied here, before dead parents are removed."""
     births: dict[str, BirthRows] = {}
     for population in world.populations.values():
-        entries = population.effects.take_requests("spawn")
+        entries = population.effects.pop_requests("spawn")
         for species in sorted({e.request.target for e in entries}):
             rows = np.concatenate([e.rows for e in entries if e.request.target == species])
             order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.request.target == species])
@@ -180,7 +180,7 @@ def _add_newborn(world: World, population: Population, births: BirthRows) -> NDA
             for name, value in inherited.items():
                 arrays[name][new] = value[:count]
     if world.notes is not None:
-        world.notes.remove_absent(world, {population.name: old})
+        world.notes.remove_absent_agents(world, {population.name: old})
     return np.arange(old, len(population))
 
 
@@ -203,14 +203,14 @@ def initialise_newborn(world: World, newborn: Mapping[str, NDArray[np.intp]]) ->
             else:
                 population.start[register][rows] = array[rows]
         if _has_birth_fields(population):
-            find_own_cells(world, population)
+            update_agent_cells(world, population)
     for name, rows in newborn.items():
         world.backend.run(world, world.populations[name], "born", rows)
     for name, rows in newborn.items():
         population = world.populations[name]
-        stored = stored_registers(population.plan)
+        stored = list_stored_registers(population.plan)
         for register, array in population.now.items():
-            if shares_start_array(population.plan, register, stored):
+            if is_start_array_shared(population.plan, register, stored):
                 population.start[register] = array
             else:
                 population.start[register][rows] = array[rows]

@@ -14,15 +14,15 @@ from antdsl.scene.crowds.line_ids import CrowdLineIds
 from antdsl.scene.setting import CrowdData, WorldSetting
 
 _NAMES, _RANGES, _CREATED = "lines.names", "lines.ranges", "lines.created"
-LineName = tuple[str, str]  # species, and the name of the line or an empty text
+CrowdLineName = tuple[str, str]  # species, and the name of the line or an empty text
 
 
-def list_line_names(setting: WorldSetting) -> list[LineName]:
+def list_line_names(setting: WorldSetting) -> list[CrowdLineName]:
     """Return (species, line name) for each crowd line."""
     return [(crowd.species, crowd.name) for crowd in setting.crowds]
 
 
-def reserve_ids(setting: WorldSetting) -> tuple[CrowdLineIds, ...]:
+def reserve_line_ids(setting: WorldSetting) -> tuple[CrowdLineIds, ...]:
     """Return the reserved ids of each crowd line. The lines of a species get consecutive ranges of ids."""
     next_ids: dict[str, int] = {}
     lines = []
@@ -32,21 +32,21 @@ def reserve_ids(setting: WorldSetting) -> tuple[CrowdLineIds, ...]:
     return tuple(lines)
 
 
-def count_released(crowd: CrowdData, line: CrowdLineIds, frame: int) -> int:
+def count_released_agents(crowd: CrowdData, line: CrowdLineIds, frame: int) -> int:
     """Return how many ids of a line's table belong to agents that were created up to and including a frame. Ids at the end of
     the table are for agents still to be created. Ids at its beginning may come from another scene that this scene continues."""
     return len(line) - crowd.count + crowd.count_created(frame)
 
 
-def take_created_ids(crowd: CrowdData, line: CrowdLineIds, previous_frame: int | None, frame: int) -> NDArray[np.int64]:
+def find_created_ids(crowd: CrowdData, line: CrowdLineIds, previous_frame: int | None, frame: int) -> NDArray[np.int64]:
     """Return the ids of a line's agents that are created after `previous_frame`, up to and including `frame`.
 
     If `previous_frame` is None, return the ids of all agents that are created up to `frame`."""
-    first = 0 if previous_frame is None else count_released(crowd, line, previous_frame)
-    return line.list_ids_between(first, count_released(crowd, line, frame) - 1)
+    first = 0 if previous_frame is None else count_released_agents(crowd, line, previous_frame)
+    return line.list_ids_between(first, count_released_agents(crowd, line, frame) - 1)
 
 
-def match_lines(old: Sequence[LineName], new: Sequence[LineName]) -> list[int]:
+def match_crowd_lines(old: Sequence[CrowdLineName], new: Sequence[CrowdLineName]) -> list[int]:
     """Return, for each new line, the index of the corresponding old line; -1 for none.
 
     Lines with the same species and name correspond. The remaining lines of a species correspond in order."""
@@ -65,7 +65,7 @@ def collect_line_arrays(world: World) -> dict[str, NDArray[Any]]:
     crowds = world.setting.crowds
     text = "\n".join(" ".join(line) for line in list_line_names(world.setting))
     rows = [(number, *each) for number, line in enumerate(world.crowd_lines) for each in line.ranges]
-    created = [count_released(*each, world.frame) for each in zip(crowds, world.crowd_lines, strict=True)]
+    created = [count_released_agents(*each, world.frame) for each in zip(crowds, world.crowd_lines, strict=True)]
     return {
         _NAMES: np.frombuffer(text.encode(), np.uint8),
         _RANGES: np.array(rows, np.int64).reshape(-1, 3),
@@ -73,15 +73,17 @@ def collect_line_arrays(world: World) -> dict[str, NDArray[Any]]:
     }
 
 
-def restore_lines(world: World, arrays: Mapping[str, NDArray[Any]], *, as_start: bool = False) -> None:
+def restore_line_tables(world: World, arrays: Mapping[str, NDArray[Any]], *, is_run_start: bool = False) -> None:
     """Restore the tables of a checkpoint. For an older checkpoint without tables, the tables of the world do not change.
 
-    With `as_start`, the checkpoint is the start of another scene, and its lines are continued: agents to be created get new
+    With `is_run_start`, the checkpoint is the start of another scene, and its lines are continued: agents to be created get new
     ids. Raises ValueError if the arrays do not match."""
     if _NAMES not in arrays:
         return
     text = arrays[_NAMES].astype(np.uint8).tobytes().decode()
-    old: list[LineName] = [(species, name) for species, _, name in (each.partition(" ") for each in text.split("\n") if each)]
+    old: list[CrowdLineName] = [
+        (species, name) for species, _, name in (each.partition(" ") for each in text.split("\n") if each)
+    ]
     created = arrays[_CREATED].astype(np.int64).reshape(len(old)).tolist()
     ranges: list[list[tuple[int, int]]] = [[] for _ in old]
     for number, first, count in arrays[_RANGES].reshape(-1, 3).tolist():
@@ -89,10 +91,10 @@ def restore_lines(world: World, arrays: Mapping[str, NDArray[Any]], *, as_start:
             raise ValueError(f"`{_RANGES}` has an invalid row")
         ranges[number].append((first, count))
     lines = []
-    matches = match_lines(old, list_line_names(world.setting))
+    matches = match_crowd_lines(old, list_line_names(world.setting))
     for crowd, number, line in zip(world.setting.crowds, matches, world.crowd_lines, strict=True):
         stored = CrowdLineIds(crowd.species, tuple(ranges[number])) if number >= 0 else CrowdLineIds(crowd.species)
-        if as_start:
+        if is_run_start:
             population = world.populations[crowd.species]
             stored = stored.resize(min(created[number], len(stored)) if number >= 0 else 0, 0)
             due = crowd.count - crowd.count_created(world.frame)

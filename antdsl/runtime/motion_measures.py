@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 Counts = NDArray[np.int64]
 Floats = NDArray[np.float64]
 _HISTOGRAM_BINS = 1800  # bins of a histogram: 0.1 degrees of turn each, or 1/1800 of overlap each
-_WINDOW_SECONDS = 2.0  # s: duration of a path that is classified as straight or circling
+_PATH_WINDOW_SECONDS = 2.0  # s: duration of a path that is classified as straight or circling
 _MAX_CIRCLING_SHARE = 0.15  # a path circles if its net displacement is at most this share of its length
 _MIN_PATH_BODY_LENGTHS = 3.0  # shorter paths are not classified
-_MIN_PUSH = 0.2  # agents with a smaller push do not intend to move
+_MIN_PUSH_SHARE = 0.2  # agents with a smaller push do not intend to move
 _STANDING_SPEED_SHARE = 0.03  # share of max_speed below which an agent stands
 _TOUCH_OVERLAP_SHARE = 0.01  # share of the sum of two radii: a smaller overlap is only a touch
 _VISIBLE_OVERLAP_SHARE = 0.05  # share of the trunk's width: deeper overlaps are visible
@@ -43,7 +43,7 @@ _POSE_REGISTERS = tuple(f"{name}.{axis}" for name in ("position", "heading", "up
 _MOTION_REGISTERS = tuple(f"{name}.{axis}" for name in ("velocity", "push") for axis in AXES)
 _MEASURED_REGISTERS = (*_POSE_REGISTERS, *_MOTION_REGISTERS, "max_speed", "size")
 _CURRENT_REGISTERS, _STEP_START_REGISTERS = itemgetter(*_MEASURED_REGISTERS), itemgetter(*_POSE_REGISTERS)
-_MOTION_THRESHOLDS = (np.float32(_MIN_PUSH), np.float32(_STANDING_SPEED_SHARE), np.float32(_MIN_PATH_BODY_LENGTHS))
+_MOTION_THRESHOLDS = (np.float32(_MIN_PUSH_SHARE), np.float32(_STANDING_SPEED_SHARE), np.float32(_MIN_PATH_BODY_LENGTHS))
 _AGENTS_PER_PART = 512  # agents per chunk; the values of a chunk are computed before they are counted
 _BIN_LOOKUP_CELLS = 4096  # cells of half chords; each has the first bin that it overlaps
 
@@ -88,12 +88,12 @@ class MotionMeasures:
     part_counts: Counts = field(default_factory=lambda: np.zeros((2, 1, _HISTOGRAM_BINS + 1), np.int64))  # see `_add_part_counts`
     windows: dict[str, PathWindow] = field(default_factory=dict)
 
-    def reset(self) -> None:
+    def reset_step_measures(self) -> None:
         """Restart all measures, for example after a preroll, except the overlaps at the start that `begin` counted."""
         for each in fields(fresh := MotionMeasures(placed=self.placed, overlapping=self.overlapping)):
             setattr(self, each.name, getattr(fresh, each.name))
 
-    def begin(self, world: World) -> None:
+    def begin_measuring(self, world: World) -> None:
         """Count the agents that overlap an agent of any species at the start, before any agent moves."""
         crowds = [population.now for population in world.populations.values()]
         if not crowds:
@@ -104,7 +104,7 @@ class MotionMeasures:
         self.placed = len(radius)
         self.overlapping = int(np.count_nonzero(measure_overlaps(world, x, y, z, radius[wide]) > _TOUCH_OVERLAP_SHARE))
 
-    def checkpoint_arrays(self) -> dict[str, NDArray[Any]]:
+    def collect_checkpoint_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all measures as named arrays, for a checkpoint."""
         self._add_part_counts()
         named_arrays = {name: np.array(getattr(self, name)) for name in _CHECKPOINT_FIELDS}
@@ -130,14 +130,14 @@ class MotionMeasures:
         every = second if world.setting.contacts == "off" else 1 + len(world) // _MAX_AGENTS_MEASURED_EACH_STEP
         crowds = [population for population in world.populations.values() if len(population)]
         for population in crowds:
-            self._add_step(world, population)
+            self._add_step_of_species(world, population)
         with_depths, bodies = self.steps % every == 0 and len(world) > 1, self.steps % second == 0
         if with_depths or bodies:
             self._measure_bodies(world, with_depths, crowds if bodies else [])
         self.steps += 1
 
-    def _add_step(self, world: World, population: Population) -> None:
-        window, steps = self._update_window(population), max(1, round(_WINDOW_SECONDS / world.dt))
+    def _add_step_of_species(self, world: World, population: Population) -> None:
+        window, steps = self._update_window(population), max(1, round(_PATH_WINDOW_SECONDS / world.dt))
         straight = self._count_motion(population, window, np.float32(world.dt), steps, world.options.threads)
         self.wishing += len(population)
         if len(straight):
@@ -158,7 +158,7 @@ class MotionMeasures:
             self.part_counts = np.zeros((2, several, _HISTOGRAM_BINS + 1), np.int64)
         (turns, tilts), (least, first) = self.part_counts, _make_bin_table()
         bins = HistogramBins(turns, tilts, several, n, least, first)
-        work = partial(_count_step, agents, paths, bins, MotionLimits(dt, *_MOTION_THRESHOLDS, steps))
+        work = partial(_count_agent_motion, agents, paths, bins, MotionLimits(dt, *_MOTION_THRESHOLDS, steps))
         counts = parallel.run_in_parts(work, n, threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
         for _, _, standing, half, share in counts:
             if half > self.max_half_chord:
@@ -220,7 +220,7 @@ class MotionMeasures:
             self.heads, self.bodies = self.heads + len(heads), self.bodies + len(bodies)
             self.heads_inside, self.bodies_inside = self.heads_inside + int(heads.sum()), self.bodies_inside + int(bodies.sum())
 
-    def summary(self) -> dict[str, float]:
+    def summarise(self) -> dict[str, float]:
         """Return the measures by name. Turns and tilts are in degrees per step. `step_max` is relative to the longest step
         that the speed limit allows. All others are fractions."""
         self._add_part_counts()
@@ -284,7 +284,7 @@ def _compute_half_chord(a: VectorColumns, b: VectorColumns, i: I64) -> F32:
 
 
 @inlined
-def _count_bin(half: F32, bin_starts: Array1[F32], search_starts: Array1[I64], bins: Array2[I64], part: I64) -> None:
+def _count_in_histogram(half: F32, bin_starts: Array1[F32], search_starts: Array1[I64], bins: Array2[I64], part: I64) -> None:
     """Add 1 to the bin of `half` in row `part` of `bins`. `search_starts`: for each cell, the first bin to compare."""
     k = search_starts[np.int64(half * np.float32(4096.0))]
     k += 1 if half >= bin_starts[k + 1] else 0  # rarely more, so the branch is well predicted
@@ -353,7 +353,7 @@ class StepCounts(NamedTuple):
 
 
 @kernel
-def _count_step(
+def _count_agent_motion(
     agents: AgentColumns, paths: PathColumns, bins: HistogramBins, thresholds: MotionLimits, begin: I64, end: I64
 ) -> StepCounts:
     """Add one step of the agents from `begin` to `end` - 1 to the measures."""
@@ -380,9 +380,9 @@ def _count_step(
             push_lengths[i - low] = _compute_vector_length(push[0][i], push[1][i], push[2][i])
         for i in range(low, high):
             at = i - low
-            _count_bin(min(turn[at], np.float32(1.0)), least, first, turns, part)
+            _count_in_histogram(min(turn[at], np.float32(1.0)), least, first, turns, part)
             half = min(tilt[at], np.float32(1.0))
-            _count_bin(half, least, first, tilts, part)
+            _count_in_histogram(half, least, first, tilts, part)
             tilted = max(tilted, half)
             if fastest[i] * dt > np.float32(0.0) and share[at] > longest:
                 longest = share[at]

@@ -24,9 +24,9 @@ from antdsl.runtime.feet import feet_step
 from antdsl.runtime.moving import crowd_substep, moving_geometry, scripted_walks, tilting
 from antdsl.runtime.moving.contacts import contact_solver
 from antdsl.runtime.moving.contacts.step_retreats import take_back_overlapping_steps
-from antdsl.runtime.notes.wishes import FINAL_WISH, STATE_WISH
+from antdsl.runtime.notes.wishes import FINAL_WISH_REGISTER, STATE_WISH_REGISTER
 from antdsl.runtime.periodic_steps import check_periodic_steps
-from antdsl.runtime.world import PUSHED_REGISTER, Population, World, publish_state
+from antdsl.runtime.world import PUSHED_DISTANCE_REGISTER, Population, World, publish_state
 
 _SORT_INTERVAL_FRAMES, _MIN_AGENTS_TO_SORT = 16, 2048  # frames, agents
 
@@ -46,14 +46,14 @@ def prepare_senses(world: World) -> None:
     for flow in world.flows.values():
         flow.update_for_step(world)
     for population in world.populations.values():
-        lifecycle.find_own_cells(world, population)
+        lifecycle.update_agent_cells(world, population)
         tilting.align_leaning_bodies_with_ground(population, world.options.threads)
-        population.clear_temps(world.options.threads)
+        population.clear_temporary_registers(world.options.threads)
     if world.detail_levels is not None:
-        world.detail_levels.count_step(world)
+        world.detail_levels.count_agents_of_step(world)
     if world.notes is not None:
         world.notes.begin_step(world)
-    world.backend.begin(world)
+    world.backend.begin_step(world)
 
 
 def run_decisions(world: World) -> None:
@@ -61,9 +61,9 @@ def run_decisions(world: World) -> None:
     _run_block(world, "decide")
 
 
-def settle_claims(world: World) -> None:
+def resolve_claims(world: World) -> None:
     """Resolve the claims: decide which agents get what they requested."""
-    claims.settle_claims(world)
+    claims.resolve_claims(world)
 
 
 def run_actions(world: World) -> None:
@@ -78,11 +78,11 @@ def run_actions(world: World) -> None:
 def combine_layers(world: World) -> None:
     """Run the layers, and combine their wishes into one push for each agent."""
     if world.notes is not None:
-        world.notes.change_wishes(world, STATE_WISH)
+        world.notes.apply_wishes(world, STATE_WISH_REGISTER)
     _run_block(world, "blend")
     if world.notes is not None:
-        world.notes.change_wishes(world, FINAL_WISH)
-        world.notes.set_values(world)
+        world.notes.apply_wishes(world, FINAL_WISH_REGISTER)
+        world.notes.apply_value_notes(world)
     faults.collect_faults(world)
 
 
@@ -98,14 +98,14 @@ def apply_effects(world: World) -> None:
     """Apply gifts, events for the next step and deposits, before fields spread or agents move.
 
     The order of these effects does not matter, because none reads values that another writes."""
-    _settle_requests("effects", world)
-    claims.settle_gifts(world)
+    _resolve_requests("effects", world)
+    claims.resolve_gifts(world)
 
 
-def _settle_requests(phase: str, world: World) -> None:
+def _resolve_requests(phase: str, world: World) -> None:
     """Apply all requests of a phase. If one function applies several kinds of requests, it is called only once."""
     if any([population.effects.requests for population in world.populations.values()]):
-        for settle in dict.fromkeys(SETTLER_BY_EFFECT[op] for op in list_effects_of_phase(phase)):
+        for settle in dict.fromkeys(RESOLVER_BY_EFFECT[op] for op in list_effects_of_phase(phase)):
             settle(world)
 
 
@@ -122,11 +122,11 @@ def move_all_agents(world: World) -> None:
     """Move all agents along their surfaces, substep by substep. Overlapping bodies are then separated."""
     with np.errstate(all="ignore"):
         if world.notes is not None:
-            world.notes.begin_move(world)
+            world.notes.apply_speed_shares(world)
         for population in world.populations.values():
             tilting.restore_leaning_bodies(population)
-            if PUSHED_REGISTER in population.now:
-                population.now[PUSHED_REGISTER].fill(0)
+            if PUSHED_DISTANCE_REGISTER in population.now:
+                population.now[PUSHED_DISTANCE_REGISTER].fill(0)
         for substep in range(world.setting.substeps):
             stances = contact_solver.record_stances(world)
             steps = [crowd_substep.move_agents(world, population, substep) for population in world.populations.values()]
@@ -140,9 +140,9 @@ def move_all_agents(world: World) -> None:
                 if stances.stances is not None and near is not None:
                     take_back_overlapping_steps(world, stances.stances, near)
                 if world.notes is not None:
-                    world.notes.cut_pushes(world, stances.positions, world.dt / world.setting.substeps)
+                    world.notes.undo_forbidden_pushes(world, stances.positions, world.dt / world.setting.substeps)
         if world.notes is not None:
-            world.notes.end_move(world)
+            world.notes.restore_speeds(world)
     check_periodic_steps(world)
 
 
@@ -154,8 +154,8 @@ def record_measures(world: World) -> None:
 
 def apply_births(world: World) -> None:
     """Remove dead agents, add newborn agents, and create agents of crowd lines that are due."""
-    _settle_requests("births", world)
-    lifecycle.settle_newborn(world)
+    _resolve_requests("births", world)
+    lifecycle.initialise_cells_of_newborn(world)
     releases.release_agents(world)
     faults.collect_faults(world)  # count the faults of births before rows and frame change
 
@@ -170,10 +170,10 @@ def commit_step(world: World) -> None:
             population.raised_events[name].fill(False)
         sorts = by_place and len(population) >= _MIN_AGENTS_TO_SORT
         threads = world.options.threads
-        publish_state(population, threads, _order_by_position(population, threads) if sorts else None)
+        publish_state(population, threads, _sort_rows_by_position(population, threads) if sorts else None)
 
 
-def _order_by_position(population: Population, threads: int) -> NDArray[np.intp]:
+def _sort_rows_by_position(population: Population, threads: int) -> NDArray[np.intp]:
     """Return the rows sorted along the space-filling curve of G. Morton (1966), so that agents near each other are near in
     memory.
 
@@ -200,9 +200,9 @@ def _count_transitions(world: World, population: Population) -> None:
 
 
 # The function that applies an effect, by op; the effect's phase calls it.
-SETTLER_BY_EFFECT: dict[str, Callable[[World], None]] = {
+RESOLVER_BY_EFFECT: dict[str, Callable[[World], None]] = {
     "deposit": lifecycle.apply_deposits,
-    "carve": digging.dig_solids,
+    "carve": digging.apply_dig_requests,
     "emit": lifecycle.raise_events,
     "spawn": lifecycle.apply_deaths_and_births,
     "die": lifecycle.apply_deaths_and_births,
@@ -211,12 +211,12 @@ SETTLER_BY_EFFECT: dict[str, Callable[[World], None]] = {
 PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
     ("sense", prepare_senses),  # first: senses of the last step are invalid
     ("decide", run_decisions),
-    ("claim", settle_claims),  # before acting: only winners change state
+    ("claim", resolve_claims),  # before acting: only winners change state
     ("act", run_actions),
     ("blend", combine_layers),  # after acting: the new state steers at once
     ("effects", apply_effects),  # after all reads of this step
     ("fields", advance_fields),  # spread and evaporate, then add deposits: a deposit at t is complete at t+1
-    ("solids", partial(_settle_requests, "solids")),  # before moving: a digging agent moves into the hole that it dug
+    ("solids", partial(_resolve_requests, "solids")),  # before moving: a digging agent moves into the hole that it dug
     ("move", move_all_agents),
     ("motion", record_measures),  # before the ground moves: being carried is not a step
     ("strides", feet_step.record_ground_covered),  # before the ground moves: feet step over it, then move with it
@@ -227,7 +227,7 @@ PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
 )
 
 
-_SHORT_PHASE_SECONDS = 200e-6  # s
+_MAX_UNTIMED_PHASE_SECONDS = 200e-6  # s
 _LAST_PHASE = PHASES[-1][0]
 
 
@@ -252,7 +252,7 @@ def _run_phases(world: World) -> None:
         passed = ended - started
         # Reading the CPU clock takes longer than many phases of a small crowd. Such phases get their wall time, and the next
         # longer phase gets the remainder.
-        processor_time = worked + passed if passed < _SHORT_PHASE_SECONDS and name != _LAST_PHASE else process_time()
+        processor_time = worked + passed if passed < _MAX_UNTIMED_PHASE_SECONDS and name != _LAST_PHASE else process_time()
         timings[name] = timings.get(name, 0.0) + passed
         spent[name] = spent.get(name, 0.0) + processor_time - worked
         started, worked = ended, processor_time

@@ -13,7 +13,7 @@ from time import monotonic
 from antdsl.plan.ir import LayerPlan, Plan
 from antdsl.runtime.backends import NumpyBackend
 from antdsl.runtime.backends.block_compiler import BlockInstruction
-from antdsl.runtime.backends.metering import MeteredBlock
+from antdsl.runtime.backends.metering import BlockCallMeter
 from antdsl.runtime.world import World
 from antdsl.source import Span
 
@@ -61,7 +61,7 @@ class StepProfile:
 
 
 @dataclass(slots=True)
-class _Measurement:
+class _StepMeasurement:
     """The times (s) of `steps` steps. `end_time` (s): the clock time at the end of the last step.
 
     `phases`, `cpu_seconds`: wall time and CPU time by phase. `calls`: the time of each call, by block."""
@@ -72,7 +72,7 @@ class _Measurement:
     cpu_seconds: dict[str, float]
     calls: dict[BlockKey, list[float]]
 
-    def add(self, other: _Measurement) -> None:
+    def add_measurement(self, other: _StepMeasurement) -> None:
         self.steps += other.steps
         self.end_time = other.end_time
         for mine, theirs in ((self.phases, other.phases), (self.cpu_seconds, other.cpu_seconds)):
@@ -86,12 +86,12 @@ class _Measurement:
 class StepMeter:
     """A meter of the mean times per frame, over the frames of the last `seconds`, or over all frames if it is None.
 
-    Call `begin` before each step and `end` after it. The steps may belong to different worlds. If the program changes, earlier
-    measurements are discarded. Measurements of NumPy are discarded once machine code runs the steps."""
+    Call `begin_measuring` before each step and `record_steps` after it. The steps may belong to different worlds. If the program
+    changes, earlier measurements are discarded. Measurements of NumPy are discarded once machine code runs the steps."""
 
     def __init__(self, seconds: float | None = 1.0, *, clock: Callable[[], float] = monotonic) -> None:
         self._seconds, self._clock = seconds, clock
-        self._measurements: deque[_Measurement] = deque()
+        self._measurements: deque[_StepMeasurement] = deque()
         self._plan: Plan | None = None
         self._instructions: dict[BlockKey, list[BlockInstruction]] = {}
         self._world: World | None = None
@@ -99,13 +99,13 @@ class StepMeter:
         self._frames_by_backend: dict[str, int] = {}
         self._times_before: tuple[dict[str, float], dict[str, float]] = ({}, {})
 
-    def begin(self, world: World) -> None:
+    def begin_measuring(self, world: World) -> None:
         """Start to measure the next step."""
         if world is not self._world:
-            self.stop()
+            self.stop_measuring()
             self._world = world
             if isinstance(world.backend, NumpyBackend):
-                world.backend.set_timing(True)
+                world.backend.set_timing_enabled(True)
         if world.plan is not self._plan:
             self._plan = world.plan
             self._measurements.clear()
@@ -113,9 +113,9 @@ class StepMeter:
             self._instructions = {key: metered.instructions for key, metered in _collect_metered_blocks(world).items()}
         self._times_before = dict(world.timings), dict(world.cpu_seconds)
         for metered in _collect_metered_blocks(world).values():
-            metered.reset()
+            metered.reset_counters()
 
-    def end(self, world: World) -> None:
+    def record_steps(self, world: World) -> None:
         """Add the completed step to the measurements."""
         if world is not self._world:
             return
@@ -124,32 +124,32 @@ class StepMeter:
             for previous_times, current_times in zip(self._times_before, (world.timings, world.cpu_seconds), strict=True)
         )
         calls = {key: metered.seconds for key, metered in _collect_metered_blocks(world).items()}
-        now = _Measurement(1, self._clock(), phases, worked, calls)
+        now = _StepMeasurement(1, self._clock(), phases, worked, calls)
         if isinstance(world.backend, NumpyBackend):
             by = world.backend.backend_name
             if by != self._backend_name:
                 self._measurements.clear()
             self._backend_name, self._frames_by_backend[by] = by, self._frames_by_backend.get(by, 0) + 1
         if self._seconds is None and self._measurements:
-            self._measurements[0].add(now)
+            self._measurements[0].add_measurement(now)
             return
         self._measurements.append(now)
         while self._seconds is not None and self._measurements[0].end_time < now.end_time - self._seconds:
             self._measurements.popleft()
 
-    def stop(self) -> None:
+    def stop_measuring(self) -> None:
         """Stop the measurement. The results remain available."""
         if self._world is not None and isinstance(self._world.backend, NumpyBackend):
-            self._world.backend.set_timing(False)
+            self._world.backend.set_timing_enabled(False)
         self._world = None
 
     def profile(self) -> StepProfile:
         """Return the averages so far; an empty profile before the first step."""
         if not self._measurements or self._plan is None:
             return StepProfile()
-        total = _Measurement(0, 0.0, {}, {}, {})
+        total = _StepMeasurement(0, 0.0, {}, {}, {})
         for each in self._measurements:
-            total.add(each)
+            total.add_measurement(each)
         to_ms = 1000 / total.steps
         phases = {name: seconds * to_ms for name, seconds in total.phases.items()}
         worked = {name: seconds * to_ms for name, seconds in total.cpu_seconds.items()}
@@ -159,12 +159,12 @@ class StepMeter:
         layers = self._list_layer_times(self._plan, total, to_ms)
         return StepProfile(total.steps, sum(phases.values()), phases, worked, layers, tuple(lines), dict(self._frames_by_backend))
 
-    def _iterate_instruction_times(self, total: _Measurement) -> Iterator[tuple[BlockInstruction, float]]:
+    def _iterate_instruction_times(self, total: _StepMeasurement) -> Iterator[tuple[BlockInstruction, float]]:
         """Yield each instruction with its time (s)."""
         for key, times in total.calls.items():
             yield from zip(self._instructions[key], times, strict=True)
 
-    def _list_layer_times(self, plan: Plan, total: _Measurement, to_ms: float) -> tuple[LayerTime, ...]:
+    def _list_layer_times(self, plan: Plan, total: _StepMeasurement, to_ms: float) -> tuple[LayerTime, ...]:
         """Return the times of all layers in order, including layers that no agent reached."""
         layer_times: list[LayerTime] = []
         for name, species in plan.species.items():
@@ -179,7 +179,7 @@ class StepMeter:
         return tuple(layer_times)
 
 
-def _collect_metered_blocks(world: World) -> dict[BlockKey, MeteredBlock]:
+def _collect_metered_blocks(world: World) -> dict[BlockKey, BlockCallMeter]:
     return world.backend.metered_blocks if isinstance(world.backend, NumpyBackend) else {}
 
 

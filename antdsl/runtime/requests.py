@@ -85,7 +85,7 @@ class EffectRequests:
         """Add a request."""
         self.requests.setdefault(entry.request.op, []).append(entry)
 
-    def take_requests(self, op: str) -> list[RequestEntry]:
+    def pop_requests(self, op: str) -> list[RequestEntry]:
         """Remove and return all requests of one operation, such as `deposit`."""
         return self.requests.pop(op, [])
 

@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from antdsl.fields.pheromone import PheromoneField
     from antdsl.fields.vector_field import VectorField
     from antdsl.ground.solid import Volume
-    from antdsl.runtime.binding.overcrowding import OvercrowdedLine
+    from antdsl.runtime.binding.overcrowding import OvercrowdedCrowd
     from antdsl.runtime.faults import FaultLog
     from antdsl.runtime.feet.feet_state import FeetState
     from antdsl.runtime.feet.feet_step import LegsOfBody
     from antdsl.runtime.feet.foothold_search import FootGround
     from antdsl.runtime.level_of_detail import DetailLevels
     from antdsl.runtime.motion_measures import MotionMeasures
-    from antdsl.runtime.notes.note_run import NoteRun
+    from antdsl.runtime.notes.note_run import ActiveNotesRun
     from antdsl.runtime.periodic_world import PeriodicWorld
     from antdsl.senses.neighbours import CellGrid
 from antdsl.senses.touching import TouchingAgents
@@ -47,10 +47,10 @@ DTYPE_BY_KIND: Mapping[ir.ValueKind, type[np.generic]] = {
     ir.ValueKind.F32: np.float32, ir.ValueKind.BOOL: np.bool_, ir.ValueKind.I32: np.int32, ir.ValueKind.I64: np.int64,
 }  # fmt: skip
 AXES = ("x", "y", "z")
-PUSHED_REGISTER = "moved"  # mm per step, by contacts; only species that use it have this register
+PUSHED_DISTANCE_REGISTER = "moved"  # mm per step, by contacts; only species that use it have this register
 UNWRAPPED_REGISTERS = tuple(f"unwrapped.{axis}" for axis in AXES)  # mm; only species of periodic worlds have them
 MOVED_REGISTERS = tuple(name for column in REGISTER_COLUMN_BY_NAME.values() if column.shape for name in column.registers)
-Scalar = TypeVar("Scalar", bound=np.generic)
+ScalarType = TypeVar("ScalarType", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,16 +88,16 @@ class Items:
             np.copyto(self.visible_values[name], amount, casting="same_kind")
 
 
-class FixedColumn(Generic[Scalar]):
+class FixedColumnProperty(Generic[ScalarType]):
     """An attribute of a population that gets and sets the array of the same name in `columns`."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
 
-    def __get__(self, population: Population, owner: type | None = None) -> NDArray[Scalar]:
+    def __get__(self, population: Population, owner: type | None = None) -> NDArray[ScalarType]:
         return population.columns[self._name]
 
-    def __set__(self, population: Population, array: NDArray[Scalar]) -> None:
+    def __set__(self, population: Population, array: NDArray[ScalarType]) -> None:
         population.columns[self._name] = array
 
 
@@ -106,11 +106,11 @@ class Population:
     """All living agents of one species, as arrays with one row per agent. `columns`: the arrays in `FIXED_COLUMN_BY_NAME`.
     `start`, `now`: registers at the start of the step, and their current values. `cells`: each agent's cell, by field."""
 
-    ids = FixedColumn[np.int64]()
-    born = FixedColumn[np.int64]()
-    quarantined = FixedColumn[np.bool_]()
-    position = FixedColumn[np.float64]()
-    normal = FixedColumn[np.float32]()
+    ids = FixedColumnProperty[np.int64]()
+    born = FixedColumnProperty[np.int64]()
+    quarantined = FixedColumnProperty[np.bool_]()
+    position = FixedColumnProperty[np.float64]()
+    normal = FixedColumnProperty[np.float32]()
 
     plan: ir.SpeciesPlan
     columns: dict[str, NDArray[Any]]
@@ -125,7 +125,7 @@ class Population:
     effects: EffectRequests = field(default_factory=EffectRequests)
     claimed_totals: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # by site: total claimed in this step
     version: int = 0  # changes when rows change
-    reordered: tuple[NDArray[np.int64], NDArray[np.intp]] | None = None  # ids before the last `select_rows`, and its rows
+    reordered: tuple[NDArray[np.int64], NDArray[np.intp]] | None = None  # ids before the last `retain_rows`, and its rows
     next_id: int = 0
     replaced_poses: tuple[NDArray[Any], ...] | None = None  # poses of leaning bodies, which `level_headings` replaced
     buffers: dict[str, tuple[NDArray[Any], ...]] = field(default_factory=dict)  # by name, for `get_buffers`
@@ -139,14 +139,14 @@ class Population:
     # the plan, the number of agents, and arrays of zeros
     _cached_temps: tuple[ir.SpeciesPlan, int, dict[str, NDArray[Any]]] | None = None
 
-    def state_registers(self) -> tuple[str, ...]:
+    def list_state_registers(self) -> tuple[str, ...]:
         """Return the names of registers that belong to the state, in order."""
         if self._cached_state_names is None or self._cached_state_names[0] is not self.plan:
             names = tuple(name for name in sorted(self.now) if self.plan.registers[name].role != "temp")
             self._cached_state_names = (self.plan, names)
         return self._cached_state_names[1]
 
-    def clear_temps(self, threads: int = 1) -> None:
+    def clear_temporary_registers(self, threads: int = 1) -> None:
         """Set all registers that exist only within a step to 0."""
         n = len(self)
         if self._cached_temps is None or self._cached_temps[0] is not self.plan or self._cached_temps[1] != n:
@@ -170,7 +170,7 @@ class Population:
     def __len__(self) -> int:
         return len(self.columns["ids"])
 
-    def sorted_ids(self) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    def get_sorted_ids(self) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
         """Return all ids in ascending order, and the row of each id. Callers must not change these arrays."""
         if self._cached_rows is None or self._cached_rows[0] != self.version:
             order = sort_stably(self.ids)
@@ -179,28 +179,28 @@ class Population:
 
     def find_rows(self, ids: NDArray[np.int64]) -> NDArray[np.intp]:
         """Return the row of each id; -1 for dead agents and for the id -1."""
-        known, order = self.sorted_ids()
+        known, order = self.get_sorted_ids()
         if not len(known):
             return np.full(np.shape(ids), -1, np.intp)
         at = np.minimum(np.searchsorted(known, ids), len(known) - 1)
         return np.where(known[at] == ids, order[at], -1)
 
-    def rows_by_id(self) -> NDArray[np.intp]:
+    def get_rows_by_id(self) -> NDArray[np.intp]:
         """Return all rows in ascending order of the agents' ids."""
-        return self.sorted_ids()[1]
+        return self.get_sorted_ids()[1]
 
-    def id_ranks(self) -> NDArray[np.int32]:
+    def compute_id_ranks(self) -> NDArray[np.int32]:
         """Return, for each row, the rank of its id among all ids."""
         if self._cached_ranks is None or self._cached_ranks[0] != self.version:
-            self._cached_ranks = self.version, invert_order(self.rows_by_id())
+            self._cached_ranks = self.version, invert_order(self.get_rows_by_id())
         return self._cached_ranks[1]
 
-    def pick_ids(self, share: NDArray[np.uint64]) -> NDArray[np.int64]:
+    def draw_living_ids(self, random_words: NDArray[np.uint64]) -> NDArray[np.int64]:
         """Return the id of a living agent for each 32-bit random word, uniformly distributed. -1 if no agent lives."""
-        known, _ = self.sorted_ids()
+        known, _ = self.get_sorted_ids()
         if not len(known):
-            return np.full(np.shape(share), -1, np.int64)
-        return known[((share * np.uint64(len(known))) >> np.uint64(32)).astype(np.intp)]
+            return np.full(np.shape(random_words), -1, np.int64)
+        return known[((random_words * np.uint64(len(known))) >> np.uint64(32)).astype(np.intp)]
 
     def read_vector(self, name: str, *, is_current: bool = True) -> NDArray[np.float64]:
         """Return the components of a vector register, float64 (n, 3): current values, or those at the start of the step."""
@@ -211,13 +211,13 @@ class Population:
 class StepBackend(Protocol):
     """The interface of backends, which run the blocks of a plan; see `backends`."""
 
-    def begin(self, world: World) -> None:
+    def begin_step(self, world: World) -> None:
         """Begin a step: discard data that was cached for the last step."""
 
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Run a block for the agents `rows`; None means all agents."""
 
-    def messages(self) -> list[str]:
+    def list_messages(self) -> list[str]:
         """Return messages for the user, for example that NumPy runs instead of machine code. Results are the same."""
 
 
@@ -263,8 +263,8 @@ class World:
     emissions: list[dict[str, NDArray[Any]]] | None = None  # columns of `EMIT` since the last retrieval; None: not recorded
     spec_values: dict[str, np.float32] = field(default_factory=dict)  # aggregate values that a spec requests, by name
     detail_levels: DetailLevels | None = None
-    notes: NoteRun | None = None  # None: the scene has none
-    overcrowded_lines: list[OvercrowdedLine] = field(default_factory=list)  # crowd lines without space for all agents
+    notes: ActiveNotesRun | None = None  # None: the scene has none
+    overcrowded_lines: list[OvercrowdedCrowd] = field(default_factory=list)  # crowd lines without space for all agents
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step after the phase `act`
     feet: dict[str, FeetState] = field(default_factory=dict)  # by body key; only those with computed feet
     legs_by_species: dict[str, LegsOfBody] = field(default_factory=dict)  # legs and gaits, by body key
@@ -285,9 +285,9 @@ class World:
         return sum([len(p.ids) for p in self.populations.values()])
 
 
-def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
+def list_stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
     """Return the registers that a block or a phase may change after birth."""
-    names = {*MOVED_REGISTERS, PUSHED_REGISTER, *UNWRAPPED_REGISTERS}
+    names = {*MOVED_REGISTERS, PUSHED_DISTANCE_REGISTER, *UNWRAPPED_REGISTERS}
     pending: list[ir.Block] = [plan.decide, plan.act, plan.blend]
     while pending:
         for statement in pending.pop().statements:
@@ -302,7 +302,7 @@ def stored_registers(plan: ir.SpeciesPlan) -> frozenset[str]:
     return frozenset(names)
 
 
-def shares_start_array(plan: ir.SpeciesPlan, register: str, stored_registers: frozenset[str]) -> bool:
+def is_start_array_shared(plan: ir.SpeciesPlan, register: str, stored_registers: frozenset[str]) -> bool:
     """Return whether one array is enough for both the start values and the current values of a register.
 
     It is if the register never changes after birth, or exists only within a step."""
@@ -312,8 +312,10 @@ def shares_start_array(plan: ir.SpeciesPlan, register: str, stored_registers: fr
 def make_empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
     """Return a population without agents; `add_rows` adds agents."""
     now = {name: np.empty(0, DTYPE_BY_KIND[r.kind]) for name, r in plan.registers.items()}
-    stored = stored_registers(plan)
-    start = {name: array if shares_start_array(plan, name, stored) else np.empty(0, array.dtype) for name, array in now.items()}
+    stored = list_stored_registers(plan)
+    start = {
+        name: array if is_start_array_shared(plan, name, stored) else np.empty(0, array.dtype) for name, array in now.items()
+    }
     events, raised = ({name: np.empty(0, np.bool_) for name in plan.event_names} for _ in range(2))
     return Population(plan, make_fixed_columns(0), start, now, ground.create_unplaced(0), events, raised)
 
@@ -328,7 +330,7 @@ def make_fixed_columns(count: int, **known: Any) -> dict[str, NDArray[Any]]:
     }
 
 
-def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
+def retain_rows(population: Population, rows: NDArray[np.intp]) -> None:
     """Reduce a population to the given rows, in the given order."""
     _reorder_columns(population, rows)
     _replace_registers(population, lambda array, _: gather_padded(array, rows))
@@ -355,7 +357,7 @@ def _reorder_columns(population: Population, rows: NDArray[np.intp]) -> None:
     """Reorder all arrays except registers by `rows`."""
     population.reordered = (population.ids, rows)
     for name, array in population.columns.items():
-        population.columns[name] = _select_vectors(array, rows) if name == "position" else array.take(rows, axis=0)
+        population.columns[name] = _select_vector_rows(array, rows) if name == "position" else array.take(rows, axis=0)
     population.footing = population.footing.select_rows(rows)
     population.cells.clear()
     for table in (population.events, population.raised_events):
@@ -363,7 +365,7 @@ def _reorder_columns(population: Population, rows: NDArray[np.intp]) -> None:
             table[name] = array.take(rows)
 
 
-def _select_vectors(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
+def _select_vector_rows(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
     """Return the given rows of vectors (n, 3). Each component of the result is contiguous in memory."""
     picked = np.empty((3, len(rows)), vectors.dtype)
     for component, own in zip(picked, vectors.T, strict=True):

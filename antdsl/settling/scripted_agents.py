@@ -15,7 +15,7 @@ from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.cache.frame_agents import get_agent_ids, get_species_numbers
 from antdsl.outputs.cache.manifest import Manifest
 from antdsl.outputs.edits.frame_rows import match_rows
-from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows
+from antdsl.runtime.world import AXES, Population, World, add_rows, retain_rows
 from antdsl.scene.thing_models import UNIT_MM
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def _place_agents(
     footing = world.ground.find_nearest(position)[0]
     missing = np.flatnonzero(population.find_rows(ids) < 0)
     if len(missing) and len(population):
-        known, rows = population.sorted_ids()
+        known, rows = population.get_sorted_ids()
         originals = population.find_rows(ids[missing] % max(period, 1))
         nearest = rows[np.maximum(np.searchsorted(known, ids[missing], side="right") - 1, 0)]
         templates = np.where(originals >= 0, originals, nearest)
@@ -79,7 +79,7 @@ def _place_agents(
         population.normal[added] = population.normal[templates]
         known_rows = np.concatenate([known_rows, np.arange(added.start, added.stop)])
     if len(known_rows) < len(population):
-        select_rows(population, known_rows)
+        retain_rows(population, known_rows)
     rows = population.find_rows(ids)
     at = np.flatnonzero(rows >= 0)
     rows = rows[at]

@@ -68,7 +68,7 @@ def simulate_cache(document: Mapping[str, Any], worker: WorkerContext) -> dict[s
         worker.notes += recording.notes
         for _ in record_frames(recording):
             worker.report_frame(recording.world.frame)
-        worker.notes += recording.world.backend.messages()
+        worker.notes += recording.world.backend.list_messages()
     summary = {"frames": recording.world.frame - document["frames"][0] + 1, "hash": recording.last_state_hash}
     return {**to.describe_files(worker, place, document["key"]), **summary}
 

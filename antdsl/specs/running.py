@@ -59,7 +59,7 @@ def run_cases(runs: Iterable[SpecRun], context: RunContext) -> None:
             _fail_cases(run, SpecFailure(f"the run was aborted: {error or type(error).__name__}".lower(), None))
         finally:
             for world in context.worlds:
-                context.messages |= dict.fromkeys(world.backend.messages())
+                context.messages |= dict.fromkeys(world.backend.list_messages())
             context.worlds.clear()
         for case in run.cases:  # the cost of a run is divided among its cases
             case.outcome = "failed" if case.failures else "passed"
@@ -67,7 +67,7 @@ def run_cases(runs: Iterable[SpecRun], context: RunContext) -> None:
             if context.failure_saver is not None and id(case) in moments:
                 case.saved_frames = context.failure_saver.save_failure(run, case, moments[id(case)], context.binding_cache)
             context.report_case(case)
-        context.binding_cache.drop_unused()
+        context.binding_cache.drop_unused_values()
 
 
 def _fail_cases(run: SpecRun, failure: SpecFailure) -> None:
@@ -130,7 +130,7 @@ def _make_world(shot: Shot, seed: int, work: RunContext) -> World:
     work.coverage.watch_world(world, shot.program)
     for _ in range(shot.scene.model.preroll):
         step(world)
-    world.motion.reset()
+    world.motion.reset_step_measures()
     return world
 
 

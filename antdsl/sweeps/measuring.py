@@ -69,7 +69,7 @@ def measure_job(document: Mapping[str, Any], worker: WorkerContext) -> dict[str,
         with raise_as_task_rejected(BindError, StartError, FaultStop):
             return _simulate_job(job, worker, built)
     finally:
-        built.drop_unused()
+        built.drop_unused_values()
 
 
 def _simulate_job(job: SweepJob, worker: WorkerContext, binding_cache: BindingCache) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def _simulate_job(job: SweepJob, worker: WorkerContext, binding_cache: BindingCa
     start_from_cache(shot, world)
     for _ in range(shot.scene.model.preroll):
         step(world)
-    world.motion.reset()
+    world.motion.reset_step_measures()
     recording.measures = RunMeasures(shot.measures, shot.until, world)
     empty: dict[str, int | None] = {}
     series = MeasureSeries(shot.measure_names, shot.frames)
@@ -98,7 +98,7 @@ def _simulate_job(job: SweepJob, worker: WorkerContext, binding_cache: BindingCa
         worst = max(worst, measure_surface_error(world))
         recording.steps += 1
         worker.report_frame(world.frame)
-    worker.notes += world.backend.messages()
+    worker.notes += world.backend.list_messages()
     recording.frame, recording.surface_error = world.frame, worst
     recording.last_state_hash = state_hash(world)
     recording.add_time("step", began)

@@ -164,7 +164,7 @@ def test_missing_machine_code_is_reported_with_the_times(
 ) -> None:
     coming: Future[None] = Future()
     coming.set_exception(compile_queue.CodeUnavailable("llvmlite is not there: install it"))
-    monkeypatch.setattr("antdsl.runtime.backends.native.native_backend.start_building", lambda *_: coming)
+    monkeypatch.setattr("antdsl.runtime.backends.native.native_backend.start_code_build", lambda *_: coming)
     measurement = measure_job(BenchJob("node", 1, ("native", "numpy"), turns=1, steps=1))
     (line,) = list_messages(BenchCaseResult((measurement,)))
     assert line.startswith("native: NumPy runs instead of machine code") and line.endswith("llvmlite is not there: install it")

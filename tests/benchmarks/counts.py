@@ -147,22 +147,22 @@ def _count_instructions(world: World, counts: StepCounts) -> Iterator[None]:
         yield
         return
     counts |= {"instructions": 0, "instruction_bytes": 0, "elements": 0}
-    NumpyBackend.set_timing(backend, True)  # also if the backend would continue with its own code
+    NumpyBackend.set_timing_enabled(backend, True)  # also if the backend would continue with its own code
     scopes = {id(each.scope): each.scope for block in backend.metered_blocks.values() for each in block.instructions}
-    plain = [(scope, scope.calls) for scope in scopes.values()]
+    plain = [(scope, scope.bound_calls) for scope in scopes.values()]
     for scope, calls in plain:
-        scope.calls = [_counting_call(call, code, counts) for call, code in zip(calls, scope.code, strict=True)]
+        scope.bound_calls = [_counting_call(call, code, counts) for call, code in zip(calls, scope.code, strict=True)]
     try:
         yield
     finally:
         for scope, calls in plain:
-            scope.calls = calls
-        NumpyBackend.set_timing(backend, False)
+            scope.bound_calls = calls
+        NumpyBackend.set_timing_enabled(backend, False)
 
 
 def _counting_call(call: SlotFunction, instruction: BlockInstruction, counts: StepCounts) -> SlotFunction:
     slots = (*instruction.inputs, *([instruction.slot] if instruction.slot >= 0 else []))
-    size = instruction.scope.row_count
+    size = instruction.scope.row_count_slot
 
     def run(v: SlotValues) -> None:
         call(v)

@@ -107,7 +107,7 @@ def crossed(world: World, goal: Floats | None, seconds: float) -> Crossed:
     while frame < FPS * seconds:
         step(world)
         frame += 1
-        order = people.rows_by_id()
+        order = people.get_rows_by_id()
         place, ids = people.position[order] + world.origin, people.ids[order]
         trail = [*trail[-LATE:], (ids, place)]
         if len(place) > 1:

@@ -38,9 +38,9 @@ def main() -> None:
             turn = process_time()
             if number == 8:  # kernels are loaded, and code is made
                 meter = StepMeter(None)
-            meter.begin(watched)
+            meter.begin_measuring(watched)
             step(watched)
-            meter.end(watched)
+            meter.record_steps(watched)
             if number >= 8:
                 alone.append(1000 * (turn - began))
                 measured.append(1000 * (process_time() - turn))

@@ -95,7 +95,7 @@ def walked(scene: str, frames: int) -> list[Floats]:
     world = bind(shot.plan, shot.setting, Options(threads=1))
     roaches, positions = world.populations["roach"], []
     for _ in range(frames):
-        positions.append(np.ascontiguousarray(roaches.position[roaches.rows_by_id()].T, np.float32))
+        positions.append(np.ascontiguousarray(roaches.position[roaches.get_rows_by_id()].T, np.float32))
         step(world)
     return positions
 

@@ -27,8 +27,8 @@ def walkers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         coming.set_exception(compile_queue.CodeUnavailable(WHY))
         return coming
 
-    monkeypatch.setattr(native_backend, "start_building", beside)
-    monkeypatch.setattr(native_backend, "find_ready_code", lambda plan, facts: None)
+    monkeypatch.setattr(native_backend, "start_code_build", beside)
+    monkeypatch.setattr(native_backend, "find_compiled_code", lambda plan, facts: None)
     monkeypatch.setattr(
         native_backend, "find_stored_blocks", lambda plan, blocks, facts: None
     )  # an earlier test may have stored the code

@@ -94,7 +94,7 @@ def run(built: World, steps: int) -> np.ndarray:
     for _ in range(steps):
         step(built)
         ants = built.populations["ant"]
-        positions.append(ants.position[ants.rows_by_id()] + built.origin)
+        positions.append(ants.position[ants.get_rows_by_id()] + built.origin)
     return np.array(positions)
 
 

@@ -85,7 +85,7 @@ def leads(new_world: World) -> np.ndarray:
     """What agents read in a step, in the order of ids: nine inside, then nine outside."""
     step(new_world)
     ants = new_world.populations["ant"]
-    return ants.now["leads"][ants.rows_by_id()]
+    return ants.now["leads"][ants.get_rows_by_id()]
 
 
 BACKENDS = [

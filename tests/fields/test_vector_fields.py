@@ -92,7 +92,7 @@ species bird {
     assert {tuple(v) for v in vectors.tolist() if any(v)} == {(1.5, 1.0, -0.25), (0.75, 0.5, -0.5)}
     world = run(shot, 4)
     (population,) = world.populations.values()
-    rows = population.rows_by_id()
+    rows = population.get_rows_by_id()
     half = 0.5  # two steps of a second each, before those of the fourth step are read
     np.testing.assert_allclose(population.now["side"][rows], np.array([-0.25, -0.25, -0.5]) * half, rtol=1e-6)
     # the part along the ground's normal is left out of what agents read

@@ -48,7 +48,7 @@ def test_the_instructions_of_a_plan_mean_what_numpy_does(monkeypatch: pytest.Mon
         compile_queue, "code_cache", SimpleNamespace(load_code=lambda _, write: Interpreted(functions) if write() else None)
     )
     monkeypatch.setattr(
-        compile_queue, "stored_blocks", SimpleNamespace(number_plan=lambda *_: None, make_text_key=stored_blocks.make_text_key)
+        compile_queue, "stored_blocks", SimpleNamespace(index_plan=lambda *_: None, make_text_key=stored_blocks.make_text_key)
     )
     plan, setting = plans.rich(), plans.setting(11)
     worlds = [bind(plan, setting, Options("numpy")), bind(plan, setting, Options("native", wait_for_code=True))]

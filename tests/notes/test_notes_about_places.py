@@ -16,7 +16,7 @@ from antdsl.runtime.world import World
 
 def project(world: World, position: np.ndarray) -> np.ndarray:
     """Where the picture of the camera `front` shows positions (n, 3), from 0 at its left and bottom edge to 1: (n, 2)."""
-    eye, ahead, sides = SensedCamera(world.setting.cameras["front"], world.origin).find_pyramid(world.frame)
+    eye, ahead, sides = SensedCamera(world.setting.cameras["front"], world.origin).find_view_pyramid(world.frame)
     offset = position - eye
     depth = offset @ ahead
     return np.stack([(offset @ axis / (depth * tangent) + 1) / 2 for axis, tangent in sides], axis=1)
@@ -99,7 +99,7 @@ def test_heads_turn_to_an_agent_while_it_passes(tmp_path: Path) -> None:
 
     def measure(world: World) -> None:
         population = world.populations["ant"]
-        rows = population.rows_by_id()
+        rows = population.get_rows_by_id()
         queen = population.position[rows[7]]
         near.append(np.linalg.norm(population.position[rows] - queen, axis=1) <= 60)
         looks.append(population.now["notes_look_head.state"][rows] != 0)

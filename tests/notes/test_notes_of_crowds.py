@@ -33,7 +33,7 @@ def test_a_share_is_slowed_and_the_others_are_not(tmp_path: Path) -> None:
     shot = open_directed(tmp_path, "{retime: guards, share: 40 %, seed: 9, speed: 20 %}", count=60)
     track = follow(shot, 30)
     assert track.world.notes is not None
-    (active,) = track.world.notes.active
+    (active,) = track.world.notes.active_notes
     slow = np.isin(track.ids, track.world.populations["ant"].ids[active.rows["ant"]])
     assert 12 <= slow.sum() <= 36
     assert mean_speed(track, 3, 30, slow) < 0.3 * mean_speed(track, 3, 30, ~slow)
@@ -133,11 +133,13 @@ def test_memory_and_selections_follow_agents_through_deaths(tmp_path: Path) -> N
     while world.frame < 12:
         step(world)
     assert world.notes is not None
-    (ids,) = (array for name, array in world.notes.memory.items() if name.endswith("ant.ids") and not name.startswith("pace"))
+    (ids,) = (
+        array for name, array in world.notes.stored_arrays.items() if name.endswith("ant.ids") and not name.startswith("pace")
+    )
     assert 2 < len(ids) < 30
     while world.frame < 40:
         step(world)
-    (active,) = world.notes.active
+    (active,) = world.notes.active_notes
     assert np.array_equal(np.sort(world.populations["ant"].ids[active.rows["ant"]]), ids)
 
 
@@ -152,7 +154,7 @@ def test_no_agent_is_in_view_before_a_frame(tmp_path: Path) -> None:
             counts.append(
                 int(
                     SensedCamera(world.setting.cameras["front"], world.origin)
-                    .find_in_view(world.frame, place, np.zeros(len(place)))
+                    .find_positions_in_view(world.frame, place, np.zeros(len(place)))
                     .sum()
                 )
             )
@@ -178,7 +180,7 @@ def test_half_as_many_in_the_foreground(tmp_path: Path) -> None:
     for world in worlds:
         place = world.populations["ant"].position
         camera = SensedCamera(world.setting.cameras["front"], world.origin)
-        counts.append(int(camera.find_in_view(world.frame, place, np.zeros(len(place))).sum()))
+        counts.append(int(camera.find_positions_in_view(world.frame, place, np.zeros(len(place))).sum()))
     assert counts[0] > 10 and counts[1] == round(counts[0] / 2)
 
 
@@ -276,7 +278,7 @@ def test_the_three_nearest_to_a_camera_look_at_it(tmp_path: Path) -> None:
     for _ in range(3):
         step(world)
     assert world.notes is not None
-    (active,) = world.notes.active
+    (active,) = world.notes.active_notes
     ants = world.populations["ant"]
     distance = np.linalg.norm(ants.position - (20, 90, -150), axis=1)  # they walk less than 4 mm since the note began
     assert len(active.rows["ant"]) == 3 and distance[active.rows["ant"]].max() < np.sort(distance)[2] + 8

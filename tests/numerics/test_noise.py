@@ -104,7 +104,7 @@ def run(options: Options, frames: int = 4) -> tuple[list[str], np.ndarray]:
         step(world)
         hashes.append(state_hash(world))
     ants = world.populations["ant"]
-    assert world.faults.count == 0
+    assert world.faults.fault_count == 0
     order = np.argsort(ants.ids)
     return hashes, np.stack([ants.now["mood"], ants.now["near"]])[:, order]
 
@@ -122,7 +122,7 @@ def test_a_scale_of_nothing_is_refused_in_a_run_and_not_stored() -> None:
     world = bind(plan_of(text), plans.crowd(3), Options())
     with pytest.raises(FaultStop):
         step(world)
-    assert world.faults.count == 3 and (world.populations["ant"].now["mood"] == 5).all()
+    assert world.faults.fault_count == 3 and (world.populations["ant"].now["mood"] == 5).all()
 
 
 def test_checks_know_the_range_of_noise() -> None:

@@ -122,7 +122,9 @@ def test_what_agents_play(three: bool) -> None:
             return 300
 
     rows = np.argsort(ids)
-    population = Subset(name="ant", plan=plan, now=now, id_ranks=lambda: ids.astype(np.int32), rows_by_id=lambda: rows)
+    population = Subset(
+        name="ant", plan=plan, now=now, compute_id_ranks=lambda: ids.astype(np.int32), get_rows_by_id=lambda: rows
+    )
     clip_arrays = make_clip_arrays(population)  # type: ignore[arg-type]
     assert list(clip_arrays) == [
         f"clips.ant.m.{field}" for field in _REGISTER_BY_FIELD if three or field not in EARLIER_CLIP_FIELDS
@@ -161,7 +163,11 @@ def test_cells_of_a_field(count: int) -> None:
 def test_who_wears_a_layer() -> None:
     rng = np.random.default_rng(4)
     on, ids, initial_bits = rng.random(500) < 0.3, rng.permutation(500), rng.integers(0, 2**63, 500).astype(np.uint64)
-    population, layer_bits, rows = SimpleNamespace(id_ranks=lambda: ids.astype(np.int32)), initial_bits.copy(), np.argsort(ids)
+    population, layer_bits, rows = (
+        SimpleNamespace(compute_id_ranks=lambda: ids.astype(np.int32)),
+        initial_bits.copy(),
+        np.argsort(ids),
+    )
     for bit in (0, 5, 63):
         mark_layer(population, on, np.uint64(1 << bit), layer_bits)  # type: ignore[arg-type]
     expected = np.where(on[rows], initial_bits | np.uint64(1 | 1 << 5 | 1 << 63), initial_bits)
@@ -174,7 +180,7 @@ def test_colours_of_states() -> None:
     colours = np.random.default_rng(7).random((5, 3)).astype(np.float32)
     plan = SimpleNamespace(machines=[SimpleNamespace(name="m", colours=colours)])
     world = SimpleNamespace(options=SimpleNamespace(threads=1))
-    population = SimpleNamespace(plan=plan, now={"m.state": states}, id_ranks=lambda: ids.astype(np.int32))
+    population = SimpleNamespace(plan=plan, now={"m.state": states}, compute_id_ranks=lambda: ids.astype(np.int32))
     result = written(lambda out: write_colours(world, population, out), (300, 3))  # type: ignore[arg-type]
     assert np.array_equal(result[ids], colours[states])
     for wrong in (5, -1):

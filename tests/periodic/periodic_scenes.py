@@ -94,4 +94,4 @@ def wrapped(values: NDArray[np.float64], width: float = 2 * HALF) -> NDArray[np.
 def read_vector(world: World, name: str) -> NDArray[np.float64]:
     """A vector attribute of the only species, by id."""
     population = next(iter(world.populations.values()))
-    return population.read_vector(name)[population.rows_by_id()]
+    return population.read_vector(name)[population.get_rows_by_id()]

@@ -76,7 +76,7 @@ def test_a_shifted_crowd_makes_room_in_the_same_way(tmp_path: Path, by: tuple[fl
     one, other = (run(open_balls(tmp_path, write_points(tmp_path, points + shift)), 6) for shift in (0, np.array(by)))  # type: ignore[arg-type]
     difference = wrapped(read_vector(other, "position") - read_vector(one, "position") - by)
     assert np.abs(difference).max() < 1e-3
-    hits = [world.populations["ball"].now["hits"][world.populations["ball"].rows_by_id()] for world in (one, other)]
+    hits = [world.populations["ball"].now["hits"][world.populations["ball"].get_rows_by_id()] for world in (one, other)]
     assert hits[0].sum() > 0 and np.array_equal(*hits)
 
 

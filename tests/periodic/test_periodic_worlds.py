@@ -53,7 +53,7 @@ def test_neighbours_are_the_nearest_images(tmp_path: Path, radius: float) -> Non
     place, ahead = read_vector(start, "position"), read_vector(start, "heading")
     world = run(shot, 1)
     (population,) = world.populations.values()
-    rows = population.rows_by_id()
+    rows = population.get_rows_by_id()
     offset = wrapped(place[None, :] - place[:, None])
     distance = np.sqrt((offset**2).sum(axis=2))
     np.fill_diagonal(distance, np.inf)
@@ -140,7 +140,7 @@ species bird {
         np.testing.assert_allclose(wrapped(place - 3 * frame * heading), 0, atol=1e-4)
         (population,) = world.populations.values()
         np.testing.assert_allclose(population.now["gone"][0], 3 * (frame - 1), atol=1e-4)
-    assert world.motion.summary()["step_max"] <= 1 + 1e-5, "no measure takes a wrap for a step"
+    assert world.motion.summarise()["step_max"] <= 1 + 1e-5, "no measure takes a wrap for a step"
 
 
 def test_a_world_without_surfaces_wraps(tmp_path: Path) -> None:

@@ -140,7 +140,7 @@ def test_heights_continue_across_the_seam(tmp_path: Path) -> None:
     assert np.abs(wrapped(unwrapped - place)).max() < 1e-4
     expected = 0.3 * np.cos(4 * np.pi * (place[:, 0] + 8) / 16) + 0.4 * np.sin(2 * np.pi * (place[:, 2] + 8) / 16)
     np.testing.assert_allclose(place[:, 1], expected, atol=0.03)
-    assert world.motion.summary()["step_max"] == pytest.approx(1, abs=1e-3)
+    assert world.motion.summarise()["step_max"] == pytest.approx(1, abs=1e-3)
     assert state_hash(run(shot, 3, Options(backend="reference"))) == state_hash(run(shot, 3, Options(threads=2, shuffle_rows=1)))
 
 
@@ -180,7 +180,7 @@ def test_obstacles_are_seen_and_block_across_the_seam(tmp_path: Path) -> None:
     place, heading = read_vector(start, "position"), read_vector(start, "heading")
     world = run(shot, 1)
     (population,) = world.populations.values()
-    rows = population.rows_by_id()
+    rows = population.get_rows_by_id()
     np.testing.assert_allclose(population.now["gap"][rows], 7.75 - np.abs(place[:, 0]), atol=1e-4)
     far = (7.75 - np.sign(heading[:, 0]) * place[:, 0]) / np.abs(heading[:, 0])
     np.testing.assert_allclose(population.now["ahead"][rows], np.where(far <= 8, far, 99), rtol=1e-4)

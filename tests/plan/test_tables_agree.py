@@ -104,8 +104,8 @@ def test_every_effect_is_lowered_and_settled() -> None:
     assert request_ops == set(EFFECT_BY_OPERATION), (
         f"{request_ops ^ set(EFFECT_BY_OPERATION)}: each has to stand in EVERYTHING above"
     )
-    assert set(EFFECT_BY_OPERATION) == set(phases.SETTLER_BY_EFFECT), (
-        f"{set(EFFECT_BY_OPERATION) ^ set(phases.SETTLER_BY_EFFECT)}: each has a function that settles it"
+    assert set(EFFECT_BY_OPERATION) == set(phases.RESOLVER_BY_EFFECT), (
+        f"{set(EFFECT_BY_OPERATION) ^ set(phases.RESOLVER_BY_EFFECT)}: each has a function that settles it"
     )
     assert set(VERB_BY_WORD) - set(EFFECT_BY_OPERATION) == {
         "give",
@@ -133,7 +133,7 @@ def test_every_effect_is_lowered_and_settled() -> None:
 def marked(world: World) -> None:
     """Add up what the ants ask to be marked, in their register `marks`."""
     for population in world.populations.values():
-        for entry in population.effects.take_requests("mark"):
+        for entry in population.effects.pop_requests("mark"):
             population.now["marks"][entry.rows] += entry.get_required_operand(0)
 
 
@@ -152,7 +152,7 @@ def test_an_effect_is_a_row_and_a_function(monkeypatch: pytest.MonkeyPatch) -> N
         needs_positive_operand=True,
     )
     monkeypatch.setitem(EFFECT_BY_OPERATION, "mark", row)
-    monkeypatch.setitem(phases.SETTLER_BY_EFFECT, "mark", marked)
+    monkeypatch.setitem(phases.RESOLVER_BY_EFFECT, "mark", marked)
     t = plans.Text()
     amount = t("sub", t("number", t("id")), 2.0)
     plan = plans.bare(plans.block(ir.Request("mark", "", (amount,), None, register="marks")), "marks")

@@ -47,7 +47,7 @@ def filled(ahead: LookAheadSimulation, session: PreviewSession) -> LookAheadSimu
 
 def positions_by_id(session: PreviewSession) -> np.ndarray:
     population = session.world.populations["forager"]
-    return population.position[population.rows_by_id()].astype(np.float32)
+    return population.position[population.get_rows_by_id()].astype(np.float32)
 
 
 def test_paths_are_where_the_agents_will_be_and_the_session_is_as_it_was(session: PreviewSession) -> None:

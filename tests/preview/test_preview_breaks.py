@@ -440,7 +440,7 @@ def test_behind_a_fault_it_is_explained_as_it_went_on(scene: Path, on_fault: Any
     edit(scene, "load += 1", "load += 1 / (load * 0)")
     driver = Driver(scene, checkpoint_interval=50, options=Options(on_fault=on_fault))
     driver.play(30)
-    assert driver.session.world.faults.count > 0
+    assert driver.session.world.faults.fault_count > 0
     message = Explainer(driver.session).make_message("walker", 1, driver.session.frame)
     if on_fault == "stop":
         assert (message["message"], message["explanation"]["hash"]) == ("", driver.session.state_hash)

@@ -53,7 +53,7 @@ def test_a_frame_tells_what_agents_play(live: LiveSimulation, scene: Path) -> No
     for _ in range(60):
         session.step()
     walkers = session.world.populations["walker"]
-    rows = walkers.rows_by_id()
+    rows = walkers.get_rows_by_id()
     clips = [clip.name for clip in walkers.plan.clips]
     playing = set()
     for machine in ("legs", "arms"):

@@ -43,7 +43,7 @@ def test_a_frame_shows_what_the_session_holds(live: LiveSimulation, scene: Path)
         session.step()
     ants = session.world.populations["forager"]
     assert list(arrays["forager/id"]) == sorted(ants.ids)
-    rows = ants.rows_by_id()
+    rows = ants.get_rows_by_id()
     assert np.array_equal(agent_positions(arrays, "forager"), ants.position[rows].astype(np.float32))
     assert np.allclose(arrays["forager/heading"].reshape(-1, 3) / 127, ants.read_vector("heading")[rows], atol=0.004)
     assert np.array_equal(arrays["forager/state/main"], ants.now["main.state"][rows])

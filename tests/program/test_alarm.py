@@ -25,7 +25,7 @@ def run(frames: int, **params: str) -> tuple[np.ndarray, np.ndarray, list[float]
     states, scent, place = [], [], np.zeros(0)
     for k, world in enumerate(islice(simulate(shot), frames)):
         ants = world.populations["ant"]
-        rows = ants.rows_by_id()
+        rows = ants.get_rows_by_id()
         states.append(ants.now["main.state"][rows].copy())
         scent.append(float(world.fields["alarm"].amounts.sum()))
         place = ants.position[rows, 0].copy() if k == STAB else place

@@ -41,7 +41,7 @@ def arena(*crowds: CrowdData, fps: int = 24, per_second: bool = False, still: bo
 
 def velocity(world: World, species: str) -> np.ndarray:
     population = world.populations[species]
-    rows = population.rows_by_id()
+    rows = population.get_rows_by_id()
     return np.stack([population.now[f"velocity.{axis}"][rows] for axis in "xyz"], axis=1)
 
 

@@ -48,11 +48,11 @@ def fight() -> Fight:
     world = bind(shot.plan, replace(shot.setting, crowds=tuple(crowds)))
     ants = world.populations["soldier"]
     fight_record = Fight(
-        ants.now["group"][ants.rows_by_id()].copy(), next(m.states for m in ants.plan.machines if m.name == "deeds")
+        ants.now["group"][ants.get_rows_by_id()].copy(), next(m.states for m in ants.plan.machines if m.name == "deeds")
     )
     for frame in range(FRAMES):
         step(world)
-        rows = ants.rows_by_id()
+        rows = ants.get_rows_by_id()
         ids = ants.ids[rows]
         fight_record.strength[frame, ids] = ants.now["strength"][rows]
         fight_record.enemy[frame, ids] = ants.now["enemy"][rows]

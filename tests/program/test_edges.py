@@ -88,9 +88,9 @@ def run(opened_shot: Shot, frames: int, **options: object) -> World:
 @pytest.mark.parametrize(("turn", "most"), [("max_turn 360 deg/s", 360), ("", 90 * 30 / 4)])
 def test_no_body_tilts_or_turns_faster_than_it_may(tmp_path: Path, ground, turn: str, most: float) -> None:
     world = run(shot(tmp_path, ground(), turn), 60)
-    summary = world.motion.summary()
+    summary = world.motion.summarise()
     assert summary["tilt_max"] <= most / 24 * 1.001 and summary["tilt_max"] > 1, "and somebody has come to an edge"
-    assert summary["step_max"] <= 1.001 and not world.faults.count
+    assert summary["step_max"] <= 1.001 and not world.faults.fault_count
     if turn:
         population = world.populations["walker"]
         previous_heading = population.read_vector("heading")
@@ -116,7 +116,7 @@ def test_the_whole_turn_of_a_body_is_no_faster_than_it_may(tmp_path: Path, groun
 
 
 def axes(population: Population) -> list[np.ndarray]:
-    rows = population.rows_by_id()
+    rows = population.get_rows_by_id()
     up, heading = (population.read_vector(name)[rows].astype(np.float64) for name in ("up", "heading"))
     return [up, heading, np.cross(up, heading)]
 
@@ -126,7 +126,7 @@ def test_heads_stay_out_of_walls_and_feet_walk_on(tmp_path: Path) -> None:
     population = world.populations["walker"]
     inside = sum(int(find_heads_inside(world, population).sum()) for _ in range(150) if step(world) is None)
     assert inside < 0.01 * 150 * len(population)
-    assert world.motion.summary()["standing"] < 0.02, "nobody waits for long"
+    assert world.motion.summarise()["standing"] < 0.02, "nobody waits for long"
     place = population.position
     assert (place[:, 1] > 2).sum() > 3 and (np.abs(place[:, 0]) > 2).sum() > 3, "some are on the wall"
 
@@ -156,10 +156,10 @@ def test_the_measures_tell_a_body_that_snaps_a_step_too_long_and_a_head_in_a_wal
         population.normal[k] = up
     population.now["up.x"][0], population.now["up.y"][0] = 0, 1
     population.start["position.x"][1] = 5.0
-    world.motion.reset()
-    world.motion.begin(world)
+    world.motion.reset_step_measures()
+    world.motion.begin_measuring(world)
     world.motion.record_step(world)
-    summary = world.motion.summary()
+    summary = world.motion.summarise()
     assert summary["tilt_max"] == pytest.approx(90, abs=0.01)
     assert summary["step_max"] == pytest.approx(5.3 / (30 / 24), rel=1e-4)
     assert summary["heads_inside"] >= 1 / len(population)

@@ -26,7 +26,7 @@ def frames() -> tuple[World, list[dict[str, np.ndarray]]]:
     for frame in range(FRAMES):
         if frame:
             step(world)
-        rows = roaches.rows_by_id()
+        rows = roaches.get_rows_by_id()
         snapshots.append(
             {name: array[rows].copy() for name, array in roaches.now.items()} | {"place": roaches.position[rows].copy()}
         )
@@ -78,7 +78,7 @@ def run_roaches(*points: tuple[float, float], frames: int) -> tuple[World, list[
     for frame in range(frames):
         if frame:
             step(world)
-        rows = roaches.rows_by_id()
+        rows = roaches.get_rows_by_id()
         snapshots.append({name: array[rows].copy() for name, array in roaches.now.items()})
     return world, snapshots
 

@@ -18,7 +18,7 @@ def herds(world: World) -> dict[str, Herd]:
     """Copies of all that agents are, rows by id."""
     herds_by_name = {}
     for name, population in world.populations.items():
-        rows = population.rows_by_id()
+        rows = population.get_rows_by_id()
         machine = population.plan.machines[0]
         states = population.now[f"{machine.name}.state"][rows]
         registers = {

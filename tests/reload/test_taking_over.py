@@ -125,7 +125,7 @@ def test_with_nothing_edited_a_world_goes_on_to_the_same_bits(name: str, tmp_pat
         step(other)
     assert state_hash(other) == state_hash(world)
     assert other.transitions == world.transitions
-    assert other.motion.summary() == world.motion.summary()
+    assert other.motion.summarise() == world.motion.summarise()
 
 
 def test_what_was_dug_stays_dug_while_the_mesh_is_the_same(tmp_path: Path) -> None:
@@ -220,7 +220,7 @@ def test_agents_follow_a_ground_with_moving_vertices(scene: Path) -> None:
 def test_meshes_that_are_the_same_are_worked_out_once_and_others_forgotten(scene: Path) -> None:
     built, shot = BindingCache(), opened(scene)
     world = bind(shot.plan, shot.setting, binding_cache=built)
-    built.drop_unused()
+    built.drop_unused_values()
     now, _ = migrate_world(world, shot.plan, shot.setting, built)
     assert now.ground is world.ground
     assert now.fields["trail"].cells is world.fields["trail"].cells
@@ -228,10 +228,10 @@ def test_meshes_that_are_the_same_are_worked_out_once_and_others_forgotten(scene
     shot = opened(scene)
     other, _ = migrate_world(now, shot.plan, shot.setting, built)
     assert other.ground is not now.ground
-    built.drop_unused()
+    built.drop_unused_values()
     shot_before = world.setting
     assert migrate_world(other, shot.plan, shot.setting, built)[0].ground is other.ground
-    built.drop_unused()
+    built.drop_unused_values()
     assert migrate_world(other, shot.plan, shot_before, built)[0].ground is not world.ground
 
 

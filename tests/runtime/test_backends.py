@@ -67,7 +67,7 @@ def test_things_happen_in_the_rich_plan():
         alarmed += int(world.populations["ant"].events["alarm"].sum())
     ants = world.populations["ant"]
     assert world.transitions["ant.search->carry"] > 3 and world.transitions["ant.carry->search"] > 0
-    assert alarmed > 3 and (ants.now["friend"] >= 0).any() and ants.next_id > 40 and world.faults.count == 0
+    assert alarmed > 3 and (ants.now["friend"] >= 0).any() and ants.next_id > 40 and world.faults.fault_count == 0
     assert (world.populations["fly"].now["hops"] > 0).any()
 
 

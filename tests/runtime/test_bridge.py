@@ -70,7 +70,7 @@ def test_ants_come_across_and_each_is_counted_once_at_a_gate() -> None:
     near, passed = np.zeros((2, len(ants)), bool), np.zeros(2)
     for _ in range(440):
         step(world)
-        place = ants.position[ants.rows_by_id()]
+        place = ants.position[ants.get_rows_by_id()]
         now = np.stack([np.linalg.norm(place - gate, axis=1) <= 9.0 + 2.0 for gate in at])
         passed += (now & ~near).sum(axis=1)
         near = now

@@ -81,12 +81,12 @@ def begin_world(project: Path, *lines: str) -> World:
 
 def by_id(world: World, register: str) -> np.ndarray:
     population = world.populations["ant"]
-    return population.now[register][population.rows_by_id()]
+    return population.now[register][population.get_rows_by_id()]
 
 
 def positions(world: World) -> np.ndarray:
     population = world.populations["ant"]
-    return population.position[population.rows_by_id()]
+    return population.position[population.get_rows_by_id()]
 
 
 def headings(world: World) -> np.ndarray:

@@ -11,7 +11,7 @@ from antdsl.numerics import parallel, randomness
 from antdsl.plan import ir
 from antdsl.runtime import Options, bind, claims, motion_measures, state_hash, step
 from antdsl.runtime.requests import ClaimEntry
-from antdsl.runtime.world import select_rows
+from antdsl.runtime.world import retain_rows
 from antdsl.senses.overlaps import measure_worst_overlaps
 
 
@@ -48,7 +48,7 @@ def test_claims_are_served_one_after_the_other(count, share):
     change = rng.choice([0.0, 0.25, 1.0, 3.0, np.nan, np.inf], count, p=[0.1, 0.3, 0.4, 0.16, 0.02, 0.02])
     every, rest = rng.random(count) < share, np.round(rng.random(300) * 32) / 4
     had, cached = np.round(rng.random(count) * 8).astype(np.float32), rng.random(count) < 0.5
-    asks, left = claims._ServedClaims(change, every, had, cached, 0.25), rest.copy()
+    asks, left = claims._OrderedClaims(change, every, had, cached, 0.25), rest.copy()
     expected = serve(left, item, asks)
     got = claims._grant_amounts(rest, item, asks)
     assert np.array_equal(got, expected) and np.array_equal(rest, left)
@@ -91,12 +91,12 @@ def test_claims_of_one_statement_are_settled_by_draw_and_id(count, all_of_it):
     draw = randomness.draw_word(3, 5, "a", "site", 0, ids)
     order = [n for n in np.lexsort((ids, draw, entry.item)) if 0 <= entry.item[n] < 40 and entry.amount[n] >= 0]
     at = np.array(order, int)
-    asks = claims._ServedClaims(
+    asks = claims._OrderedClaims(
         entry.amount[at].astype(float), np.isinf(entry.amount[at]), load[entry.rows[at]], np.ones(len(at), bool), 0
     )
     left = rest.copy()
     got = serve(left, entry.item[at], asks)
-    claims._settle_amount(world, rest, entry.item, entry.amount, 0.0, [(population, entry)])
+    claims._resolve_claims_on_amount(world, rest, entry.item, entry.amount, 0.0, [(population, entry)])
     load[entry.rows[at[got >= 0]]] += entry.amount[at[got >= 0]]
     won = np.zeros(count, bool)
     won[entry.rows[at[got >= 0]]] = True
@@ -170,10 +170,10 @@ def test_measures_of_motion_are_those_of_plain_numpy(threads, monkeypatch):
                 window[name] = [population.position[row].copy(), 0.0, 0]
         with np.errstate(all="ignore"):
             observe(result, population, window, np.float32(world.dt), round(2 / world.dt))
-            world.motion._add_step(world, population)
+            world.motion._add_step_of_species(world, population)
         if frame % 10 == 5:
-            select_rows(population, rng.permutation(len(population)))
-    measured = world.motion.checkpoint_arrays()
+            retain_rows(population, rng.permutation(len(population)))
+    measured = world.motion.collect_checkpoint_arrays()
     for name, own in result.items():
         assert np.allclose(measured[name], own, rtol=1e-9), name
     assert result["ways"] > 100 and result["standing"] > 0 and result["circling"] > 0
@@ -186,7 +186,7 @@ def test_the_longest_step_is_a_share_of_the_longest_allowed_one():
         population.start[f"position.{axis}"][:] = population.now[f"position.{axis}"]
     population.now["max_speed"][:] = 1000
     population.now["position.x"] += 1000 * np.float32(world.dt) * share
-    world.motion._add_step(world, population)
+    world.motion._add_step_of_species(world, population)
     assert world.motion.step_max == pytest.approx(0.5, rel=1e-3)
 
 
@@ -195,15 +195,15 @@ def test_ways_go_with_their_agents_when_rows_change():
     population, motion = world.populations["boid"], world.motion
     for _ in range(3):
         wander(population, rng)
-        motion._add_step(world, population)
+        motion._add_step_of_species(world, population)
     for cached in (60, 60, 41, 41):
         previous = dict(zip(population.ids.tolist(), motion._update_window(population).path.tolist(), strict=True))
-        select_rows(population, rng.permutation(len(population))[:cached])
+        retain_rows(population, rng.permutation(len(population))[:cached])
         window = motion._update_window(population)
         assert window.ids is population.ids and window.path.tolist() == [previous[i] for i in population.ids.tolist()]
     previous = dict(zip(population.ids.tolist(), window.path.tolist(), strict=True))
     for cached in (41, 30):  # two changes since it was last looked at
-        select_rows(population, rng.permutation(len(population))[:cached])
+        retain_rows(population, rng.permutation(len(population))[:cached])
     assert motion._update_window(population).path.tolist() == [previous[i] for i in population.ids.tolist()]
 
 
@@ -244,7 +244,7 @@ def test_parts_on_threads_give_the_same_bits_as_one(monkeypatch):
         world = bind(shot.plan, shot.setting, Options(backend="native", threads=threads, wait_for_code=True))
         for _ in range(3):
             step(world)
-        return state_hash(world), world.motion.checkpoint_arrays()
+        return state_hash(world), world.motion.collect_checkpoint_arrays()
 
     alone, counted = stepped(1)
     monkeypatch.setattr(parallel, "run_in_parts", parted)

@@ -202,7 +202,7 @@ def test_bodies_stay_outside_stairs_near_their_ground_and_as_fast() -> None:
             trace = (axes[0] * axes[1]).sum(axis=(0, 2))
             turns = max(turns, float(np.degrees(np.arccos(((trace - 1) / 2).clip(-1, 1))).max()))
         speeds.append(distance)
-        summary = world.motion.summary()
+        summary = world.motion.summarise()
         if clears:
             assert summary["body_inside"] == 0.0 and summary["heads_inside"] == 0.0
             assert leaning < 0.005 * 60 * frames and turns < 15.1 and summary["step_max"] <= 1.005
@@ -246,7 +246,7 @@ def test_bodies_turn_with_a_rod_that_is_thinner_than_they_are_long() -> None:
         step(world)
         leaning += int(np.count_nonzero((population.read_vector("up") * population.normal).sum(axis=1) < 0.5))
     assert len(population) == 12 and leaning == 0, "by 60 degrees"
-    assert world.motion.summary()["body_inside"] < 0.02
+    assert world.motion.summarise()["body_inside"] < 0.02
 
 
 def pillars() -> MeshData:
@@ -283,7 +283,7 @@ def test_bodies_stay_outside_obstacles_and_as_fast() -> None:
             count += int(np.count_nonzero(nearest < (radius - 0.01) * size[:, 0]))
         inside.append(count / (frames * len(population)))
         speeds.append(distance)
-        assert abs(world.motion.summary()["body_inside"] - inside[-1]) < 0.05
+        assert abs(world.motion.summarise()["body_inside"] - inside[-1]) < 0.05
     assert inside[0] > 0.01 and inside[1] < 0.001, inside
     assert speeds[1] > 0.88 * speeds[0], "bodies turn and walk round posts that feet could pass closely"
 
@@ -330,7 +330,7 @@ def test_frames_have_the_shifted_positions() -> None:
     shift = population.read_vector("~lift")
     assert (np.abs(shift).max(axis=1) > 0.1).any()
     drawn = AgentArrayBuilder(1.0, {}, {"a": ()}).build_arrays(world, ("P",))["P"]
-    order = population.rows_by_id()
+    order = population.get_rows_by_id()
     assert np.allclose(drawn, (population.position + shift)[order], atol=1e-4)
 
 

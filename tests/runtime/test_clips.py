@@ -59,7 +59,7 @@ def test_a_clip_that_covers_ground_goes_by_the_ground_and_others_by_the_clock() 
 def test_loops_begin_anywhere_and_others_at_their_start() -> None:
     history = play_states(f"state one {{ play walk; steer {GOES} }}", 1, count=40)
     start_turns = [turns(history, k)[0] for k in range(40)]
-    assert history.world.faults.count == 0 and min(start_turns) < 0.2 and max(start_turns) > 0.8 and max(start_turns) < 1
+    assert history.world.faults.fault_count == 0 and min(start_turns) < 0.2 and max(start_turns) > 0.8 and max(start_turns) < 1
     assert turns(play_states(f"state one {{ play wave; steer {GOES} }}", 1))[0] == 0
 
 

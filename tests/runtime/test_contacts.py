@@ -59,7 +59,7 @@ def world(*crowds: CrowdData, text: str = RESTING, options: Options | None = Non
 
 def positions_by_id(bound_world: World, species: str = "ant") -> np.ndarray:
     population = bound_world.populations[species]
-    return population.position[population.rows_by_id()]
+    return population.position[population.get_rows_by_id()]
 
 
 # --- heaps -----------------------------------------------------------------------------------------------------------

@@ -50,7 +50,7 @@ def walk(
 
     def record(world: World) -> None:
         population = world.populations["a"]
-        rows = population.rows_by_id()
+        rows = population.get_rows_by_id()
         positions.append(population.position[rows].copy())
         shares.append(1 - population.now["~lowering"][rows])
 

@@ -49,11 +49,11 @@ def watched(shot: Shot) -> tuple[World, list[str], dict[str, list[np.ndarray]]]:
     positions_by_name: dict[str, list[np.ndarray]] = {"digger": [], "walker": [], "on": [], "off": []}
     hill, falls = world.solids["hill"], 0
     for _ in range(STEPS):
-        previous_positions = {name: p.position[p.rows_by_id()] for name, p in world.populations.items()}
+        previous_positions = {name: p.position[p.get_rows_by_id()] for name, p in world.populations.items()}
         step(world)
         hashes.append(state_hash(world))
         for name, population in world.populations.items():
-            rows = population.rows_by_id()
+            rows = population.get_rows_by_id()
             place, mesh = population.position[rows], population.footing.mesh[rows]
             positions_by_name[name].append(place)
             away = hill.sample_distances(place).astype(np.float64)

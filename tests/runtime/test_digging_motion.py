@@ -90,4 +90,4 @@ def test_who_seeks_something_outside_a_pit_climbs_out_of_it(pit: World) -> None:
         step(pit)
         arrived |= np.hypot(walkers.position[:, 0] - 19, walkers.position[:, 2]) < 4
     assert arrived.mean() > 0.9
-    assert pit.motion.summary()["turn_p99"] < 16.9, "tilt and turn together are at most 16.7 degrees a step"
+    assert pit.motion.summarise()["turn_p99"] < 16.9, "tilt and turn together are at most 16.7 degrees a step"

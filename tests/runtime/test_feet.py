@@ -306,7 +306,9 @@ def test_feet_stand_on_obstacles_and_on_the_side_of_a_sheet_that_they_walk_on(tm
     for _ in range(40):
         step(world)
     feet, population = feet_of(world), world.populations["walker"]
-    side = np.hypot(population.position[population.rows_by_id()][:, 0], population.position[population.rows_by_id()][:, 2])
+    side = np.hypot(
+        population.position[population.get_rows_by_id()][:, 0], population.position[population.get_rows_by_id()][:, 2]
+    )
     bodies = BodyFrames.of(population)
     up, place = bodies.axes[:, 1].T, bodies.place.T
     inside = (up[0] * place[0] + up[2] * place[2] < 0) & (side > 20)

@@ -26,7 +26,7 @@ def nothing_lost(measures: Watched) -> None:
 def stays_on_the_ground(measures: Watched) -> None:
     assert measures.surface_error < 1e-3
     assert measures.in_stones < 0.5
-    assert measures.world.faults.count == 0
+    assert measures.world.faults.fault_count == 0
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +109,7 @@ def test_fifteen_thousand_ants_for_the_whole_shot() -> None:
     nothing_lost(measures)
     stays_on_the_ground(measures)
     motion(measures.world, **CROWDED)
-    print("motion", measures.world.motion.summary(), "delivered", measures.delivered[::120])
+    print("motion", measures.world.motion.summarise(), "delivered", measures.delivered[::120])
     print("concentration", measures.concentration[-1], without.concentration[-1])
     assert measures.delivered[-1] > measures.delivered[360] > measures.delivered[240] > 0
     assert measures.concentration[-1] >= 3 * without.concentration[-1]

@@ -16,7 +16,7 @@ from antdsl.fields.pheromone import DEPOSIT_QUANTUM
 from antdsl.machine_code import llvm_compiler
 from antdsl.plan.registers import number_statements
 from antdsl.runtime import FieldStartData, MeshData, Options, World, WorldSetting, bind, state_hash, step
-from antdsl.runtime.backends.reference import AgentRun, apply_claims
+from antdsl.runtime.backends.reference import AgentRun, apply_claim_results
 from antdsl.runtime.requests import EffectRequests
 
 SHEEP = Path(__file__).parents[1] / "programs" / "sheep.ant"
@@ -137,7 +137,7 @@ def test_who_takes_what_is_left_and_who_a_part_are_served_in_one_order() -> None
     """Whatever the draw: those before the one who takes all get 1 each, it gets the rest, those after it nothing."""
     lines = "when id == 2 take all load from grass -> q; when id != 2 take 1 load from grass -> q"
     world = play(lines, [(0, 0)] * 5, 1, 8.0)
-    got = world.populations["a"].now["load"][world.populations["a"].rows_by_id()]
+    got = world.populations["a"].now["load"][world.populations["a"].get_rows_by_id()]
     assert got.sum() == 8.0 and got[2] == 8.0 - np.count_nonzero(np.delete(got, 2)) >= 4
     assert world.fields["grass"].amounts.min() == 0.0
 
@@ -203,7 +203,7 @@ def test_an_agent_that_is_run_again_gets_all_that_it_was_given() -> None:
             now = {name: array[row : row + 1].copy() for name, array in ants.start.items()}
             agent = AgentRun(world, ants, row, now, 0, EffectRequests(), number_statements(ants.plan))
             agent.run("decide")
-            apply_claims(agent, ants)
+            apply_claim_results(agent, ants)
             agent.run("act")
             again.append((float(now["load"][0]), float(now["seen"][0])))
 

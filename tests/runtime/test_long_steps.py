@@ -43,7 +43,7 @@ def crowd_positions(built: World) -> np.ndarray:
 def radii(built: World) -> np.ndarray:
     return np.concatenate(
         [
-            population.now["size"][population.rows_by_id()] * find_capsule(built, name).width / 2
+            population.now["size"][population.get_rows_by_id()] * find_capsule(built, name).width / 2
             for name, population in built.populations.items()
         ]
     ).astype(np.float64)
@@ -64,7 +64,7 @@ def passed_pairs(start: np.ndarray, end: np.ndarray, radius: np.ndarray, share: 
 def aim(built: World, species: str, directions: np.ndarray) -> None:
     """Turn the agents of a species, by id, to directions (n, 3), with their full speed."""
     population = built.populations[species]
-    rows = population.rows_by_id()
+    rows = population.get_rows_by_id()
     for registers in (population.now, population.start):
         for axis, name in enumerate("xyz"):
             registers[f"heading.{name}"][rows] = directions[:, axis]

@@ -55,7 +55,7 @@ def test_backends_agree_on_what_agents_sense_and_do(seed: int, place: dict[str, 
     text = random_sensing.Sensing(seed).text
     agents = (crowd(9, radius=60), crowd(3, species="other", radius=60))
     history = play(text, *agents, world=random_sensing.WORLD, steps=6, option_sets=SENSING, **place)
-    assert history.world.frame == 6 and history.world.faults.count == 0  # what is no number loses against its bounds
+    assert history.world.frame == 6 and history.world.faults.fault_count == 0  # what is no number loses against its bounds
 
 
 @pytest.mark.parametrize("seed", sampled(range(60), [3]))
@@ -68,4 +68,4 @@ def test_backends_agree_on_species_that_die_out_and_come_back(seed: int, place: 
         agent_counts.append(tuple(len(world.populations[name]) for name in ("a", "other")))
 
     history = play(text, *crowds, world=random_sensing.WORLD, steps=14, option_sets=SENSING, each=count, **place)
-    assert history.world.faults.count == 0 and any(0 in each for each in agent_counts)
+    assert history.world.faults.fault_count == 0 and any(0 in each for each in agent_counts)

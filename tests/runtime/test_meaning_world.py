@@ -356,7 +356,9 @@ def test_a_fault_is_reported_in_the_words_of_the_text_and_nothing_is_stored(line
         assert any(operand in text.strip("()") for text, _ in fault.operands), fault
     option_sets = [Options(on_fault="quarantine"), Options(on_fault="quarantine", backend="reference", shuffle_rows=1)]
     history = play(text, crowd(3), steps=3, option_sets=option_sets)
-    assert history["x"] == [7, 7, 7] and history.world.faults.count == 3 and history.world.populations["a"].quarantined.all()
+    assert (
+        history["x"] == [7, 7, 7] and history.world.faults.fault_count == 3 and history.world.populations["a"].quarantined.all()
+    )
 
 
 def test_a_fault_at_birth_names_the_agent_that_was_born():

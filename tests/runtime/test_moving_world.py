@@ -85,7 +85,7 @@ def shot(folder: Path, wish: str = "steer stand()", scene: str = SCENE, **additi
 
 def positions_by_id(world: World) -> np.ndarray:
     population = world.populations["stander"]
-    return population.position[population.rows_by_id()].copy()
+    return population.position[population.get_rows_by_id()].copy()
 
 
 TURN = "keys: {1: {at: [0, 0, 0], rotate: [0, 0, 0]}, 13: {at: [24, 12, 0], rotate: [0, 0, 90]}}"
@@ -381,7 +381,7 @@ def test_scent_stays_on_the_ground_that_moves(folder: Path) -> None:
         runs.append(list(simulate(opened_shot))[-1])
     fields = [world.fields["trail"].amounts for world in runs]
     assert fields[0].sum() > 1 and np.allclose(fields[0], fields[1], atol=0.02)
-    smelled = [w.populations["layer"].now["smelled"][w.populations["layer"].rows_by_id()] for w in runs]
+    smelled = [w.populations["layer"].now["smelled"][w.populations["layer"].get_rows_by_id()] for w in runs]
     assert np.allclose(*smelled, atol=0.02) and smelled[0].max() > 0.1
 
 
@@ -495,7 +495,7 @@ def test_a_plate_moves_beside_a_hill_that_is_dug(folder: Path) -> None:
     start = None
     for world in simulate(opened_shot):
         diggers = world.populations["digger"]
-        place = diggers.position[diggers.rows_by_id()]
+        place = diggers.position[diggers.get_rows_by_id()]
         start = place.copy() if start is None else start
         assert np.abs(world.ground.position(diggers.footing) - diggers.position).max() < 1e-9
     distances = place[:, 2] - start[:, 2]

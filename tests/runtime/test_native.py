@@ -46,10 +46,10 @@ def loop(op: str) -> tuple[str, tuple[str, ...], str]:
     kind = F32 if module.functions[name].startswith("define internal <8 x float>") else BOOL
     with w.builder.write_loop(w.end, LANE_COUNT) as at:
         value = w.builder.call_function(
-            name, kind, *(w.builder.load_lanes(w.array_address(k), at, each) for k, each in enumerate(kinds))
+            name, kind, *(w.builder.load_lanes(w.emit_array_address(k), at, each) for k, each in enumerate(kinds))
         )
-        w.builder.store_lanes(w.array_address(len(kinds)), at, value)
-    w.add_to_module("of_arrays")
+        w.builder.store_lanes(w.emit_array_address(len(kinds)), at, value)
+    w.add_function_to_module("of_arrays")
     return module.text(), kinds, kind
 
 
@@ -173,7 +173,7 @@ def test_a_crowd_in_one_sheet_that_comes_to_lie_level_is_searched_as_before() ->
 
 def test_too_many_in_a_radius_are_reported_as_by_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "MAX_CANDIDATES_IN_RADIUS", 300)
-    monkeypatch.setattr(stored_blocks, "number_plan", lambda *plan: None)  # what is stored is for the limit of the sources
+    monkeypatch.setattr(stored_blocks, "index_plan", lambda *plan: None)  # what is stored is for the limit of the sources
     messages = []
     for options in (NUMPY, NATIVE):
         with pytest.raises(FaultStop) as stop:
@@ -199,7 +199,7 @@ def test_refused_values_are_reported_as_by_the_reference() -> None:
     for options in (Options(backend="reference"), NUMPY, NATIVE):
         history = play(FAULTY, crowd(12, radius=40), steps=3, option_sets=(replace(options, on_fault="quarantine"),))
         log = history.world.faults
-        fault_reports.append((log.count, [str(fault) for fault in log.reported_faults], history["late"], history["mood"]))
+        fault_reports.append((log.fault_count, [str(fault) for fault in log.reported_faults], history["late"], history["mood"]))
     assert fault_reports[0] == fault_reports[1] == fault_reports[2] and fault_reports[0][0] > 2
 
 
@@ -221,7 +221,7 @@ def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.
         step(world)
         expected.append(state_hash(world))
     world = rich(Options(backend="native"))
-    coming: Any = compile_queue.start_building(world.plan, world.backend.blocks, compile_queue.WorldFacts(False, False))  # type: ignore[attr-defined]
+    coming: Any = compile_queue.start_code_build(world.plan, world.backend.blocks, compile_queue.WorldFacts(False, False))  # type: ignore[attr-defined]
     ready_code = coming.result()
 
     class Later:
@@ -234,7 +234,7 @@ def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.
         def result(self) -> Any:
             return ready_code
 
-    monkeypatch.setattr("antdsl.runtime.backends.native.native_backend.find_ready_code", lambda plan, facts: None)
+    monkeypatch.setattr("antdsl.runtime.backends.native.native_backend.find_compiled_code", lambda plan, facts: None)
     world.backend._pending_code = Later()  # type: ignore[attr-defined]
     frame_hashes, native = [], []
     for _ in range(8):

@@ -82,7 +82,7 @@ def test_code_of_another_run_is_used(afresh: Callable[[], list[str]]) -> None:
     assert len(compiled) > 1
     compiled = afresh()
     world = edited()
-    assert state_hash(world) == expected and compiled == [] and world.backend.messages() == []
+    assert state_hash(world) == expected and compiled == [] and world.backend.list_messages() == []
 
 
 def test_code_that_may_be_harmful_is_not_loaded_and_the_run_goes_on(afresh: Callable[[], list[str]], tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_code_that_may_be_harmful_is_not_loaded_and_the_run_goes_on(afresh: Call
     compiled = afresh()
     world = edited()
     assert state_hash(world) == expected and len(compiled) > 1
-    assert world.backend.messages() and all("damaged, or was not written" in each for each in world.backend.messages())
+    assert world.backend.list_messages() and all("damaged, or was not written" in each for each in world.backend.list_messages())
     compiled = afresh()
     assert state_hash(edited()) == expected and compiled == [], "it was replaced"
 
@@ -133,7 +133,7 @@ def test_whatever_a_text_depends_on_changes_the_key_of_its_plan(monkeypatch: pyt
         facts: compile_queue.WorldFacts = compile_queue.WorldFacts(False, False),
         target: llvm_compiler.Target = host,
     ) -> str:
-        subject = stored_blocks.number_plan(of.plan, of.backend.blocks, facts, target)  # type: ignore[attr-defined]
+        subject = stored_blocks.index_plan(of.plan, of.backend.blocks, facts, target)  # type: ignore[attr-defined]
         assert subject is not None
         return subject.key
 
@@ -157,7 +157,7 @@ def test_of_modules_without_sources_nothing_is_stored(monkeypatch: pytest.Monkey
     monkeypatch.setattr(antdsl, "__file__", str(tmp_path / "__init__.pyc"))
     world = edited()
     assert (
-        stored_blocks.number_plan(
+        stored_blocks.index_plan(
             world.plan, world.backend.blocks, compile_queue.WorldFacts(False, False), llvm_compiler.find_host_target()
         )
         is None
@@ -177,7 +177,7 @@ def test_the_latest_request_is_compiled_first_and_one_without_a_waiter_is_not_co
     worlds = programs_saved(7)
     compile_queue._get_compile_thread().submit(go.wait)
     coming = [
-        compile_queue.start_building(each.plan, each.backend.blocks, compile_queue.WorldFacts(False, False)) for each in worlds
+        compile_queue.start_code_build(each.plan, each.backend.blocks, compile_queue.WorldFacts(False, False)) for each in worlds
     ]  # type: ignore[attr-defined]
     del coming[1::2]
     go.set()
@@ -201,10 +201,10 @@ def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
     requests: list[Any] = []
 
     def beside(*what: Any) -> Any:
-        requests.append(compile_queue.start_building(*what))
+        requests.append(compile_queue.start_code_build(*what))
         return requests[-1]
 
-    monkeypatch.setattr(native_backend, "start_building", beside)
+    monkeypatch.setattr(native_backend, "start_code_build", beside)
     monkeypatch.setattr(native_backend, "_MIN_EARLIER_STEP_SECONDS", 0.0)
     worlds = [bind(each.plan, each.setting, Options(backend="native")) for each in programs_saved(7)]
     go = Event()
@@ -260,7 +260,7 @@ def test_who_asks_with_other_arrays_each_time_is_answered_of_those_and_leaves_no
         population_copy.start = {"pace": values}
         population_copy.now = {"pace": np.full(len(world), k, np.float32)}
         rooms.begin_step([population_copy])
-        array, _ = rooms.move_register(population_copy, "pace", start=True)
-        rooms.move_register(population_copy, "pace", start=False)
+        array, _ = rooms.pad_register(population_copy, "pace", start=True)
+        rooms.pad_register(population_copy, "pace", start=False)
         assert population_copy.start["pace"] is array and (array == k).all()
         assert len(rooms._padded_by_id) < 80

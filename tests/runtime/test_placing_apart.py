@@ -22,7 +22,7 @@ from antdsl.pipeline import RunChoices, Shot, open_scene
 from antdsl.reload import migrate_world
 from antdsl.runtime import Options, bind, step
 from antdsl.runtime.binding import spacing
-from antdsl.runtime.binding.spacing import Occupancy, PositionDrawer, StartPositionDraws, spread_agents
+from antdsl.runtime.binding.spacing import OccupiedDiscs, PositionDrawer, StartPositionCandidates, spread_agents
 from antdsl.runtime.binding.start_findings import find_crowding_warnings
 from antdsl.runtime.world import World
 from antdsl.scene.setting import CrowdData, MeshData, PaintedValues, PlacementData, SolidData, WorldSetting
@@ -75,7 +75,7 @@ def overlapping(place: np.ndarray, radius: np.ndarray) -> np.ndarray:
 
 def by_id(bound_world: World, species: str = "ant") -> np.ndarray:
     population = bound_world.populations[species]
-    return population.position[population.rows_by_id()]
+    return population.position[population.get_rows_by_id()]
 
 
 # --- no agent in another --------------------------------------------------------------------------------------------------
@@ -244,14 +244,14 @@ def test_tries_are_few_however_full_it_is(share: float, all_fit: bool) -> None:
     wide = 2.0 * np.sqrt(n / share)
     random = np.random.default_rng(1).random((n, 400, 2))
 
-    def draw(ids: np.ndarray, tries: range) -> StartPositionDraws:
+    def draw(ids: np.ndarray, tries: range) -> StartPositionCandidates:
         draw_count[0] += len(ids) * len(tries)
         u, v = np.concatenate([random[ids, k] for k in tries]).T
         away, angle = np.sqrt(u) * wide, 2 * np.pi * v
         place = np.stack([away * np.cos(angle), 0 * away, away * np.sin(angle)], axis=1)
-        return StartPositionDraws(Footing.create_unplaced(len(u)), place, np.zeros_like(place), np.ones(len(u), np.bool_))
+        return StartPositionCandidates(Footing.create_unplaced(len(u)), place, np.zeros_like(place), np.ones(len(u), np.bool_))
 
-    drawn, fits = spread_agents(Occupancy(), draw, np.arange(n), np.full(n, 2.0), 0)
+    drawn, fits = spread_agents(OccupiedDiscs(), draw, np.arange(n), np.full(n, 2.0), 0)
     assert fits.all() == all_fit
     assert draw_count[0] <= 40 * n
     assert not overlapping(drawn.position[fits], np.full(fits.sum(), 2.0)).any()
@@ -261,21 +261,21 @@ def test_tries_are_few_however_full_it_is(share: float, all_fit: bool) -> None:
 
 def test_pairs_are_few_where_thousands_want_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """All pairs of agents that are drawn to one point are never counted."""
-    find_overlaps, most = Occupancy.find_overlaps, [0]
+    find_overlaps, most = OccupiedDiscs.find_overlaps, [0]
 
-    def counted(occupancy: Occupancy, *discs: np.ndarray) -> tuple:
+    def counted(occupancy: OccupiedDiscs, *discs: np.ndarray) -> tuple:
         pairs = find_overlaps(occupancy, *discs)
         most[0] += len(pairs[0])
         return pairs
 
-    monkeypatch.setattr(spacing.Occupancy, "find_overlaps", counted)
+    monkeypatch.setattr(spacing.OccupiedDiscs, "find_overlaps", counted)
     n = 10_000
 
-    def draw(ids: np.ndarray, tries: range) -> StartPositionDraws:
+    def draw(ids: np.ndarray, tries: range) -> StartPositionCandidates:
         place = np.zeros((len(ids) * len(tries), 3))
-        return StartPositionDraws(Footing.create_unplaced(len(place)), place, place.copy(), np.ones(len(place), np.bool_))
+        return StartPositionCandidates(Footing.create_unplaced(len(place)), place, place.copy(), np.ones(len(place), np.bool_))
 
-    _, fits = spread_agents(Occupancy(), draw, np.arange(n), np.full(n, 2.0), 0)
+    _, fits = spread_agents(OccupiedDiscs(), draw, np.arange(n), np.full(n, 2.0), 0)
     assert fits.tolist() == [True] + [False] * (n - 1)
     assert most[0] < 20 * n
 
@@ -300,10 +300,10 @@ def test_what_is_said_of_no_room_is_true(
 ) -> None:
     setting_arguments = dict(text=BARE, surfaces={"floor": MeshData(*mesh)}, solids={}, obstacles={}, maps={})
     (line,) = world(CrowdData("ant", count, place), **setting_arguments).overcrowded_lines  # type: ignore[arg-type]
-    assert line.available_area == pytest.approx(area, rel=0.05) and (line.sufficient_radius is not None, line.fits_by_area) == (
-        larger,
-        sides,
-    )
+    assert line.available_area == pytest.approx(area, rel=0.05) and (
+        line.sufficient_radius is not None,
+        line.fits_available_area,
+    ) == (larger, sides)
     if line.sufficient_radius is not None:
         assert (
             world(CrowdData("ant", count, replace(place, radius=line.sufficient_radius)), **setting_arguments).overcrowded_lines
@@ -322,10 +322,12 @@ def test_nothing_is_said_of_room_beside_all_surfaces(folder: Path, by: str) -> N
 def _square(wide: float, seed: int) -> PositionDrawer:
     """Draws places on a square."""
 
-    def draw(ids: np.ndarray, tries: range) -> StartPositionDraws:
+    def draw(ids: np.ndarray, tries: range) -> StartPositionCandidates:
         place = np.concatenate([np.random.default_rng((seed, k)).random((ids.max() + 1, 3))[ids] for k in tries]) * wide
         place[:, 1] = 0.0
-        return StartPositionDraws(Footing.create_unplaced(len(place)), place, np.zeros_like(place), np.ones(len(place), np.bool_))
+        return StartPositionCandidates(
+            Footing.create_unplaced(len(place)), place, np.zeros_like(place), np.ones(len(place), np.bool_)
+        )
 
     return draw
 
@@ -333,14 +335,14 @@ def _square(wide: float, seed: int) -> PositionDrawer:
 @pytest.mark.parametrize("mixed", [False, True])
 def test_large_ones_do_not_look_through_all_small_ones_below_them(mixed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     n, compared = 3000, [0]
-    share = Occupancy._compute_distance_share
+    share = OccupiedDiscs._compute_distance_share
 
-    def counted(occupancy: Occupancy, place: np.ndarray, radius: np.ndarray, entry: np.ndarray) -> np.ndarray:
+    def counted(occupancy: OccupiedDiscs, place: np.ndarray, radius: np.ndarray, entry: np.ndarray) -> np.ndarray:
         compared[0] += entry.size
         return share(occupancy, place, radius, entry)
 
-    monkeypatch.setattr(Occupancy, "_compute_distance_share", counted)
-    occupancy = Occupancy()
+    monkeypatch.setattr(OccupiedDiscs, "_compute_distance_share", counted)
+    occupancy = OccupiedDiscs()
     small, large = np.full(n, 0.1), np.full(n, 200.0)
     first, then = (np.where(np.arange(n) % 2, large, small),) * 2 if mixed else (small, large)
     fits = spread_agents(occupancy, _square(200.0, 1), np.arange(n), first, 0)[1]
@@ -354,12 +356,12 @@ def test_how_free_a_large_disc_is_among_small_ones_is_exact(count: int) -> None:
     draw = np.random.default_rng(count)
     small, wide = draw.random((count, 3)) * 100, 0.05 + 0.05 * draw.random(count)
     large, size = draw.random((200, 3)) * 100, 0.5 + 20 * draw.random(200)
-    occupancy = Occupancy()
-    occupancy.add(small, wide, np.arange(count))
-    occupancy.drop_removed()
+    occupancy = OccupiedDiscs()
+    occupancy.add_discs(small, wide, np.arange(count))
+    occupancy.forget_removed_discs()
     away = np.sqrt(((large[:, None] - small[None]) ** 2).sum(axis=2))
     expected = np.minimum((away / ((size[:, None] + wide[None]) * 1.001)).min(axis=1), 1)
-    assert occupancy.measure_freedom(large, size, np.full(200, count)) == pytest.approx(expected, rel=1e-12)
+    assert occupancy.measure_free_distances(large, size, np.full(200, count)) == pytest.approx(expected, rel=1e-12)
 
 
 # --- by area -------------------------------------------------------------------------------------------------------------

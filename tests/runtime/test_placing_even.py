@@ -29,7 +29,7 @@ def bind_crowds(
 
 def positions_by_id(world: World, species: str) -> np.ndarray:
     population = world.populations[species]
-    return population.position[population.rows_by_id()]
+    return population.position[population.get_rows_by_id()]
 
 
 def nearest(points: np.ndarray) -> np.ndarray:

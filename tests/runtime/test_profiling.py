@@ -92,9 +92,9 @@ def opened(scene: Path, count: int | None = None) -> Shot:
 def measured(world: World, frames: int, meter: StepMeter | None = None) -> StepProfile:
     meter = meter or StepMeter(None)
     for _ in range(frames):
-        meter.begin(world)
+        meter.begin_measuring(world)
         step(world)
-        meter.end(world)
+        meter.record_steps(world)
     return meter.profile()
 
 
@@ -180,11 +180,11 @@ def test_a_run_is_the_same_to_the_bit_while_it_is_measured(options: Options) -> 
     for frame in range(16):
         step(plain)
         if frame // 5 % 2:  # on and off again
-            meter.begin(watched)
+            meter.begin_measuring(watched)
         else:
-            meter.stop()
+            meter.stop_measuring()
         step(watched)
-        meter.end(watched)
+        meter.record_steps(watched)
         assert state_hash(watched) == state_hash(plain)
     assert meter.profile().frames
 
@@ -193,12 +193,12 @@ def test_a_world_that_is_not_measured_any_more_has_its_own_calls_again() -> None
     shot = opened(FORAGING, 10)
     world = bind(shot.plan, shot.setting)
     compilers = world.backend._blocks.values()
-    own_calls = [list(compiler.root_scope.calls) for compiler in compilers]
+    own_calls = [list(compiler.root_scope.bound_calls) for compiler in compilers]
     meter = StepMeter()
     measured(world, 1, meter)
-    assert [list(compiler.root_scope.calls) for compiler in compilers] != own_calls
-    meter.stop()
-    assert [list(compiler.root_scope.calls) for compiler in compilers] == own_calls
+    assert [list(compiler.root_scope.bound_calls) for compiler in compilers] != own_calls
+    meter.stop_measuring()
+    assert [list(compiler.root_scope.bound_calls) for compiler in compilers] == own_calls
     assert world.backend.metered_blocks == {}
     assert meter.profile().frames == 1, "what was measured stays"
 
@@ -208,10 +208,10 @@ def test_a_profile_is_of_the_last_second(shot: Shot, clock: Clock) -> None:
     world = bind(shot.plan, shot.setting)
     frames = []
     for _ in range(8):
-        meter.begin(world)
+        meter.begin_measuring(world)
         step(world)
         clock.now += 0.3
-        meter.end(world)
+        meter.record_steps(world)
         frames.append(meter.profile().frames)
     assert frames == [1, 2, 3, 4, 4, 4, 4, 4]
 
@@ -323,9 +323,9 @@ species a {{
 
 def lines_of(world: World, meter: StepMeter) -> dict[str, float]:
     """A step's lines by their text."""
-    meter.begin(world)
+    meter.begin_measuring(world)
     step(world)
-    meter.end(world)
+    meter.record_steps(world)
     return {each.text: each.ms for each in meter.profile().lines}
 
 
@@ -401,19 +401,19 @@ def test_machine_code_is_the_same_to_the_bit_while_it_is_measured_and_has_marks_
     monkeypatch.setattr(block_runner, "perf_counter", clock)
     answer, nothing = block_runner.BATCHED_SENSES["ray"]
     monkeypatch.setitem(block_runner.BATCHED_SENSES, "ray", (clock.slow(answer, 0.25), nothing))  # type: ignore[arg-type]
-    function = compile_queue.ReadyCode.function
-    monkeypatch.setattr(compile_queue.ReadyCode, "function", lambda self, name: clock.slow(function(self, name), 0.01))
+    function = compile_queue.CompiledPlanCode.get_function
+    monkeypatch.setattr(compile_queue.CompiledPlanCode, "get_function", lambda self, name: clock.slow(function(self, name), 0.01))
     plain, watched = (bind(shot.plan, shot.setting, options) for options in (Options(backend="numpy"), NATIVE))
     meter = StepMeter(None)
     codes = []
     for frame in range(15):
         step(plain)
         if frame // 5 % 2:
-            meter.begin(watched)
+            meter.begin_measuring(watched)
         else:
-            meter.stop()
+            meter.stop_measuring()
         step(watched)
-        meter.end(watched)
+        meter.record_steps(watched)
         codes.append(watched.backend.ready_code)  # type: ignore[union-attr]
         assert state_hash(watched) == state_hash(plain)
     usual, timed = codes[0], codes[5]
@@ -440,12 +440,12 @@ def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.Mo
     coming: list[tuple[Future[Any], Future[Any]]] = []
 
     def later(*what: Any) -> Future[Any]:
-        coming.append((Future(), compile_queue.start_building(*what)))
+        coming.append((Future(), compile_queue.start_code_build(*what)))
         return coming[-1][0]
 
-    monkeypatch.setattr(native_backend, "start_building", later)
+    monkeypatch.setattr(native_backend, "start_code_build", later)
     monkeypatch.setattr(native_backend, "_MIN_EARLIER_STEP_SECONDS", 0.0)
-    monkeypatch.setattr(native_backend, "find_ready_code", lambda plan, facts: None)
+    monkeypatch.setattr(native_backend, "find_compiled_code", lambda plan, facts: None)
     meter, times_by_frame = StepMeter(None), []
     for frame in range(5):
         if frame == 3:
@@ -453,7 +453,7 @@ def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.Mo
         times_by_frame.append(lines_of(world, meter))
     assert len(coming) == 1 and all(f"many = {WEIGHTS}" in lines for lines in times_by_frame)
     assert meter.profile().frames_by_backend == {"NumPy": 3, "machine code": 2} and meter.profile().frames == 2
-    meter.stop()
+    meter.stop_measuring()
     step(world)
     assert world.backend.ready_code is usual is not coming[0][0].result()  # type: ignore[union-attr]
 
@@ -464,7 +464,7 @@ def test_where_no_counter_can_be_read_numpy_is_measured(monkeypatch: pytest.Monk
     monkeypatch.setattr(llvm_compiler.Target, "is_x86", False)
     meter = StepMeter(None)
     assert lines_of(world, meter)[f"many = {WEIGHTS}"] > 0 and meter.profile().frames_by_backend == {"NumPy": 1}
-    meter.stop()
+    meter.stop_measuring()
     step(world)
     assert world.backend.backend_name == "machine code"  # type: ignore[union-attr]
 

@@ -61,7 +61,7 @@ def test_forty_of_the_brief_by_frames_in_a_run(folder: Path) -> None:  # noqa: F
     assert counts[48] == 5 and counts[49] == 6 and counts[72] == 5 + 20 and counts[96] == counts[110] == 45
     assert ranges(world)["guards"] == ((3, 40),)
     population = world.populations["ant"]
-    rows = population.rows_by_id()
+    rows = population.get_rows_by_id()
     born = dict(zip(population.ids[rows].tolist(), population.born[rows].tolist(), strict=True))
     assert born[3] == 49 and born[42] == 95 and born[43] == born[44] == 1
     assert population.next_id == 45

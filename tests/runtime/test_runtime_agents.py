@@ -233,7 +233,7 @@ def test_a_fault_names_place_and_operands(backend):
     assert ("luck - 0.5", "0") in fault.operands and "is not finite" in str(fault)
     fear = world.populations["ant"].now["fear"]
     assert fault.agent == min(world.populations["ant"].ids[fear == 7])
-    assert world.faults.count == int((fear == 7).sum()) > 2 and np.isfinite(fear).all()
+    assert world.faults.fault_count == int((fear == 7).sum()) > 2 and np.isfinite(fear).all()
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

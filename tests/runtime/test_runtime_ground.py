@@ -120,7 +120,7 @@ def test_two_hundred_steps_on_hills():
     assert now["hits"].max() > 0 and now["close"].max() > 0 and now["hits"].min() >= 0
     assert world.fields["trail"].amounts.sum() > 50 and now["smell"].max() > 0
     assert len(walked_on) == 2, "some were on the boulder"
-    assert world.faults.count == 0 and world.motion.summary()["standing"] < 0.3
+    assert world.faults.fault_count == 0 and world.motion.summarise()["standing"] < 0.3
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_a_checkpoint_goes_on_to_the_same_hashes():
         step(world)
         step(other)
         assert state_hash(other) == state_hash(world)
-    assert other.motion.summary() == world.motion.summary()
+    assert other.motion.summarise() == world.motion.summarise()
 
 
 def test_far_from_the_origin_nothing_is_coarse():

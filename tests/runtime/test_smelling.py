@@ -60,7 +60,7 @@ def smelled(
         values[:] = np.arange(len(values)) + 1.0
         step(world)
         ants = world.populations["a"]
-        smells.append(ants.now["got"][ants.rows_by_id()].tolist())
+        smells.append(ants.now["got"][ants.get_rows_by_id()].tolist())
         hashes.add(state_hash(world))
     assert all(each == smells[0] for each in smells) and len(hashes) == 1
     return smells[0], world
@@ -69,7 +69,7 @@ def smelled(
 def stand(world: World, points: np.ndarray, heading: np.ndarray, up: np.ndarray) -> None:
     """Put the agents, in order of ids, at the nearest points of the ground, on the side that `up` shows."""
     ants = world.populations["a"]
-    rows = np.argsort(ants.rows_by_id())
+    rows = np.argsort(ants.get_rows_by_id())
     ground = world.ground
     points, heading = points[rows], heading[rows]
     footing, _ = ground.find_nearest(points)

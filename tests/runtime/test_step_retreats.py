@@ -118,7 +118,7 @@ def walk_across(frames: int, shuffle_rows: int | None = None) -> np.ndarray:
     ants = world.populations["ant"]
     for k, axis in enumerate("xyz"):
         ants.now[f"heading.{axis}"][:] = ants.start[f"heading.{axis}"][:] = float(k == 0)
-    first, second = ants.rows_by_id()
+    first, second = ants.get_rows_by_id()
     path = []
     for _ in range(frames):
         world.frame += 1

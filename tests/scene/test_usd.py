@@ -409,7 +409,7 @@ def test_both_run_alike_and_no_agent_is_ever_inside_a_stone(both: tuple[Shot, Sh
     pushed = np.inf
     for one, two in zip(simulate(both[0]), simulate(both[1]), strict=True):
         walkers = [world.populations["walker"] for world in (one, two)]
-        position_sets = [p.position[p.rows_by_id()] for p in walkers]
+        position_sets = [p.position[p.get_rows_by_id()] for p in walkers]
         worst = max(worst, float((np.abs(position_sets[0] - position_sets[1]).max(axis=1) / 5.0).max()))
         stones = both[0].setting.obstacles["stones"]
         assert np.abs(winding(position_sets[0], stones.vertices, stones.faces)).max() < 0.5
@@ -417,7 +417,7 @@ def test_both_run_alike_and_no_agent_is_ever_inside_a_stone(both: tuple[Shot, Sh
         at = both[0].setting.motion.meshes["roller"].compute_vertices(rest.vertices, one.frame - 1)
         assert np.abs(winding(position_sets[0], at, rest.faces)).max() < 0.5, one.frame
         pushed = min(pushed, float(np.linalg.norm(position_sets[0] - at.mean(axis=0), axis=1).min()))
-        states = [p.now["main.state"][p.rows_by_id()] for p in walkers]
+        states = [p.now["main.state"][p.get_rows_by_id()] for p in walkers]
         assert np.array_equal(*states)
     assert worst < 1e-5, worst
     assert pushed < 25, "somebody is in the way of the roller, whose radius is 15 mm"

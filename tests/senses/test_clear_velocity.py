@@ -210,7 +210,7 @@ def run(options: Options, frames: int = 4) -> list[str]:
     for _ in range(frames):
         step(world)
         hashes.append(state_hash(world))
-    assert world.faults.count == 0
+    assert world.faults.fault_count == 0
     return hashes
 
 

@@ -31,7 +31,7 @@ def at(species: str, count: int, group: int = 0, spots: np.ndarray = SPOTS) -> C
 
 
 def share(bound_world: World) -> float:
-    return bound_world.motion.summary()["overlap_start"]
+    return bound_world.motion.summarise()["overlap_start"]
 
 
 def test_start_overlaps_are_known_before_the_first_step() -> None:
@@ -48,7 +48,7 @@ def test_start_overlaps_are_measured_before_the_preroll() -> None:
     bound_world = bind_crowds(at("ant", 8))
     for _ in range(30):
         step(bound_world)
-    bound_world.motion.reset()
+    bound_world.motion.reset_step_measures()
     assert share(bound_world) == 1 and bound_world.motion.steps == 0
     other = bind(bound_world.plan, bound_world.setting)
     restore_checkpoint(other, take_checkpoint(bound_world))

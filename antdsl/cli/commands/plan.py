@@ -60,7 +60,7 @@ def _format_machine_code(final_plan: Plan, setting: WorldSetting | None, include
     code_listing = program_listing.build_program(
         final_plan,
         llvm_compiler.find_host_target(),
-        program_listing.STATIC_WORLD if setting is None else WorldFacts.from_setting(setting),
+        program_listing.STATIC_WORLD_FACTS if setting is None else WorldFacts.from_setting(setting),
     )
     words = (
         "for static ground without `lod`; a scene with moving ground or `lod` may have different code\n"

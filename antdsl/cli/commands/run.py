@@ -223,13 +223,13 @@ def _begin_recording(
     from antdsl.outputs.cache_start import StartError
     from antdsl.outputs.recording import begin_recording
     from antdsl.runtime import BindError
-    from antdsl.runtime.binding.start_findings import find_start_warnings
+    from antdsl.runtime.binding.start_findings import find_unreachable_target_warnings
 
     try:
         with explain_cache_errors(), show_set_up(quiet):
             recording = begin_recording(shot, folder, options, resume=resume, force=force)
         if recording.resumed_from is None and shot.scene.model.start is None:
-            print_report(find_start_warnings(shot.scene, recording.world), to_stderr=True)
+            print_report(find_unreachable_target_warnings(shot.scene, recording.world), to_stderr=True)
         for note in recording.notes:
             print_note(note, to_stderr=True)
         return recording
@@ -277,7 +277,7 @@ def _record_to_end(recording: Recording, quiet: bool, resume_command: str) -> No
     finally:
         for number, handler in previous_handlers.items():
             signal.signal(number, handler)
-        for note in recording.world.backend.messages():
+        for note in recording.world.backend.list_messages():
             print_note(note, to_stderr=True)
         print_report(report_missed_targets(recording.shot.scene, recording.world), to_stderr=True)
     if recording.stop_requested and not recording.is_complete:

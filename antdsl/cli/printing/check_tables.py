@@ -200,5 +200,5 @@ def format_work_table(file: Path, shot: Shot) -> Iterator[str]:
 
     works = estimate_shot_work(shot)
     yield f"{file}: at least {format_bytes(sum(work.bytes for work in works))} for the world and its crowd"
-    rows = [(work.thing, f"{work.part_count:,} {work.unit_name}", format_bytes(work.bytes)) for work in works]
+    rows = [(work.subject, f"{work.part_count:,} {work.unit_name}", format_bytes(work.bytes)) for work in works]
     yield from _align_rows([("thing", "work", "memory"), *rows])

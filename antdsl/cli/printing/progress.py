@@ -175,10 +175,10 @@ def _print_summary(recording: Recording) -> None:
         print_note(f"milliseconds a frame, after a first step of {first_step:.1f} s: {parts or 'none'}")
         print_note(f"of `hand_over`: {hand_over_parts or 'none'}; meanwhile, behind the simulation: {parallel_parts or 'none'}")
     if recording.world.detail_levels is not None:
-        levels = recording.world.detail_levels.summary(recording.world)["mean"]
+        levels = recording.world.detail_levels.summarise_counts(recording.world)["mean"]
         print_note(
             f"level of detail, agents on the average: {', '.join(f'{name} {count:,.0f}' for name, count in levels.items())}"
         )
-    if recording.world.faults.count:
-        print_note(f"{recording.world.faults.count} faults: values that are not numbers")
+    if recording.world.faults.fault_count:
+        print_note(f"{recording.world.faults.fault_count} faults: values that are not numbers")
     print_note(f"the cache is in {recording.folder}")

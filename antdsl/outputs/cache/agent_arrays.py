@@ -62,7 +62,7 @@ class AgentArrayBuilder:
 def write_column(population: Population, column: Column, scale: float, out: NDArray[Any], threads: int = 1) -> None:
     """Write one column of a population to `out`, sorted by id, in the units of the cache. The column is a fixed array or
     registers."""
-    ranks, factor = population.id_ranks(), column.compute_unit_factor(scale)
+    ranks, factor = population.compute_id_ranks(), column.compute_unit_factor(scale)
     if column.kind == "register" and not column.shape:
         write_numbers(population, column.name, factor, out, threads)
     elif column.kind == "register":
@@ -72,17 +72,17 @@ def write_column(population: Population, column: Column, scale: float, out: NDAr
         work = partial(frame_loops.write_positions, compute_body_positions(population), ranks, factor, out)
         parallel.run_in_parts(work, len(ranks), threads)
     else:
-        out[:] = population.columns[column.name].take(population.rows_by_id())
+        out[:] = population.columns[column.name].take(population.get_rows_by_id())
 
 
 def write_numbers(population: Population, name: str, factor: float, out: NDArray[np.float32], threads: int = 1) -> None:
     """Write a register times `factor` to `out` float32[n], sorted by id."""
     of = population.now[name]
     if of.dtype == np.float32:
-        work = partial(frame_loops.write_numbers, of, population.id_ranks(), np.float32(factor), out)
+        work = partial(frame_loops.write_numbers, of, population.compute_id_ranks(), np.float32(factor), out)
         parallel.run_in_parts(work, len(of), threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
     else:
-        out[:] = of.take(population.rows_by_id()).astype(np.float32, copy=False) * np.float32(factor)
+        out[:] = of.take(population.get_rows_by_id()).astype(np.float32, copy=False) * np.float32(factor)
 
 
 def write_colours(world: World, population: Population, out: NDArray[np.float32]) -> None:
@@ -91,7 +91,7 @@ def write_colours(world: World, population: Population, out: NDArray[np.float32]
     if not machines:
         out[:] = 1.0
         return
-    colours, ranks = np.array(machines[0].colours, np.float32), population.id_ranks()
+    colours, ranks = np.array(machines[0].colours, np.float32), population.compute_id_ranks()
     work = partial(frame_loops.write_colours, colours, population.now[f"{machines[0].name}.state"], ranks, out)
     if not all(parallel.run_in_parts(work, len(ranks), world.options.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)):
         raise IndexError("a state that does not belong to the species has no colour")
@@ -101,7 +101,9 @@ def _write_states(world: World, population: Population, out: NDArray[np.int16]) 
     """Write the state numbers of the agents to `out` int16[n], sorted by id."""
     machines = population.plan.machines
     if machines:
-        work = partial(frame_loops.write_integers, population.now[f"{machines[0].name}.state"], population.id_ranks(), out)
+        work = partial(
+            frame_loops.write_integers, population.now[f"{machines[0].name}.state"], population.compute_id_ranks(), out
+        )
         parallel.run_in_parts(work, len(population), world.options.threads, parallel.MIN_LIGHT_ITEMS_PER_THREAD)
     else:
         out[:] = 0
@@ -112,7 +114,7 @@ def write_orientations(world: World, population: Population, out: NDArray[np.flo
     heading, up, ranks = (
         _find_vector_columns(population, "heading"),
         _find_vector_columns(population, "up"),
-        population.id_ranks(),
+        population.compute_id_ranks(),
     )
     parallel.run_in_parts(partial(frame_loops.write_orientations, heading, up, ranks, out), len(ranks), world.options.threads)
 
@@ -124,7 +126,7 @@ def _write_species(world: World, population: Population, out: NDArray[np.int16])
 
 def _write_ages(world: World, population: Population, out: NDArray[np.float32]) -> None:
     """Write the ages of agents into `out` float32[n], in order of id."""
-    out[:] = (world.frame - population.born[population.rows_by_id()]) * world.dt
+    out[:] = (world.frame - population.born[population.get_rows_by_id()]) * world.dt
 
 
 def _find_vector_columns(population: Population, name: str) -> tuple[NDArray[np.float32], ...]:

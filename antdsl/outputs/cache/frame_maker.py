@@ -95,7 +95,7 @@ class FrameMaker:
         for name, population in sorted(world.populations.items()):
             arrays |= make_clip_arrays(population, world.options.threads)
             arrays |= make_display_arrays(population, world.setting)
-            arrays |= self._make_pair_arrays(population, population.rows_by_id())
+            arrays |= self._make_pair_arrays(population, population.get_rows_by_id())
             for key in world.setting.list_body_keys(name):
                 arrays |= make_feet_arrays(world, key, self.scale)
         for name, field in world.fields.items():
@@ -107,7 +107,7 @@ class FrameMaker:
                 arrays[f"items.{name}.{attribute}"] = amount.copy()
         arrays |= self._make_moving_arrays(world)
         if world.periodic is not None:
-            vectors = [each.read_vector("unwrapped")[each.rows_by_id()] for _, each in sorted(world.populations.items())]
+            vectors = [each.read_vector("unwrapped")[each.get_rows_by_id()] for _, each in sorted(world.populations.items())]
             arrays["unwrapped"] = np.concatenate([np.empty((0, 3)), *vectors]).astype(np.float32) * np.float32(self.scale)
         arrays |= make_event_arrays(world, self.events, self.scale)
         return arrays if self.piece_maker is None else arrays | self.piece_maker.frame(world)
@@ -137,7 +137,7 @@ class FrameMaker:
                 np.float32
             )
         speeds = [(each, measure_ground_velocity(world, each)) for _, each in sorted(world.populations.items())]
-        parts = [speed[each.rows_by_id()] for each, speed in speeds if speed is not None]
+        parts = [speed[each.get_rows_by_id()] for each, speed in speeds if speed is not None]
         if parts and len(parts) == len(speeds):
             arrays["v_ground"] = (np.concatenate(parts) * self.scale).astype(np.float32)
         return arrays

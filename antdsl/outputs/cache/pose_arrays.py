@@ -68,11 +68,11 @@ def make_clip_arrays(population: Population, threads: int = 1) -> dict[str, NDAr
         now = {field: population.now[f"{machine}.{register}"] for field, (register, _) in _REGISTER_BY_FIELD.items()}
         values = {field: np.empty(len(population), _REGISTER_BY_FIELD[field][1]) for field in _USUAL_FIELDS}
         of = [tuple([each[field] for field in names]) for each in (now, values) for names in (_CLIP_FIELDS, _SHARE_FIELDS)]
-        work = partial(frame_loops.write_playing_clips, of[0], of[1], population.id_ranks(), of[2], of[3])
+        work = partial(frame_loops.write_playing_clips, of[0], of[1], population.compute_id_ranks(), of[2], of[3])
         parallel.run_in_parts(work, len(population), threads)
         early = now["earlier_fade"] > 0
         if early.any() and (early & (now["fade"] > 0)).any():
-            rows = population.rows_by_id()
+            rows = population.get_rows_by_id()
             values |= {
                 field: now[field].take(rows).astype(_REGISTER_BY_FIELD[field][1], copy=False) for field in EARLIER_CLIP_FIELDS
             }
@@ -152,7 +152,7 @@ def list_wearable_layers(population: Population, setting: WorldSetting) -> tuple
 
 def make_display_arrays(population: Population, setting: WorldSetting) -> dict[str, NDArray[Any]]:
     """Return the arrays `wears`, `channels`, `looks` and `leans` of a species, in order of id."""
-    name, now, plan, rows = population.name, population.now, population.plan, population.rows_by_id()
+    name, now, plan, rows = population.name, population.now, population.plan, population.get_rows_by_id()
     arrays: dict[str, NDArray[Any]] = {}
     layers = list_wearable_layers(population, setting)
     if layers:
@@ -175,7 +175,7 @@ def make_display_arrays(population: Population, setting: WorldSetting) -> dict[s
 
 def mark_layer(population: Population, is_worn: NDArray[np.bool_], bit: np.uint64, mask: NDArray[np.uint64]) -> None:
     """Set `bit` in the masks of the agents that wear a layer. `is_worn` is in the order of rows, `mask` in the order of ids."""
-    frame_loops.mark_worn_layer(is_worn, population.id_ranks(), bit.view(np.int64), mask.view(np.int64))
+    frame_loops.mark_worn_layer(is_worn, population.compute_id_ranks(), bit.view(np.int64), mask.view(np.int64))
 
 
 def read_layer_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArray[np.uint64]:

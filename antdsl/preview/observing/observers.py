@@ -52,8 +52,8 @@ class BackendMessageObserver:
         """Do nothing: messages are printed after the step."""
 
     def after_step(self, session: PreviewSession) -> PauseReason | None:
-        """Print new messages of the backend. Always return None, so the session never pauses."""
-        for sentence in session.world.backend.messages():
+        """Print new list_messages of the backend. Always return None, so the session never pauses."""
+        for sentence in session.world.backend.list_messages():
             if sentence not in self._printed_messages:
                 self._printed_messages.add(sentence)
                 print(sentence, file=sys.stderr, flush=True)

@@ -123,7 +123,7 @@ def collect_actions(world: World, shot: Shot, population: Population, displayed:
         world.setting.seed,
         world.frame * world.dt,
         collect_outfits(world, shot, population),
-        find_body_numbers(population, world.setting)[population.rows_by_id()],
+        find_body_numbers(population, world.setting)[population.get_rows_by_id()],
         stored,
         displayed,
     )

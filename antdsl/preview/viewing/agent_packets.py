@@ -91,7 +91,7 @@ def _add_edits(arrays: Arrays, view_state: ViewState, frame: int) -> Arrays:
 def _make_current_arrays(population: Population, factors: Mapping[tuple[str, str], float]) -> Arrays:
     """Return the arrays that reduced frames do not contain. `factors`: by species and column, the factor to the displayed
     unit."""
-    name, now, rows = population.name, population.now, population.rows_by_id()
+    name, now, rows = population.name, population.now, population.get_rows_by_id()
     arrays: Arrays = {f"{name}/{column}": array for column, array in make_packet_arrays(population, CURRENT_COLUMNS).items()}
     for (species, column), factor in factors.items():
         if species == name:

@@ -2,7 +2,7 @@
 
 A row defines how the request's line is checked, how plans store and print it, and how the record of a step describes it. It also
 defines its trace, its cost and the editor's words. The syntax of the line is in the row of the same word in
-`antdsl.syntax.verbs`. The function that resolves the request is in `SETTLER_BY_EFFECT` of `antdsl.runtime.phases`.
+`antdsl.syntax.verbs`. The function that resolves the request is in `RESOLVER_BY_EFFECT` of `antdsl.runtime.phases`.
 Two kinds of statements have no row: `take` and `give`, which are resolved among several agents, and statements that change only
 the agent itself."""
 

@@ -16,7 +16,7 @@ from antdsl.numerics.elementwise import FUNCTION_BY_NAME, UFUNC_BY_NAME
 from antdsl.plan import ir
 from antdsl.plan.registers import find_cacheable_senses, find_early_loads, find_written_register
 from antdsl.plan.traverse import collect_required_nodes, iterate_with_positions, list_operands
-from antdsl.runtime.sensing.pairs import is_nearest_only
+from antdsl.runtime.sensing.pairs import needs_only_nearest
 from antdsl.runtime.world import DTYPE_BY_KIND
 from antdsl.source import Span
 
@@ -31,8 +31,8 @@ SlotFunctionMaker = Callable[[int, tuple[int, ...], "int | None"], SlotFunction]
     LAZY_VALUES_SLOT,
     PAIRS_SLOT,
     THREADS_SLOT,
-    SPENT_SECONDS_SLOT,
-    FIRST_SLOT,
+    CALL_SECONDS_SLOT,
+    FIRST_VALUE_SLOT,
 ) = 0, 1, 2, 3, 4, 5, 6, 7, 8
 
 
@@ -57,8 +57,9 @@ class BlockInstruction:
 
     `slot`, `inputs`: the slots of its result and of its operands. `dtype`: the type of the buffer for its result; None if it
     allocates an array. `scope`: the rows for which it runs. `span`: the source text from which it comes. `layer`: the number of
-    the first layer that needs the instruction, -1 for none. `inner`: the inner scope that it runs for some of these rows.
-    `inner_result_slot`: the slot of that scope's result. `order`: the position of a statement in the source of its species."""
+    the first layer that needs the instruction, -1 for none. `inner_scope`: the inner scope that it runs for some of these rows.
+    `inner_result_slot`: the slot of that scope's result. `statement_order`: the position of a statement in the source of its
+    species."""
 
     kind: InstructionKind
     subject: ir.PlanNode | ir.PlanStatement
@@ -68,30 +69,30 @@ class BlockInstruction:
     scope: RowScope
     span: Span | None
     layer: int
-    inner: RowScope | None = None
+    inner_scope: RowScope | None = None
     inner_result_slot: int = -1  # slot of the inner scope that is read after it
     block: str = ""
-    order: int = -1  # position of a statement in the text of its species
+    statement_order: int = -1  # position of a statement in the text of its species
 
 
 @dataclass(slots=True, eq=False)
 class RowScope:
-    """The rows for which a region runs, and the region's instructions `code`. `parent`: the enclosing scope.
+    """The rows for which a region runs, and the region's instructions `code`. `parent_scope`: the enclosing scope.
 
-    Three fields are slots. `rows`: the row numbers in the species (slice or array). `parent_indices`: the indices of these rows
-    within the parent's rows (None: all). `row_count`: the number of rows. `slot_by_node`: the slots of the values that this scope
-    computes or gathers. `pairs`: the pairs of each set."""
+    Three fields are slots. `rows_slot`: the row numbers in the species (slice or array). `parent_indices_slot`: the indices of
+    these rows within the parent's rows (None: all). `row_count_slot`: the number of rows. `slot_by_node`: the slots of the
+    values that this scope computes or gathers. `pair_scopes`: the pairs of each set."""
 
-    parent: RowScope | None
-    rows: int
-    parent_indices: int
-    row_count: int
+    parent_scope: RowScope | None
+    rows_slot: int
+    parent_indices_slot: int
+    row_count_slot: int
     code: list[BlockInstruction] = field(default_factory=list)
     slot_by_node: dict[ir.PlanNode, int] = field(default_factory=dict)
-    pairs: dict[ir.PlanNode, PairScope] = field(default_factory=dict)
+    pair_scopes: dict[ir.PlanNode, PairScope] = field(default_factory=dict)
     draw_slots: dict[tuple[str, int], int] = field(default_factory=dict)  # (site, block) -> slot of its four words
     view_slots: dict[tuple[Any, int], int] = field(default_factory=dict)  # (dtype, number of buffer) -> slot of its view
-    calls: list[SlotFunction] = field(default_factory=list)
+    bound_calls: list[SlotFunction] = field(default_factory=list)
 
 
 @dataclass(slots=True, eq=False)
@@ -111,9 +112,9 @@ class BlockCompiler:
     ) -> None:
         self.name, self._species, self._order = block, species, order
         self.uniform_slots: dict[ir.PlanNode, int] = {}
-        self.slot_count = FIRST_SLOT
+        self.slot_count = FIRST_VALUE_SLOT
         self.lazy_nodes = frozenset(find_cacheable_senses(species)) if block != "born" else frozenset()
-        self.root_scope = self._new_scope(None)
+        self.root_scope = self._make_scope(None)
         self.buffer_counts: dict[Any, int] = {}  # number of buffers, by dtype
         self.stored_registers: set[str] = set()  # registers that the block stores
         self.region_count_by_set = sets  # for each set of the species: the number of regions that use it
@@ -126,7 +127,7 @@ class BlockCompiler:
         self.slot_count += 1
         return self.slot_count - 1
 
-    def _new_scope(self, parent: RowScope | None) -> RowScope:
+    def _make_scope(self, parent: RowScope | None) -> RowScope:
         return RowScope(parent, self.allocate_slot(), self.allocate_slot(), self.allocate_slot())
 
     def _emit_instruction(
@@ -178,7 +179,7 @@ class BlockCompiler:
                 self.emit_value(scope, node)
             inputs = tuple(self.emit_value(scope, node) for node in list_operands(statement))
             if isinstance(statement, ir.If):
-                inner = self._new_scope(scope)
+                inner = self._make_scope(scope)
                 self._compile_block(inner, statement.body, (*path, k))
                 self._layer_number = layer
                 if inner.code:
@@ -214,7 +215,7 @@ class BlockCompiler:
         pending = [node]
         while pending:
             top = pending.pop()
-            if top in missing or top.rate <= ir.UpdateRate.STEP or self._find_holding_scope(scope, top) is not None:
+            if top in missing or top.rate <= ir.UpdateRate.STEP or self._find_scope_of_node(scope, top) is not None:
                 continue
             if top.rate == ir.UpdateRate.AGENT and top.kind is not ir.ValueKind.SET:
                 missing.add(top)
@@ -235,11 +236,11 @@ class BlockCompiler:
         return self.uniform_slots[node]
 
     @staticmethod
-    def _find_holding_scope(scope: RowScope | None, node: ir.PlanNode) -> RowScope | None:
+    def _find_scope_of_node(scope: RowScope | None, node: ir.PlanNode) -> RowScope | None:
         """Return the innermost scope, starting from `scope`, that contains the value of a node. None if no enclosing scope
         contains it."""
         while scope is not None and node not in scope.slot_by_node:
-            scope = scope.parent
+            scope = scope.parent_scope
         return scope
 
     def _find_stored_slot(self, scope: RowScope, node: ir.PlanNode) -> int:
@@ -250,13 +251,13 @@ class BlockCompiler:
             return self._find_uniform_slot(node)
         holders = [scope]
         while node not in holders[-1].slot_by_node:
-            outer = holders[-1].parent
+            outer = holders[-1].parent_scope
             assert outer is not None, f"{node!r} is not known"
             holders.append(outer)
         for inner in reversed(holders[:-1]):
-            assert inner.parent is not None
+            assert inner.parent_scope is not None
             inner.slot_by_node[node] = slot = self.allocate_slot()
-            self._emit_instruction(inner, InstructionKind.GATHER, node, slot, (inner.parent.slot_by_node[node],))
+            self._emit_instruction(inner, InstructionKind.GATHER, node, slot, (inner.parent_scope.slot_by_node[node],))
         return scope.slot_by_node[node]
 
     def _emit_node(self, scope: RowScope, node: ir.PlanNode) -> None:
@@ -271,7 +272,7 @@ class BlockCompiler:
 
     def _emit_lazy_sense(self, scope: RowScope, node: ir.PlanNode) -> None:
         """Emit a sense that is stored for the step. An inner scope computes it for the rows that have no stored value yet."""
-        inner = self._new_scope(scope)
+        inner = self._make_scope(scope)
         result = self.emit_value(inner, node, recompute=True)
         slot = scope.slot_by_node[node] = self.allocate_slot()
         self._emit_instruction(scope, InstructionKind.CACHED_SENSE, node, slot, (), inner=inner, inner_result_slot=result)
@@ -289,15 +290,15 @@ class BlockCompiler:
 
     def _find_or_emit_pairs(self, scope: RowScope, node: ir.PlanNode) -> PairScope:
         """Return the pairs of a set in a scope. Emit the instruction that finds them, unless the scope already has them."""
-        if node not in scope.pairs:
-            if node.op == "set.every" and not is_nearest_only(self._species, node):
+        if node not in scope.pair_scopes:
+            if node.op == "set.every" and not needs_only_nearest(self._species, node):
                 self.complete_species.add(node.attrs[0])
             inputs = tuple(self._find_stored_slot(scope, a) for a in node.args)
-            pairs = scope.pairs[node] = PairScope(self.allocate_slot())
+            pairs = scope.pair_scopes[node] = PairScope(self.allocate_slot())
             if self.name != "born" and all(part.op != "load" for part in collect_required_nodes((node,))):
                 self.region_count_by_set[node] = self.region_count_by_set.get(node, 0) + 1
             self._emit_instruction(scope, InstructionKind.PAIRS, node, pairs.slot, inputs)
-        return scope.pairs[node]
+        return scope.pair_scopes[node]
 
     def _find_or_emit_pair_value(self, scope: RowScope, pairs: PairScope, node: ir.PlanNode) -> int:
         """Return the slot of a node's values over pairs, one per pair. Emit its instructions unless the scope already has them.
@@ -331,17 +332,19 @@ def _flatten_instructions(scope: RowScope, order: list[tuple[BlockInstruction, b
     An instruction with an inner scope is appended twice: with False before that scope, and with True after it."""
     for instruction in scope.code:
         order.append((instruction, False))
-        if instruction.inner is not None:
-            _flatten_instructions(instruction.inner, order)
+        if instruction.inner_scope is not None:
+            _flatten_instructions(instruction.inner_scope, order)
             order.append((instruction, True))
 
 
-def bind_calls(compiler: BlockCompiler, find_maker: Callable[[BlockInstruction, BlockCompiler], SlotFunctionMaker]) -> None:
+def bind_instruction_calls(
+    compiler: BlockCompiler, find_call_maker: Callable[[BlockInstruction, BlockCompiler], SlotFunctionMaker]
+) -> None:
     """Assign buffers to elementwise results, and create the function call of each instruction.
 
-    `find_maker`: returns the function that creates an instruction's call. A buffer is reused after the last use of its value: a
-    linear scan over the execution order (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895). It is valid because no region
-    runs twice."""
+    `find_call_maker`: returns the function that creates an instruction's call. A buffer is reused after the last use of its
+    value: a linear scan over the execution order (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895). It is valid because no
+    region runs twice."""
     order: list[tuple[BlockInstruction, bool]] = []
     _flatten_instructions(compiler.root_scope, order)
     last: dict[int, int] = {}
@@ -370,5 +373,5 @@ def bind_calls(compiler: BlockCompiler, find_maker: Callable[[BlockInstruction, 
             if buffer == -1:
                 buffer = instruction.scope.view_slots[instruction.dtype, number] = compiler.allocate_slot()
         if not is_after:
-            make = find_maker(instruction, compiler)
-            instruction.scope.calls.append(make(instruction.slot, instruction.inputs, buffer))
+            make = find_call_maker(instruction, compiler)
+            instruction.scope.bound_calls.append(make(instruction.slot, instruction.inputs, buffer))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from time import perf_counter
 
 from antdsl.runtime.backends.block_compiler import (
-    SPENT_SECONDS_SLOT,
+    CALL_SECONDS_SLOT,
     BlockCompiler,
     BlockInstruction,
     RowScope,
@@ -15,8 +15,8 @@ from antdsl.runtime.backends.block_compiler import (
 )
 
 
-class MeteredBlock:
-    """A compiled block with calls that are timed until `stop` is called.
+class BlockCallMeter:
+    """A compiled block with calls that are timed until `stop_metering` is called.
 
     `seconds`: the time of each of `instructions`. If several threads run, times are scaled so that their sum does not exceed the
     elapsed time."""
@@ -27,12 +27,12 @@ class MeteredBlock:
         self._original_calls: list[tuple[RowScope, list[SlotFunction]]] = []
         for scope in _iterate_scopes(compiler.root_scope):
             first = len(self.instructions)
-            self.instructions += scope.code  # in the order of `list_instructions`
-            self._original_calls.append((scope, scope.calls))
-            scope.calls = [_time_call(call, first + k) for k, call in enumerate(scope.calls)]
-        self.reset()
+            self.instructions += scope.code  # in the order of `list_scope_instructions`
+            self._original_calls.append((scope, scope.bound_calls))
+            scope.bound_calls = [_make_timed_call(call, first + k) for k, call in enumerate(scope.bound_calls)]
+        self.reset_counters()
 
-    def reset(self) -> None:
+    def reset_counters(self) -> None:
         """Set all counters to 0."""
         self.seconds = [0.0] * len(self.instructions)
 
@@ -49,14 +49,14 @@ class MeteredBlock:
             for k, seconds in enumerate(lane[:-1]):
                 self.seconds[k] += seconds * share
 
-    def stop(self) -> None:
+    def stop_metering(self) -> None:
         """Replace the timed calls by the block's original calls."""
         for scope, calls in self._original_calls:
-            scope.calls = calls
+            scope.bound_calls = calls
 
 
-def list_instructions(root: RowScope) -> list[BlockInstruction]:
-    """Return the instructions of a scope and its inner scopes, in the order of `MeteredBlock.instructions`."""
+def list_scope_instructions(root: RowScope) -> list[BlockInstruction]:
+    """Return the instructions of a scope and its inner scopes, in the order of `BlockCallMeter.instructions`."""
     return [each for scope in _iterate_scopes(root) for each in scope.code]
 
 
@@ -65,19 +65,19 @@ def _iterate_scopes(root: RowScope) -> Iterator[RowScope]:
     while pending:
         scope = pending.pop()
         yield scope
-        pending += [each.inner for each in scope.code if each.inner is not None]
+        pending += [each.inner_scope for each in scope.code if each.inner_scope is not None]
 
 
-def _time_call(call: SlotFunction, number: int) -> SlotFunction:
-    """Return `call` wrapped in a function that adds its time, without nested calls, to counter `number`."""
+def _make_timed_call(call: SlotFunction, counter_index: int) -> SlotFunction:
+    """Return `call` wrapped in a function that adds its time, without nested calls, to counter `counter_index`."""
 
     def run_timed(v: SlotValues) -> None:
-        spent = v[SPENT_SECONDS_SLOT]
+        spent = v[CALL_SECONDS_SLOT]
         around, spent[-1] = spent[-1], 0.0
         began = perf_counter()
         call(v)
         took = perf_counter() - began
-        spent[number] += took - spent[-1]
+        spent[counter_index] += took - spent[-1]
         spent[-1] = around + took
 
     return run_timed

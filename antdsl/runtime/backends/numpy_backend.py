@@ -19,20 +19,20 @@ from antdsl.plan.traverse import collect_required_nodes
 from antdsl.runtime.backends import numpy_calls
 from antdsl.runtime.backends.block_compiler import (
     BUFFERS_SLOT,
+    CALL_SECONDS_SLOT,
     EFFECTS_SLOT,
     LAZY_VALUES_SLOT,
     PAIRS_SLOT,
     POPULATION_SLOT,
-    SPENT_SECONDS_SLOT,
     THREADS_SLOT,
     WORLD_SLOT,
     BlockCompiler,
-    bind_calls,
+    bind_instruction_calls,
 )
-from antdsl.runtime.backends.metering import MeteredBlock
+from antdsl.runtime.backends.metering import BlockCallMeter
 from antdsl.runtime.requests import EffectRequests
 from antdsl.runtime.sensing.pairs import MAX_PAIRS_PER_CHUNK
-from antdsl.runtime.sensing.world_senses import compute_uniform_leaf, make_constant_scalar
+from antdsl.runtime.sensing.world_senses import compute_constant, compute_uniform_leaf
 from antdsl.runtime.world import DTYPE_BY_KIND, Population, World
 from antdsl.scene.setting import WorldSetting
 
@@ -41,8 +41,8 @@ StoredSenses = dict[ir.PlanNode, tuple[NDArray[np.bool_], list[NDArray[Any]]]]
 
 
 class NumpyBackend:
-    """The NumPy backend of one plan. The plan is compiled once. Call `begin` at the start of each step, then `run` for each block
-    of each species."""
+    """The NumPy backend of one plan. The plan is compiled once. Call `begin_step` at the start of each step, then `run` for each
+    block of each species."""
 
     spare_rows = 0  # spare rows at the end of arrays over a species
 
@@ -57,7 +57,7 @@ class NumpyBackend:
             for block in BLOCK_NAMES:
                 compiler = self._blocks[name, block] = BlockCompiler(species, block, order, sets)
                 compiler.compile(getattr(species, block))
-                bind_calls(compiler, numpy_calls.make_call)
+                bind_instruction_calls(compiler, numpy_calls.make_call)
             roots = tuple(node for block in BLOCK_NAMES for node in self._blocks[name, block].uniform_slots)
             every = collect_required_nodes(roots)
             self._constants[name] = compute_constants(node for node in every if node.rate is ir.UpdateRate.CONST)
@@ -72,7 +72,7 @@ class NumpyBackend:
         self._cached_pairs: dict[str, dict[tuple[ir.PlanNode, int], Any]] = {}
         self._buffers: list[dict[Any, list[NDArray[Any]]]] = []
         self._pool: ThreadPoolExecutor | None = None
-        self.metered_blocks: dict[tuple[str, str], MeteredBlock] = {}  # by species and block, while a Meter is active
+        self.metered_blocks: dict[tuple[str, str], BlockCallMeter] = {}  # by species and block, while a Meter is active
 
     @property
     def blocks(self) -> Mapping[tuple[str, str], BlockCompiler]:
@@ -84,15 +84,15 @@ class NumpyBackend:
         """Return the name of the backend that runs the blocks in this step, as users see it."""
         return "NumPy"
 
-    def set_timing(self, enabled: bool) -> None:
+    def set_timing_enabled(self, enabled: bool) -> None:
         """Start or stop to measure the time of each call, from the next step on. Results do not change."""
         if enabled == bool(self.metered_blocks):
             return
         for each in self.metered_blocks.values():
-            each.stop()
-        self.metered_blocks = {key: MeteredBlock(compiler) for key, compiler in self._blocks.items()} if enabled else {}
+            each.stop_metering()
+        self.metered_blocks = {key: BlockCallMeter(compiler) for key, compiler in self._blocks.items()} if enabled else {}
 
-    def begin(self, world: World) -> None:
+    def begin_step(self, world: World) -> None:
         """Begin a step: compute the values that are equal for all agents, and clear cached senses."""
         for name, population in world.populations.items():
             self._uniform_values[name] = self._compute_step_values(world, name)
@@ -112,7 +112,7 @@ class NumpyBackend:
                 for mask, node in zip(has, nodes, strict=True)
             }
 
-    def messages(self) -> list[str]:
+    def list_messages(self) -> list[str]:
         """Return an empty list, because this backend runs everything as requested."""
         return []
 
@@ -128,7 +128,7 @@ class NumpyBackend:
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Run a block for some rows (None: all), and add their requests to the population's effects."""
         compiler = self._blocks[population.name, block]
-        if not compiler.root_scope.calls:
+        if not compiler.root_scope.bound_calls:
             return
         if block == "born":
             self._uniform_values[population.name] = self._compute_step_values(world, population.name)
@@ -175,13 +175,13 @@ class NumpyBackend:
         compiler: BlockCompiler,
         rows: Any,
         effects: EffectRequests,
-        spent_seconds: list[float] | None,
+        call_seconds: list[float] | None,
         lane: int,
         is_only_chunk: bool,
     ) -> None:
         """Run a block for one chunk of rows, and add its requests to `effects`.
 
-        `spent_seconds`: counters for the time of each call, or None. `lane`: the number of the thread. `is_only_chunk`: whether
+        `call_seconds`: counters for the time of each call, or None. `lane`: the number of the thread. `is_only_chunk`: whether
         this is the only chunk, so that no other thread runs."""
         v: list[Any] = [None] * compiler.slot_count
         v[WORLD_SLOT], v[POPULATION_SLOT], v[EFFECTS_SLOT], v[LAZY_VALUES_SLOT] = (
@@ -190,7 +190,7 @@ class NumpyBackend:
             effects,
             self._stored_senses.get(population.name),
         )
-        v[SPENT_SECONDS_SLOT] = spent_seconds
+        v[CALL_SECONDS_SLOT] = call_seconds
         v[PAIRS_SLOT] = {} if compiler.name == "born" else self._cached_pairs[population.name]
         v[THREADS_SLOT] = world.options.threads if is_only_chunk else 1
         values = self._uniform_values[population.name]
@@ -198,9 +198,9 @@ class NumpyBackend:
             v[slot] = values[node]
         size = rows.stop - rows.start if isinstance(rows, slice) else len(rows)
         v[BUFFERS_SLOT] = self._prepare_buffers(compiler, size, lane)
-        numpy_calls.enter_scope(v, compiler.root_scope, rows, size, None)
+        numpy_calls.set_scope_rows(v, compiler.root_scope, rows, size, None)
         with np.errstate(all="ignore"):
-            for call in compiler.root_scope.calls:
+            for call in compiler.root_scope.bound_calls:
                 call(v)
 
     def _prepare_buffers(self, compiler: BlockCompiler, size: int, lane: int) -> dict[Any, list[NDArray[Any]]]:
@@ -223,7 +223,7 @@ def compute_constants(nodes: Iterable[ir.PlanNode]) -> dict[ir.PlanNode, Any]:
     with np.errstate(all="ignore"):
         for node in nodes:
             f = FUNCTION_BY_NAME.get(node.op)
-            values[node] = make_constant_scalar(node) if f is None else f(*[values[a] for a in node.args])
+            values[node] = compute_constant(node) if f is None else f(*[values[a] for a in node.args])
     return values
 
 

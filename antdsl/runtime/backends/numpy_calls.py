@@ -38,15 +38,19 @@ def make_call(instruction: BlockInstruction, compiler: BlockCompiler) -> SlotFun
     call."""
     scope, what = instruction.scope, instruction.subject
     if not isinstance(what, ir.PlanNode):
-        return make_statement_call(instruction) if instruction.inner is None else make_region_call(scope, instruction.inner)
+        return (
+            make_statement_call(instruction)
+            if instruction.inner_scope is None
+            else make_region_call(scope, instruction.inner_scope)
+        )
     match instruction.kind:
         case InstructionKind.VALUE | InstructionKind.PAIR_OPERATION:
             return make_elementwise_call(what) or make_leaf_call(what, compiler, scope)
         case InstructionKind.GATHER:
             return make_gather_call(scope, what.kind is ir.ValueKind.TUPLE)
         case InstructionKind.CACHED_SENSE:
-            assert instruction.inner is not None
-            return make_cached_sense_call(what, scope, instruction.inner, instruction.inner_result_slot)
+            assert instruction.inner_scope is not None
+            return make_cached_sense_call(what, scope, instruction.inner_scope, instruction.inner_result_slot)
         case InstructionKind.PAIRS:
             return make_pairs_call(what, compiler, scope)
         case InstructionKind.REPEAT_FOR_PAIRS:
@@ -58,9 +62,9 @@ def make_call(instruction: BlockInstruction, compiler: BlockCompiler) -> SlotFun
     raise AssertionError(f"no call for {instruction.kind}")
 
 
-def enter_scope(v: SlotValues, scope: RowScope, rows: Any, size: int, parent_rows: NDArray[np.intp] | None) -> None:
+def set_scope_rows(v: SlotValues, scope: RowScope, rows: Any, size: int, parent_rows: NDArray[np.intp] | None) -> None:
     """Write the rows of a scope to `v`, with their number `size`, indices within the parent's rows, and views of buffers."""
-    v[scope.rows], v[scope.row_count], v[scope.parent_indices] = rows, size, parent_rows
+    v[scope.rows_slot], v[scope.row_count_slot], v[scope.parent_indices_slot] = rows, size, parent_rows
     buffers = v[BUFFERS_SLOT]
     for (dtype, number), slot in scope.view_slots.items():
         v[slot] = buffers[dtype][number][:size]
@@ -68,14 +72,14 @@ def enter_scope(v: SlotValues, scope: RowScope, rows: Any, size: int, parent_row
 
 def run_inner_scope(v: SlotValues, scope: RowScope, inner: RowScope, parent_rows: NDArray[np.intp] | None) -> None:
     """Run an inner scope for some rows of the enclosing scope (None: all)."""
-    rows = v[scope.rows]
+    rows = v[scope.rows_slot]
     if parent_rows is None:
-        enter_scope(v, inner, rows, v[scope.row_count], None)
+        set_scope_rows(v, inner, rows, v[scope.row_count_slot], None)
     elif isinstance(rows, slice):
-        enter_scope(v, inner, parent_rows + rows.start if rows.start else parent_rows, len(parent_rows), parent_rows)
+        set_scope_rows(v, inner, parent_rows + rows.start if rows.start else parent_rows, len(parent_rows), parent_rows)
     else:
-        enter_scope(v, inner, rows.take(parent_rows), len(parent_rows), parent_rows)
-    for call in inner.calls:
+        set_scope_rows(v, inner, rows.take(parent_rows), len(parent_rows), parent_rows)
+    for call in inner.bound_calls:
         call(v)
 
 
@@ -102,7 +106,7 @@ def make_region_call(scope: RowScope, inner: RowScope) -> SlotFunctionMaker:
 
 def make_gather_call(scope: RowScope, is_tuple: bool) -> SlotFunctionMaker:
     """Return the maker of a call that copies a value of the enclosing scope for the rows of this scope."""
-    picked = scope.parent_indices
+    picked = scope.parent_indices_slot
 
     def make_gather(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         (a,) = inputs
@@ -127,11 +131,11 @@ def make_cached_sense_call(node: ir.PlanNode, scope: RowScope, inner: RowScope, 
     def make_sense(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def read_cached_sense(v: SlotValues) -> None:
             has, arrays = v[LAZY_VALUES_SLOT][node]
-            rows = v[scope.rows]
+            rows = v[scope.rows_slot]
             missing = (~has[rows]).nonzero()[0]
             if len(missing):
-                run_inner_scope(v, scope, inner, None if len(missing) == v[scope.row_count] else missing)
-                new = v[inner.rows]
+                run_inner_scope(v, scope, inner, None if len(missing) == v[scope.row_count_slot] else missing)
+                new = v[inner.rows_slot]
                 has[new] = True
                 for array, part in zip(arrays, v[result] if node.kind is ir.ValueKind.TUPLE else (v[result],), strict=True):
                     array[new] = part
@@ -181,7 +185,7 @@ def make_elementwise_call(node: ir.PlanNode) -> SlotFunctionMaker | None:
 
 def make_leaf_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope) -> SlotFunctionMaker:
     """Return the maker of the call for a register, a random draw, a part of a tuple, or a sense."""
-    rows = scope.rows
+    rows = scope.rows_slot
     if node.op == "get":
         index = node.attrs[0]
         return lambda result_slot, inputs, buffer: lambda v: v.__setitem__(result_slot, v[inputs[0]][index])
@@ -221,7 +225,7 @@ def _make_draw_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope)
         def draw_numbers(v: SlotValues) -> None:
             if fresh:
                 world, population = v[WORLD_SLOT], v[POPULATION_SLOT]
-                ids = population.ids[v[scope.rows]]
+                ids = population.ids[v[scope.rows_slot]]
                 v[words] = randomness.draw_four_words(world.setting.seed, world.frame, population.name, site, index >> 2, ids)
             v[result_slot] = randomness.to_unit_floats(v[words][index & 3])
 
@@ -234,7 +238,7 @@ def make_pairs_call(node: ir.PlanNode, compiler: BlockCompiler, scope: RowScope)
     """Return the maker of the call that finds the pairs of a set.
 
     If several regions use the set, its pairs are stored for the step as soon as they are computed for a complete chunk."""
-    shared, root, rows = compiler.region_count_by_set, compiler.root_scope.rows, scope.rows
+    shared, root, rows = compiler.region_count_by_set, compiler.root_scope.rows_slot, scope.rows_slot
 
     def make_pairs(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def find_set_pairs(v: SlotValues) -> None:
@@ -259,7 +263,7 @@ def make_spread_call(result_slot: int, inputs: tuple[int, ...], buffer: int | No
     value, pair = inputs
 
     def spread_value(v: SlotValues) -> None:
-        v[result_slot] = v[value].take(v[pair].i)
+        v[result_slot] = v[value].take(v[pair].agent_indices)
 
     return spread_value
 
@@ -268,7 +272,7 @@ def make_pair_leaf_call(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker
     """Return the maker of a call that reads a value of the other agent of each pair.
 
     A sense is evaluated at the position of the requesting agent."""
-    sense, rows = SENSE_FUNCTIONS.get(node.op), scope.rows
+    sense, rows = SENSE_FUNCTIONS.get(node.op), scope.rows_slot
 
     def make_pair_leaf(result_slot: int, inputs: tuple[int, ...], buffer: int | None) -> SlotFunction:
         def read_pair_leaf(v: SlotValues) -> None:
@@ -280,7 +284,7 @@ def make_pair_leaf_call(node: ir.PlanNode, scope: RowScope) -> SlotFunctionMaker
                     v[WORLD_SLOT],
                     v[POPULATION_SLOT],
                     node,
-                    convert_to_row_array(v[rows]).take(pair_set.i),
+                    convert_to_row_array(v[rows]).take(pair_set.agent_indices),
                     *[v[a] for a in inputs[1:]],
                 )
 

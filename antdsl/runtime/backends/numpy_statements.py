@@ -31,7 +31,7 @@ def convert_to_row_array(rows: Any) -> NDArray[np.intp]:
 
 def _copy_row_values(v: SlotValues, scope: RowScope, value: Any) -> NDArray[Any]:
     """Return a new array with one value for each row of a scope. A copy is needed because buffers are reused."""
-    return np.full(v[scope.row_count], value) if value.ndim == 0 else value.copy()
+    return np.full(v[scope.row_count_slot], value) if value.ndim == 0 else value.copy()
 
 
 def is_storable(value: NDArray[Any], allows_infinity: bool) -> NDArray[np.bool_]:
@@ -53,7 +53,7 @@ def _make_store_call(statement: ir.Store, block: str, scope: RowScope) -> SlotFu
         (a,) = inputs
 
         def store_rows(v: SlotValues) -> None:
-            value, rows = v[a], v[scope.rows]
+            value, rows = v[a], v[scope.rows_slot]
             target = v[POPULATION_SLOT].now[name]
             good = is_storable(value, infinite) if number else None
             if good is None or good.all():
@@ -77,7 +77,7 @@ def _select_finite_amounts(
     """Return the rows with finite values, these values, and the indices of these rows in the scope.
 
     Record a fault for each of the other rows."""
-    rows, value = convert_to_row_array(v[scope.rows]), _copy_row_values(v, scope, value)
+    rows, value = convert_to_row_array(v[scope.rows_slot]), _copy_row_values(v, scope, value)
     good = np.isfinite(value)
     if good.all():
         return rows, value, ALL_ROWS
@@ -95,7 +95,7 @@ def _make_claim_call(statement: ir.Claim, block: str, scope: RowScope, order: in
 
         def add_claims(v: SlotValues) -> None:
             if much is None:
-                rows = convert_to_row_array(v[scope.rows])
+                rows = convert_to_row_array(v[scope.rows_slot])
                 amount, good = np.full(len(rows), np.inf, np.float32), ALL_ROWS
             else:
                 rows, amount, good = _select_finite_amounts(v, scope, block, what, statement.span, v[much])
@@ -118,7 +118,7 @@ def _make_gift_call(statement: ir.Give, block: str, scope: RowScope) -> SlotFunc
             own = v[POPULATION_SLOT].now[statement.register]
             item = _copy_row_values(v, scope, v[inputs[0]])
             if statement.amount is None:
-                rows = convert_to_row_array(v[scope.rows])
+                rows = convert_to_row_array(v[scope.rows_slot])
                 amount = own[rows]
             else:
                 rows, amount, good = _select_finite_amounts(
@@ -147,7 +147,7 @@ def _make_request_call(statement: ir.Request, block: str, scope: RowScope, order
         which = [None if node is None else next(slots) for node in statement.args]
 
         def add_requests(v: SlotValues) -> None:
-            rows = convert_to_row_array(v[scope.rows])
+            rows = convert_to_row_array(v[scope.rows_slot])
             args = [None if slot is None else _copy_row_values(v, scope, v[slot]) for slot in which]
             good = np.ones(len(rows), np.bool_)
             for arg in args if refused else ():
@@ -169,7 +169,7 @@ def _make_request_call(statement: ir.Request, block: str, scope: RowScope, order
 
 def make_statement_call(instruction: BlockInstruction) -> SlotFunctionMaker:
     """Return the maker of the call for any statement except `If`."""
-    what, block, scope, order = instruction.subject, instruction.block, instruction.scope, instruction.order
+    what, block, scope, order = instruction.subject, instruction.block, instruction.scope, instruction.statement_order
     match what:
         case ir.Store():
             return _make_store_call(what, block, scope)

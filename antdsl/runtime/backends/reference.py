@@ -36,10 +36,10 @@ class ReferenceBackend:
     def __init__(self, plan: ir.Plan) -> None:
         self._orders = {name: number_statements(species) for name, species in plan.species.items()}
 
-    def begin(self, world: World) -> None:
+    def begin_step(self, world: World) -> None:
         """Do nothing, because this backend caches no data between steps."""
 
-    def messages(self) -> list[str]:
+    def list_messages(self) -> list[str]:
         """Return an empty list, because this backend runs everything as requested."""
         return []
 
@@ -54,7 +54,7 @@ class ReferenceBackend:
                 agent.run(block)
 
 
-class NodeFault(Exception):
+class InvalidNodeValueError(Exception):
     """A signal that ends the repeated run of an agent as soon as it has computed the node with the faulty value."""
 
     def __init__(self, node: ir.PlanNode) -> None:
@@ -85,7 +85,7 @@ class AgentRun:
     def run(self, block: str, plan: ir.SpeciesPlan | None = None) -> None:
         """Run a block of the agent's species, or of `plan`, another plan of the same species."""
         tree: ir.Block = getattr(plan or self.population.plan, block)
-        self.block, self.values, self.early = block, {}, _find_early_loads(tree)
+        self.block, self.values, self.early = block, {}, _find_loads_before_stores(tree)
         self._run_block(tree, ())
 
     # --- statements ----------------------------------------------------------------------------------------------------
@@ -156,7 +156,7 @@ class AgentRun:
         pending = [node]
         while pending:
             top = pending[-1]
-            missing = [] if top in self.values else [n for n in _list_own_operands(top) if n not in self.values]
+            missing = [] if top in self.values else [n for n in _list_operands_of_own_agent(top) if n not in self.values]
             if missing:
                 pending.extend(missing)
                 continue
@@ -202,10 +202,10 @@ class AgentRun:
         args = [self.values[a] for a in node.args]
         if node.op == "set.items":
             items = self.world.items[node.attrs[0]]
-            measured = _measure_members(self.world, [items.visible_values[axis] for axis in AXES], own)
+            measured = _measure_distances_to_agents(self.world, [items.visible_values[axis] for axis in AXES], own)
             return [m for m in measured if m[4] <= args[0]]
         other = self.world.populations[node.attrs[0]]
-        measured = _measure_members(self.world, [other.start[f"position.{axis}"] for axis in AXES], own)
+        measured = _measure_distances_to_agents(self.world, [other.start[f"position.{axis}"] for axis in AXES], own)
         if other is self.population:
             measured = [m for m in measured if m[0] != self.row]
         if node.op == "set.every":
@@ -248,7 +248,7 @@ class AgentRun:
 
 
 @cache
-def _find_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
+def _find_loads_before_stores(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]]:
     return find_early_loads(block)
 
 
@@ -259,7 +259,7 @@ def _list_pair_nodes(roots: tuple[ir.PlanNode, ...]) -> tuple[ir.PlanNode, ...]:
 
 
 @cache
-def _list_own_operands(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
+def _list_operands_of_own_agent(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
     """Return the nodes with one value per agent on which a node depends, directly or through sets and reductions."""
     operands: list[ir.PlanNode] = []
     pending = list(node.args)
@@ -272,7 +272,7 @@ def _list_own_operands(node: ir.PlanNode) -> tuple[ir.PlanNode, ...]:
     return tuple(dict.fromkeys(operands))
 
 
-def _measure_members(world: World, positions: list[Any], own_position: list[Any]) -> list[SetMember]:
+def _measure_distances_to_agents(world: World, positions: list[Any], own_position: list[Any]) -> list[SetMember]:
     """Return every agent as a set member: its row, and its offset and distance (mm) from `own_position`."""
     dx, dy, dz = measure_offsets(world, positions, own_position)
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
@@ -346,7 +346,7 @@ def find_fault_operands(
 
     def check_stored_value(register: str, operand_span: Span | None, node: ir.PlanNode) -> None:
         if agent.block == block and register == value_name and operand_span == span:
-            raise NodeFault(node)
+            raise InvalidNodeValueError(node)
 
     agent.on_fault = check_stored_value
     with np.errstate(all="ignore"):
@@ -354,13 +354,13 @@ def find_fault_operands(
             for name in ("born",) if block == "born" else STEP_BLOCKS:
                 agent.run(name)
                 if name == "decide":
-                    apply_claims(agent, population)
-        except NodeFault as met:
+                    apply_claim_results(agent, population)
+        except InvalidNodeValueError as met:
             return _find_fault_origin(agent, met.node)
     return ()
 
 
-def apply_claims(agent: AgentRun, population: Population) -> None:
+def apply_claim_results(agent: AgentRun, population: Population) -> None:
     """Set the registers of an agent to the results of its claims, before its step is repeated."""
     for claim in agent.effects.claims:
         won = bool(population.now[claim.statement.won_register][agent.row])

@@ -18,17 +18,23 @@ from antdsl.plan import ir
 from antdsl.plan.traverse import iterate_with_positions
 from antdsl.program.tables.effects import list_effects_of_phase
 from antdsl.runtime.binding.initial_attributes import write_initial_values
-from antdsl.runtime.binding.overcrowding import OvercrowdedLine
-from antdsl.runtime.binding.spacing import RELEASE_TRIES_PER_ROUND, Occupancy, StartPositionDraws, has_extent, spread_agents
+from antdsl.runtime.binding.overcrowding import OvercrowdedCrowd
+from antdsl.runtime.binding.spacing import (
+    RELEASE_TRIES_PER_ROUND,
+    OccupiedDiscs,
+    StartPositionCandidates,
+    has_extent,
+    spread_agents,
+)
 from antdsl.runtime.binding.start_positions import MAX_RANDOM_COVERED_SHARE, PLACEMENT_FRAME, StartPositionSampler
 from antdsl.runtime.binding.start_shapes import FULL_TURN, compute_facing
 from antdsl.runtime.faults import FaultLog
-from antdsl.runtime.lifecycle import apply_deaths_and_births, initialise_newborn, settle_newborn
-from antdsl.runtime.line_tables import take_created_ids
+from antdsl.runtime.lifecycle import apply_deaths_and_births, initialise_cells_of_newborn, initialise_newborn
+from antdsl.runtime.line_tables import find_created_ids
 from antdsl.runtime.moving import scripted_walks
 from antdsl.runtime.moving.clearance.clear_steps import settle_bodies_outside_ground
 from antdsl.runtime.moving.tilting import tilt_new_bodies
-from antdsl.runtime.world import AXES, Population, World, add_rows, make_empty_population, select_rows
+from antdsl.runtime.world import AXES, Population, World, add_rows, make_empty_population, retain_rows
 from antdsl.scene.setting import CrowdData, PlacementData
 
 _MIN_NORMAL_SINE = 1e-3  # if the sine of a direction's angle to the normal is smaller, the direction leads off the ground
@@ -39,14 +45,14 @@ def place_crowds(world: World) -> None:
     for line in world.crowd_lines:
         world.populations[line.species].next_id += len(line)
     lines = zip(world.setting.crowds, world.crowd_lines, strict=True)
-    place_new_agents(world, [(crowd, take_created_ids(crowd, line, None, world.frame)) for crowd, line in lines])
+    place_new_agents(world, [(crowd, find_created_ids(crowd, line, None, world.frame)) for crowd, line in lines])
     joined: dict[str, NDArray[np.intp]] = {}
     for name, population in world.populations.items():
         if len(population):
             _shuffle_rows(world, population)
             joined[name] = np.arange(len(population))
     initialise_agents(world, joined)
-    world.motion.begin(world)
+    world.motion.begin_measuring(world)
 
 
 def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray[np.int64]]]) -> dict[str, NDArray[np.intp]]:
@@ -60,48 +66,50 @@ def place_new_agents(world: World, new_crowds: Sequence[tuple[CrowdData, NDArray
         return {}
     starts = [StartPositionSampler(world, crowd) for crowd, _ in new_crowds]
     radius = _compute_spacing_radii(world, new_crowds, starts, _compute_birth_radii(world, new_crowds, starts))
-    occupancy = Occupancy(_compute_position_precision(world))
+    occupancy = OccupiedDiscs(_compute_position_precision(world))
     rounds = RELEASE_TRIES_PER_ROUND if world.is_stepping else None
-    box = None if rounds is None else _find_reachable_box(new_crowds, starts, radius, sum(rounds))
+    box = None if rounds is None else _find_box_of_start_positions(new_crowds, starts, radius, sum(rounds))
     for population in world.populations.values():
         own_radius = population.now["radius"].astype(np.float64)
         near = slice(None) if box is None else _find_rows_in_reach(population.position, own_radius, box)
-        occupancy.add_fixed(population.position[near], own_radius[near])
-    draws: dict[int, StartPositionDraws] = {}
+        occupancy.add_fixed_discs(population.position[near], own_radius[near])
+    draws: dict[int, StartPositionCandidates] = {}
     for k, (_, ids) in enumerate(new_crowds):
         if starts[k].has_points:
-            draws[k] = starts[k].draw(ids, range(1))
-            occupancy.add_fixed(draws[k].position, radius[k])
+            draws[k] = starts[k].draw_candidates(ids, range(1))
+            occupancy.add_fixed_discs(draws[k].position, radius[k])
     first = 0
     for k, (crowd, ids) in enumerate(new_crowds):
         if k not in draws:
-            draws[k], fits = spread_agents(occupancy, starts[k].draw, ids, radius[k], first, rounds)
+            draws[k], fits = spread_agents(occupancy, starts[k].draw_candidates, ids, radius[k], first, rounds)
             first += len(ids)
             if not fits.all() and not world.is_stepping:  # at a rate, agents stand in the way only until they walk on
                 wide = radius[k][has_extent(radius[k])]
                 ends = (float(wide.min(initial=np.inf)), float(wide.max(initial=0.0)))
                 cover = float(np.pi * (wide * wide).sum())
                 fit, start = int(np.count_nonzero(fits)), starts[k]
-                room_for = (start.estimate_area(), start.find_sufficient_radius(cover), start.fits_on_all_sides(cover))
+                room_for = (start.estimate_area(), start.find_sufficient_radius(cover), start.fits_unlimited_surface(cover))
                 world.overcrowded_lines.append(
-                    OvercrowdedLine(crowd.line_index, crowd.species, len(ids), fit, ends, cover, *room_for)
+                    OvercrowdedCrowd(crowd.line_index, crowd.species, len(ids), fit, ends, cover, *room_for)
                 )
     first_rows = {crowd.species: len(world.populations[crowd.species]) for crowd, _ in new_crowds}
     for k, (crowd, ids) in enumerate(new_crowds):
-        _place_crowd(world, crowd, ids, draws[k])
+        _add_agents_of_line(world, crowd, ids, draws[k])
     if world.notes is not None:
-        world.notes.remove_absent(world, first_rows, is_start=not world.is_stepping)
+        world.notes.remove_absent_agents(world, first_rows, is_start=not world.is_stepping)
     return {name: np.arange(row, len(world.populations[name])) for name, row in first_rows.items()}
 
 
-def _find_reachable_box(
+def _find_box_of_start_positions(
     new_crowds: Sequence[tuple[CrowdData, NDArray[np.int64]]],
-    starts: Sequence[StartPositionSampler],
+    start_samplers: Sequence[StartPositionSampler],
     radius: Sequence[NDArray[np.float64]],
     tries: int,
 ) -> NDArray[np.float64]:
     """Return the corners (2, 3) of a box that contains the bodies of new agents at all positions they may try."""
-    drawn = [start.draw(ids, range(tries)).position for (_, ids), start in zip(new_crowds, starts, strict=True)]
+    drawn = [
+        start.draw_candidates(ids, range(tries)).position for (_, ids), start in zip(new_crowds, start_samplers, strict=True)
+    ]
     widest = max(float(own[has_extent(own)].max(initial=0.0)) for own in radius)
     points = np.concatenate(drawn)
     return np.stack([points.min(axis=0) - 1.01 * widest, points.max(axis=0) + 1.01 * widest])
@@ -116,7 +124,9 @@ def _find_rows_in_reach(
     return is_near
 
 
-def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], draws: StartPositionDraws) -> NDArray[np.intp]:
+def _add_agents_of_line(
+    world: World, crowd: CrowdData, ids: NDArray[np.int64], draws: StartPositionCandidates
+) -> NDArray[np.intp]:
     """Add the agents of one crowd line at their drawn positions. Return their rows."""
     population = world.populations[crowd.species]
     rows = add_rows(population, ids, world.display_frame, draws.position, draws.footing)
@@ -146,7 +156,7 @@ def _compute_birth_radii(
     rows: dict[str, list[NDArray[np.intp]]] = {}
     lines = []
     for (crowd, ids), start in zip(new_crowds, starts, strict=True):
-        lines.append(_place_crowd(trial, crowd, ids, start.draw(ids, range(1))))
+        lines.append(_add_agents_of_line(trial, crowd, ids, start.draw_candidates(ids, range(1))))
         rows.setdefault(crowd.species, []).append(lines[-1])
     joined = {name: np.concatenate(parts) for name, parts in rows.items()}
     for name, chosen in joined.items():
@@ -171,13 +181,13 @@ def _compute_spacing_radii(
     for (crowd, _), start, own in zip(new_crowds, starts, radius, strict=True):
         half = crowd.place.spacing / 2
         if np.isinf(half):
-            count = sum(c.count for c in world.setting.crowds if _make_place_key(c.place) == _make_place_key(crowd.place))
+            count = sum(c.count for c in world.setting.crowds if _make_placement_key(c.place) == _make_placement_key(crowd.place))
             half = np.sqrt(MAX_RANDOM_COVERED_SHARE * (start.estimate_area() or 0.0) / (np.pi * max(count, 1)))
         radii.append(np.maximum(own, half) if half > 0 else own)
     return radii
 
 
-def _make_place_key(place: PlacementData) -> tuple[object, ...]:
+def _make_placement_key(place: PlacementData) -> tuple[object, ...]:
     """Return a key that is equal for lines that distribute their agents evenly in the same place."""
     return place.surfaces, place.disc_centre, place.radius, place.density, place.is_by_area, place.spacing
 
@@ -201,24 +211,24 @@ def initialise_agents(world: World, new_rows: Mapping[str, NDArray[np.intp]]) ->
         scripted_walks.start_scripted_walks(world, world.populations[name], rows)
         if not settle_bodies_outside_ground(world, world.populations[name], rows):
             tilt_new_bodies(world, world.populations[name], rows)
-    settle_newborn(world)  # before deaths: requests of an agent that dies at birth count
+    initialise_cells_of_newborn(world)  # before deaths: requests of an agent that dies at birth count
     births = set(list_effects_of_phase("births"))
     if any(births & p.effects.requests.keys() for p in world.populations.values()):
         apply_deaths_and_births(world)
-        settle_newborn(world)
+        initialise_cells_of_newborn(world)
     for population in () if world.is_stepping else world.populations.values():
         for name in population.events:
             population.events[name] |= population.raised_events[name]
             population.raised_events[name].fill(False)
 
 
-def _draw_uniform(world: World, species: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
+def _draw_uniform_numbers(world: World, species: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
     return randomness.draw_uniform(world.setting.seed, PLACEMENT_FRAME, species, "heading", index, ids)
 
 
 def _shuffle_rows(world: World, population: Population) -> None:
     if world.options.shuffle_rows is not None:
-        select_rows(population, np.random.default_rng(world.options.shuffle_rows).permutation(len(population)))
+        retain_rows(population, np.random.default_rng(world.options.shuffle_rows).permutation(len(population)))
 
 
 def _choose_headings(
@@ -252,7 +262,7 @@ def _orient_agents(world: World, population: Population, rows: NDArray[np.intp])
     random."""
     target_up = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
     up = vec.split_columns(world.ground.compute_upright_normals(population.footing, target_up)[rows], np.float32)
-    angle = _draw_uniform(world, population.name, 0, population.ids[rows]) * FULL_TURN
+    angle = _draw_uniform_numbers(world, population.name, 0, population.ids[rows]) * FULL_TURN
     side = vec.find_perpendicular(up)
     ahead = vec.cross(up, side)
     heading = vec.add(vec.scale(side, elementary.cos(angle)), vec.scale(ahead, elementary.sin(angle)))
@@ -271,7 +281,7 @@ def _set_start_velocity(world: World, population: Population, rows: NDArray[np.i
         isinstance(s, ir.Store) and s.register.startswith("velocity.") for _, s in iterate_with_positions(population.plan.born)
     ):
         return
-    speed = population.now["max_speed"][rows] * _draw_uniform(world, population.name, 1, population.ids[rows])
+    speed = population.now["max_speed"][rows] * _draw_uniform_numbers(world, population.name, 1, population.ids[rows])
     if "min_speed" in population.now:
         least = np.minimum(population.now["min_speed"][rows], population.now["max_speed"][rows])
         speed = np.maximum(speed, least)

@@ -38,7 +38,7 @@ def bind_fields(
         keep = 1.0 if plan.retained_share is None else value(world, plan.retained_share)
         diffuse = 0.0 if plan.diffuse is None else value(world, plan.diffuse)
         limit = np.inf if plan.limit is None else value(world, plan.limit)
-        if not _check_settings(plan, size, keep, diffuse, limit, world.dt, report):
+        if not _check_field_settings(plan, size, keep, diffuse, limit, world.dt, report):
             continue
         key = (plan.surfaces, size)
         if key not in cells:
@@ -49,7 +49,7 @@ def bind_fields(
                 if world.periodic is not None:
                     kind, inputs = PeriodicCells, (surfaces, size, world.periodic.box)
                 make_cells = partial(kind, *inputs)
-                keep_all = binding_cache.get_deep_copy if kind is GrowingCells else binding_cache.get_or_make
+                keep_all = binding_cache.get_or_compute_deep_copy if kind is GrowingCells else binding_cache.get_or_compute
                 cells[key] = keep_all(kind.__name__, inputs, make_cells)
             except CellsDoNotFit as error:
                 words = f"the world is {error.width:g} mm wide, which is not a multiple of the cell size of {size:g} mm"
@@ -80,7 +80,7 @@ def bind_fields(
             world.vector_fields[plan.vector_field] = VectorField((x, y, z), limit)
 
 
-def _check_settings(
+def _check_field_settings(
     plan: ir.FieldPlan, size: float, retained_share: float, diffuse: float, limit: float, dt: float, report: Report
 ) -> bool:
     """Return whether the settings of a field are valid. Add errors to the report."""

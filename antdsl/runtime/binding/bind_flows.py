@@ -47,26 +47,26 @@ def bind_flows(world: World, report: Report, binding_cache: BindingCache) -> Non
     land = (setting.surfaces, setting.obstacles, setting.maps, setting.up, setting.uses_rays, world.origin)
     for name, flow in setting.flows.items():
         if isinstance(flow, SolvedFlowData) or world.solids or setting.motion:
-            bind_flow(world, name, flow, report)
+            bind_one_flow(world, name, flow, report)
             continue
-        bound_flow = binding_cache.get_or_make("flow", (land, flow), partial(_get_cached_flow, world, name, flow))
+        bound_flow = binding_cache.get_or_compute("flow", (land, flow), partial(_get_cached_flow, world, name, flow))
         if bound_flow is None:
-            bind_flow(world, name, flow, report)  # reports errors
+            bind_one_flow(world, name, flow, report)  # reports errors
         else:
             world.flows[name] = copy(bound_flow)
 
 
 def _get_cached_flow(world: World, name: str, flow: FlowData) -> SurfaceFlow | None:
     """Return a bound flow that can be cached. None if binding reports an error."""
-    bind_flow(world, name, flow, Report())
+    bind_one_flow(world, name, flow, Report())
     return world.flows.get(name)
 
 
-def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
+def bind_one_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
     """Create one flow, and add it to the world under its name. Add errors to the report."""
     try:
         world.flows[name] = bound_flow = _make_flow(world, flow)
-        if not isinstance(flow, PaintedValues) and _may_change(world, flow):
+        if not isinstance(flow, PaintedValues) and _may_flow_change(world, flow):
             bound_flow.update_after_motion = lambda current_world: _recompute_flow(current_world, bound_flow, flow)
     except LatticeTooFineError as error:
         report.error(
@@ -88,7 +88,7 @@ def _make_flow(world: World, flow: FlowData) -> SurfaceFlow:
 # --- what moves ------------------------------------------------------------------------------------------------------
 
 
-def _may_change(world: World, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> bool:
+def _may_flow_change(world: World, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> bool:
     """Return whether any input of a flow may move: surfaces, the target, or obstacles that paths avoid."""
     moves = world.setting.motion
     moving = [name for name in moves.meshes if name in world.setting.surfaces or isinstance(flow, SolvedFlowData)]
@@ -146,7 +146,7 @@ def _make_painted_flow(world: World, painted_values: PaintedValues) -> SurfaceFl
 # --- points over the ground ------------------------------------------------------------------------------------------
 
 
-def _select_faces(world: World, surfaces: tuple[str, ...]) -> Flags:
+def _select_faces_of_surfaces(world: World, surfaces: tuple[str, ...]) -> Flags:
     """Return a mask of the faces of the surfaces `surfaces`, without faces of area 0."""
     _, _, mesh, table = _get_ground_meshes(world).triangles
     mesh_numbers = [world.surface_index[name] for name in surfaces] or list(world.surface_index.values())
@@ -162,14 +162,14 @@ def _measure_longest_edges(world: World) -> tuple[Floats, Floats]:
     return np.sqrt((edges * edges).sum(axis=2)).max(axis=0), corners.mean(axis=1)
 
 
-def _make_lattice(world: World, is_chosen: Flags, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> FaceLattice:
+def _make_flow_lattice(world: World, is_chosen: Flags, flow: SpreadFlowData | BorderFlowData | SolvedFlowData) -> FaceLattice:
     """Return a lattice on the selected faces, at the flow's resolution. Raises LatticeTooFine if the flow's cells are too
     small."""
     edges = np.where(is_chosen, _measure_longest_edges(world)[0], 0.0)
     return FaceLattice.from_edge_pieces(choose_edge_pieces(flow, edges, _get_ground_meshes(world).extent))
 
 
-def _locate_slots(world: World, lattice: FaceLattice) -> tuple[Index, Floats]:
+def _find_slot_positions(world: World, lattice: FaceLattice) -> tuple[Index, Floats]:
     """Return the face and the position (n, 3; mm) of each slot of a lattice."""
     table = _get_ground_meshes(world).triangles[3]
     face = lattice.get_face_by_slot()
@@ -204,12 +204,12 @@ def _make_spread_flow(world: World, flow: SpreadFlowData) -> SurfaceFlow:
     source = make_spread_source(flow, target)
     if world.ground.meshes is None:
         return SurfaceFlow(FaceLattice.from_edge_pieces(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
-    chosen = near = _select_faces(world, flow.surfaces)
+    chosen = near = _select_faces_of_surfaces(world, flow.surfaces)
     if flow.radius is not None:
         longest, middle = _measure_longest_edges(world)
         near = chosen & (find_nearest_on_target(target, middle)[0] <= flow.radius + longest)
-    lattice = _make_lattice(world, near, flow)
-    face, place = _locate_slots(world, lattice)
+    lattice = _make_flow_lattice(world, near, flow)
+    face, place = _find_slot_positions(world, lattice)
     vectors = np.zeros_like(place)
     near_slots = np.flatnonzero(near[face])
     vectors[near_slots] = source(place[near_slots])
@@ -217,7 +217,7 @@ def _make_spread_flow(world: World, flow: SpreadFlowData) -> SurfaceFlow:
 
 
 def _make_border_flow(world: World, flow: BorderFlowData) -> SurfaceFlow:
-    chosen = _select_faces(world, flow.surfaces)
+    chosen = _select_faces_of_surfaces(world, flow.surfaces)
     one, two, inward = find_border_edges(_get_ground_meshes(world), chosen)
     edge = two - one
     length = np.sqrt((edge * edge).sum(axis=1))
@@ -231,8 +231,8 @@ def _make_border_flow(world: World, flow: BorderFlowData) -> SurfaceFlow:
     target = FlowTarget(rim, np.zeros(len(rim)))
     if len(rim):
         near &= find_nearest_on_target(target, middle)[0] <= flow.max_distance + longest
-    lattice = _make_lattice(world, near, flow)
-    face, place = _locate_slots(world, lattice)
+    lattice = _make_flow_lattice(world, near, flow)
+    face, place = _find_slot_positions(world, lattice)
     vectors = np.zeros_like(place)
     near_slots = np.flatnonzero(near[face]) if len(rim) else np.empty(0, np.int64)
     if len(near_slots):
@@ -253,8 +253,8 @@ def _make_border_flow(world: World, flow: BorderFlowData) -> SurfaceFlow:
 
 
 def _make_solved_flow(world: World, flow: SolvedFlowData) -> SurfaceFlow:
-    chosen = _select_faces(world, flow.surfaces)
-    lattice = _make_lattice(world, chosen, flow)
+    chosen = _select_faces_of_surfaces(world, flow.surfaces)
+    lattice = _make_flow_lattice(world, chosen, flow)
     grounds = _make_crossable_ground(world, lattice, chosen)
     start, first, gap = _find_goal_points(world, flow, grounds)
     every = max(1, ceil(flow.interval / world.dt - 1e-9))
@@ -288,7 +288,7 @@ def _make_crossable_ground(world: World, lattice: FaceLattice, is_chosen: Flags,
     """Return the ground on which paths run, for a lattice: merged points, open triangles, and links between surfaces. A triangle
     is open if no obstacle cuts it and it is not inside undug solid. `point`: the point of each slot, if already known."""
     _, _, mesh, table = _get_ground_meshes(world).triangles
-    face, place = _locate_slots(world, lattice)
+    face, place = _find_slot_positions(world, lattice)
     if point is None:
         point = weld_points(place, mesh[face])[0]
     count = int(point.max(initial=-1)) + 1
@@ -304,7 +304,7 @@ def _make_crossable_ground(world: World, lattice: FaceLattice, is_chosen: Flags,
         open_ &= ~(volume.sample_distances(points) < -_MAX_BURIED_SHARE_OF_VOXEL * volume.voxel)[triangles].any(axis=1)
     of = np.empty(count, np.int32)
     of[point] = mesh[face]
-    land = WalkableSurface(points, triangles, open_, _link_points_of_surfaces(points, of, np.unique(triangles[open_]), areas))
+    land = WalkableSurface(points, triangles, open_, _link_points_across_surfaces(points, of, np.unique(triangles[open_]), areas))
     axis1, axis2 = table.axis1.take(face, axis=1), table.axis2.take(face, axis=1)
     return CrossableGround(lattice, land, point, axis1, axis2, areas, is_chosen)
 
@@ -325,7 +325,7 @@ def _find_blocked_triangles(world: World, triangles: Index, points: Floats, norm
     return cut
 
 
-def _link_points_of_surfaces(points: Floats, surface_numbers: NDArray[np.int32], used_points: Index, areas: Floats) -> Index:
+def _link_points_across_surfaces(points: Floats, surface_numbers: NDArray[np.int32], used_points: Index, areas: Floats) -> Index:
     """Return pairs (k, 2) of points that are on different surfaces and near each other."""
     from scipy.spatial import cKDTree
 

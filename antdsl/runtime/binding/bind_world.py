@@ -31,7 +31,7 @@ from antdsl.runtime.binding.agent_placement import place_crowds
 from antdsl.runtime.binding.binding_cache import BindingCache
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.feet import feet_step
-from antdsl.runtime.line_tables import reserve_ids
+from antdsl.runtime.line_tables import reserve_line_ids
 from antdsl.runtime.motion_measures import MotionMeasures
 from antdsl.runtime.moving.moving_geometry import make_sampled_curve
 from antdsl.runtime.periodic_world import make_periodic_world
@@ -39,7 +39,7 @@ from antdsl.runtime.world import AXES, Items, Options, World, make_empty_populat
 from antdsl.scene.setting import FlowData, MeshData, WorldSetting, compute_world_origin
 
 if TYPE_CHECKING:
-    from antdsl.runtime.notes.note_run import NoteRun
+    from antdsl.runtime.notes.note_run import ActiveNotesRun
 
 
 class BindError(ValueError):
@@ -50,13 +50,13 @@ class BindError(ValueError):
         self.report = report
 
 
-def _make_note_run(setting: WorldSetting) -> NoteRun | None:
-    """Return the notes of a setting as a `NoteRun`. None if it has no notes; then scene models are not imported."""
+def _make_note_run(setting: WorldSetting) -> ActiveNotesRun | None:
+    """Return the notes of a setting as `ActiveNotesRun`. None if it has no notes; then scene models are not imported."""
     if not setting.notes:
         return None
-    from antdsl.runtime.notes.note_run import NoteRun
+    from antdsl.runtime.notes.note_run import ActiveNotesRun
 
-    return NoteRun.of(setting)
+    return ActiveNotesRun.make_for_setting(setting)
 
 
 @use_standard_floats()
@@ -67,7 +67,7 @@ def bind(
 
     `plan`: an optimised and verified plan. `binding_cache`: retains data made from meshes for other worlds. Raises BindError with
     a report if plan and setting do not match."""
-    world = bind_empty(plan, setting, options, binding_cache=binding_cache)
+    world = bind_world_without_agents(plan, setting, options, binding_cache=binding_cache)
     stages.begin_stage("placing agents")
     with np.errstate(all="ignore"):
         place_crowds(world)
@@ -77,7 +77,7 @@ def bind(
 
 
 @use_standard_floats()
-def bind_empty(
+def bind_world_without_agents(
     plan: ir.Plan,
     setting: WorldSetting,
     options: Options | None = None,
@@ -126,11 +126,11 @@ def bind_empty(
         backend=BACKENDS[options.backend](plan),
         faults=FaultLog(),
         motion=MotionMeasures(),
-        crowd_lines=reserve_ids(setting),
+        crowd_lines=reserve_line_ids(setting),
         notes=_make_note_run(setting),
         periodic=periodic,
     )
-    _set_params(world)
+    _set_default_params(world)
     stages.begin_stage("fields")
     _bind_fields(
         world, {**meshes, **{name: _translate_mesh(solid.mesh, origin) for name, solid in setting.solids.items()}}, binding_cache
@@ -159,7 +159,7 @@ def _make_solids(setting: WorldSetting, origin: NDArray[np.float64], binding_cac
     report = Report()
     for name, solid in setting.solids.items():
         mesh = _translate_mesh(solid.mesh, origin)
-        volume = binding_cache.get_deep_copy(
+        volume = binding_cache.get_or_compute_deep_copy(
             "solid", (mesh, solid.voxel), partial(Volume.from_mesh, mesh.vertices, mesh.faces, solid.voxel)
         )
         if isinstance(volume, UnusableMeshReason):
@@ -201,12 +201,12 @@ def _make_mesh_ground(
     moved = [name for name in moving_names if name in surfaces]
     if moved:
         make_ground = partial(MovingGround, surfaces, moved, has_ray_starts)
-        return binding_cache.get_or_make(
+        return binding_cache.get_or_compute(
             "moving ground", (surfaces, moved, has_ray_starts), make_ground, copy_value=MovingGround.copy
         )
     if not surfaces:
         return None
-    return binding_cache.get_or_make("ground", (surfaces, has_ray_starts), partial(MeshGround, surfaces, has_ray_starts))
+    return binding_cache.get_or_compute("ground", (surfaces, has_ray_starts), partial(MeshGround, surfaces, has_ray_starts))
 
 
 def _make_ray_scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], binding_cache: BindingCache) -> dict[str, Obstacle]:
@@ -214,7 +214,7 @@ def _make_ray_scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], bin
     if not meshes and not solids:
         return {}
     scenes: dict[str, Obstacle] = {
-        name: binding_cache.get_or_make("rays", mesh, partial(RayScene, mesh.vertices, mesh.faces))
+        name: binding_cache.get_or_compute("rays", mesh, partial(RayScene, mesh.vertices, mesh.faces))
         for name, mesh in meshes.items()
     }
     return scenes | {name: SolidProximityQueries(volume) for name, volume in solids.items()}
@@ -234,7 +234,7 @@ def _make_items(setting: WorldSetting, plan: ir.ItemsPlan, origin: NDArray[np.fl
     return Items(plan.name, tuple(item.name for item in items), position, amounts, visible_values)
 
 
-def _set_params(world: World) -> None:
+def _set_default_params(world: World) -> None:
     """Set the params to the values in the scene, or to their defaults."""
     for name, param in world.plan.params.items():
         scene_value = world.setting.params.get(name)
@@ -250,10 +250,10 @@ def set_flow(world: World, name: str, flow: FlowData) -> None:
     """Replace a flow from the next step on, without compiling anything. Raises BindError under the same conditions as `bind`."""
     if name not in world.plan.list_things_of_kind("flow"):
         raise KeyError(name)
-    from antdsl.runtime.binding.bind_flows import bind_flow
+    from antdsl.runtime.binding.bind_flows import bind_one_flow
 
     report = Report()
-    bind_flow(world, name, flow, report)
+    bind_one_flow(world, name, flow, report)
     if not report.ok:
         raise BindError(report)
 

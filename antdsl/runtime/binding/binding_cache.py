@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-T = TypeVar("T")
+CachedValue = TypeVar("CachedValue")
 
 
 class BindingCache:
@@ -25,7 +25,14 @@ class BindingCache:
         self._values: dict[str, Any] = {}
         self._used_keys: set[str] = set()
 
-    def get_or_make(self, kind: str, inputs: object, make: Callable[[], T], *, copy_value: Callable[[T], T] | None = None) -> T:
+    def get_or_compute(
+        self,
+        kind: str,
+        inputs: object,
+        make: Callable[[], CachedValue],
+        *,
+        copy_value: Callable[[CachedValue], CachedValue] | None = None,
+    ) -> CachedValue:
         """Return the result of `make`, or a cached result for equal `inputs`.
 
         `inputs`: any combination of arrays, numbers and texts. `copy_value`: copies a result before it is returned; None for no
@@ -34,14 +41,14 @@ class BindingCache:
         self._used_keys.add(key)
         if key not in self._values:
             self._values[key] = make()
-        product: T = self._values[key]
+        product: CachedValue = self._values[key]
         return product if copy_value is None else copy_value(product)
 
-    def get_deep_copy(self, kind: str, inputs: object, make: Callable[[], T]) -> T:
+    def get_or_compute_deep_copy(self, kind: str, inputs: object, make: Callable[[], CachedValue]) -> CachedValue:
         """Return a deep copy of the new or cached result of `make`. Use it for values that change during a run."""
-        return self.get_or_make(kind, inputs, make, copy_value=deepcopy)
+        return self.get_or_compute(kind, inputs, make, copy_value=deepcopy)
 
-    def drop_unused(self) -> None:
+    def drop_unused_values(self) -> None:
         """Remove all values that were not used since the last call of this method."""
         self._values = {key: value for key, value in self._values.items() if key in self._used_keys}
         self._used_keys = set()

@@ -12,12 +12,12 @@ from antdsl.ground.protocol import Floats, MeshSurfaces
 
 
 class BorderEdges(NamedTuple):
-    """Edges of the border of a surface, from `start` to `end` (m, 3; mm).
+    """Edges of the border of a surface, from `start_points` to `end_points` (m, 3; mm).
 
     `inward_direction` (m, 3): the unit vector from the edge into its face, perpendicular to the edge."""
 
-    start: Floats
-    end: Floats
+    start_points: Floats
+    end_points: Floats
     inward_direction: Floats
 
 

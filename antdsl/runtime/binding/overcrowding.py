@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class OvercrowdedLine:
-    """A crowd line of the scene with more agents than fit into its place. `group`: the number of the line.
+class OvercrowdedCrowd:
+    """A crowd line of the scene with more agents than fit into its place. `crowd_index`: the number of the line.
 
     `fitting_count`: how many of its `count` agents fit. `radius` (mm): the least and the greatest radius of its agents.
     `covered_area`, `available_area` (mm²): the area that all agents would cover, and the area of the place (None if unknown).
-    `sufficient_radius` (mm): a radius of the place with which all agents would fit; None if there is none. `fits_by_area`:
+    `sufficient_radius` (mm): a radius of the place with which all agents would fit; None if there is none. `fits_available_area`:
     whether all agents would have space with `by: area`."""
 
-    group: int
+    crowd_index: int
     species: str
     count: int
     fitting_count: int
@@ -22,4 +22,4 @@ class OvercrowdedLine:
     covered_area: float
     available_area: float | None
     sufficient_radius: float | None
-    fits_by_area: bool
+    fits_available_area: bool

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.runtime.binding.agent_placement import initialise_agents, place_new_agents
-from antdsl.runtime.line_tables import take_created_ids
+from antdsl.runtime.line_tables import find_created_ids
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
@@ -27,7 +27,7 @@ def release_agents(world: World) -> None:
     for crowd, line in zip(world.setting.crowds, world.crowd_lines, strict=True):
         if crowd.release is None:
             continue
-        ids = take_created_ids(crowd, line, frame - 1, frame)
+        ids = find_created_ids(crowd, line, frame - 1, frame)
         if len(ids) > capacity:
             world.faults.rejected_births += len(ids) - capacity
             ids = ids[:capacity]

@@ -27,15 +27,15 @@ Flags = NDArray[np.bool_]
 _TRIES_PER_ROUND = (1,) * 8 + (2,) * 4 + (4,) * 4 + (8,) * 4 + (16,) * 4
 _SPACING_ROUNDS = ((0.005, _TRIES_PER_ROUND + (32,) * 8), (0.1, _TRIES_PER_ROUND), (1.0, (1,) * 4))
 RELEASE_TRIES_PER_ROUND = (1,) * 4 + (2,) * 2 + (4,) * 2  # for agents that are created during the run: 16 positions
-_FIRST_BATCH_AGENTS = 64  # agents of the first batch; each later batch is as large as all earlier ones together
+_FIRST_BATCH_SIZE = 64  # agents of the first batch; each later batch is as large as all earlier ones together
 _CONTACT_DISTANCE_FACTOR = 1.001  # factor on the distance at contact, because float32 rounds
 # Smaller neighbours of the first query; each further query doubles the number until the result is certain
 _FIRST_QUERY_NEIGHBOURS = 8
-_CELLS_PER_BODY = 8  # cells per body length; of agents that may overlap, each cell uses one
+_CELLS_PER_BODY_RADIUS = 8  # cells per body length; of agents that may overlap, each cell uses one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StartPositionDraws:
+class StartPositionCandidates:
     """Drawn start positions: footings, positions (n, 3) mm, up directions (n, 3), and flags whether an agent may start there."""
 
     footing: Footing
@@ -43,23 +43,23 @@ class StartPositionDraws:
     up: Floats
     is_allowed: Flags
 
-    def select_rows(self, rows: Rows) -> StartPositionDraws:
+    def select_rows(self, rows: Rows) -> StartPositionCandidates:
         """Return copies of the given rows."""
-        return StartPositionDraws(self.footing.select_rows(rows), self.position[rows], self.up[rows], self.is_allowed[rows])
+        return StartPositionCandidates(self.footing.select_rows(rows), self.position[rows], self.up[rows], self.is_allowed[rows])
 
-    def replace_rows(self, rows: Rows, other: StartPositionDraws) -> None:
+    def replace_rows(self, rows: Rows, other: StartPositionCandidates) -> None:
         """Replace the given rows by those of `other`."""
         self.footing.write_rows(rows, other.footing)
         self.position[rows], self.up[rows], self.is_allowed[rows] = other.position, other.up, other.is_allowed
 
 
-PositionDrawer = Callable[[NDArray[np.int64], range], StartPositionDraws]
+PositionDrawer = Callable[[NDArray[np.int64], range], StartPositionCandidates]
 """Places for agents by their ids: the tries of a range one after the other, all agents within each."""
 
 
 @dataclass(frozen=True, eq=False)
-class _DiscGroup:
-    """Discs of similar size: positions (k, 3) mm, entry numbers in `Occupancy`, and the largest radius (mm)."""
+class _DiscsOfSimilarSize:
+    """Discs of similar size: positions (k, 3) mm, entry numbers in `OccupiedDiscs`, and the largest radius (mm)."""
 
     position: Floats
     entries: Rows
@@ -73,7 +73,7 @@ class _DiscGroup:
         return cKDTree(self.position)
 
 
-class Occupancy:
+class OccupiedDiscs:
     """The positions that are already occupied, as discs, called entries.
 
     An entry has a position, a radius, and a number in the order in which agents start. If two entries overlap, the later one must
@@ -85,15 +85,15 @@ class Occupancy:
         self._radius = np.empty(0)
         self._order = np.empty(0, np.intp)
         self._is_present = np.empty(0, np.bool_)
-        self._groups: list[_DiscGroup] = []
+        self._groups: list[_DiscsOfSimilarSize] = []
 
-    def add_fixed(self, place: Floats, radius: Floats) -> None:
+    def add_fixed_discs(self, place: Floats, radius: Floats) -> None:
         """Add agents that are already placed and cannot move. They may overlap each other."""
         rows = np.flatnonzero(has_extent(radius))
-        rows = rows[_find_first_per_cell(place[rows], radius[rows], _CELLS_PER_BODY)]
-        self.add(place[rows], radius[rows], np.full(len(rows), -1))
+        rows = rows[_find_first_per_cell(place[rows], radius[rows], _CELLS_PER_BODY_RADIUS)]
+        self.add_discs(place[rows], radius[rows], np.full(len(rows), -1))
 
-    def add(self, place: Floats, radius: Floats, order: Rows) -> Rows:
+    def add_discs(self, place: Floats, radius: Floats, order: Rows) -> Rows:
         """Add discs at `place` (n, 3; mm). Return their entry numbers. `order`: their numbers in the start order."""
         first = len(self._order)
         self._place = np.concatenate([self._place, place])
@@ -104,11 +104,11 @@ class Occupancy:
         self._rebuild_groups(np.concatenate([entries, *(group.entries for group in self._groups)]))
         return entries
 
-    def remove(self, entries: Rows) -> None:
-        """Mark entries as removed. They remain in the groups until `drop_removed` is called."""
+    def remove_discs(self, entries: Rows) -> None:
+        """Mark entries as removed. They remain in the groups until `forget_removed_discs` is called."""
         self._is_present[entries] = False
 
-    def drop_removed(self) -> None:
+    def forget_removed_discs(self) -> None:
         """Delete the removed entries from all groups."""
         self._rebuild_groups(np.flatnonzero(self._is_present))
 
@@ -116,7 +116,7 @@ class Occupancy:
         """Make the groups again from these entries, one group for each size class."""
         classes = _compute_size_class(self._radius[entries])
         chosen = [entries[classes == size] for size in np.unique(classes)]
-        self._groups = [_DiscGroup(self._place[each], each, float(self._radius[each].max())) for each in chosen]
+        self._groups = [_DiscsOfSimilarSize(self._place[each], each, float(self._radius[each].max())) for each in chosen]
 
     def find_overlaps(self, place: Floats, radius: Floats, order: Rows | None = None) -> tuple[Rows, Rows, Floats]:
         """Return pairs of a given disc and an entry that overlap: indices of discs, entry numbers, and relative distances.
@@ -158,7 +158,7 @@ class Occupancy:
         return share
 
     def _find_worst_overlap(
-        self, place: Floats, radius: Floats, order: Rows, rows: Rows, group: _DiscGroup
+        self, place: Floats, radius: Floats, order: Rows, rows: Rows, group: _DiscsOfSimilarSize
     ) -> tuple[Rows, Rows, Floats]:
         """Find the worst overlap of each disc in `rows` with an earlier entry of a group. Return the rows that have one, the
         entries, and the relative distances (see `find_overlaps`). Entries are checked from the nearest outwards, until none
@@ -182,7 +182,7 @@ class Occupancy:
             count *= 2
         return rows, entry, least
 
-    def measure_freedom(self, place: Floats, radius: Floats, order: Rows) -> Floats:
+    def measure_free_distances(self, place: Floats, radius: Floats, order: Rows) -> Floats:
         """Return the freedom (n) of discs: 1 without overlap with an earlier entry, down to 0 at the centre of such an entry."""
         i, _, share = self.find_overlaps(place, radius, order)
         least = np.ones(len(place))
@@ -192,7 +192,7 @@ class Occupancy:
     def find_displaced_entries(self, entries: Rows) -> tuple[Rows, Floats]:
         """Return the entries that must move because the given entries were added, and the freedom of their positions.
 
-        Given entries may be among them. For the freedom see `measure_freedom`."""
+        Given entries may be among them. For the freedom see `measure_free_distances`."""
         i, entry, share = self.find_overlaps(self._place[entries], self._radius[entries])
         own = entries[i]
         loser = np.where(self._order[entry] < self._order[own], own, entry)
@@ -202,7 +202,7 @@ class Occupancy:
         np.minimum.at(least, which, share[different])
         return who, least
 
-    def get_start_order(self, entries: Rows) -> Rows:
+    def get_placement_order(self, entries: Rows) -> Rows:
         """Return the number of each entry in the start order."""
         return self._order[entries]
 
@@ -214,25 +214,25 @@ def has_extent(radius: NDArray[np.floating[Any]]) -> Flags:
 
 
 def spread_agents(
-    occupancy: Occupancy,
+    occupancy: OccupiedDiscs,
     draw: PositionDrawer,
     ids: NDArray[np.int64],
     radius: Floats,
     first: int,
     max_rounds: tuple[int, ...] | None = None,
-) -> tuple[StartPositionDraws, Flags]:
+) -> tuple[StartPositionCandidates, Flags]:
     """Return positions for the agents `ids`, in this order, and a mask of the agents that touch no other agent there.
 
     An agent without a free position gets the one with the least overlap. Only agents with a free position are added to
     `occupancy`. `first`: the number of the first agent in the start order. `max_rounds`: the number of positions that an agent
     tries in each round; None for as many as are worthwhile."""
-    chosen: StartPositionDraws | None = None
+    chosen: StartPositionCandidates | None = None
     fits = np.zeros(len(ids), np.bool_)
     rounds: tuple[int, ...] = _SPACING_ROUNDS[0][1] if max_rounds is None else max_rounds
-    begin, size = 0, _FIRST_BATCH_AGENTS
+    begin, size = 0, _FIRST_BATCH_SIZE
     while begin < len(ids):
         part = slice(begin, begin + size)
-        drawn, held = _place_batch(occupancy, draw, ids[part], radius[part], first + begin, rounds)
+        drawn, held = _place_agent_batch(occupancy, draw, ids[part], radius[part], first + begin, rounds)
         fits[part] = held
         chosen = drawn if chosen is None else _join_draws(chosen, drawn)
         failed = np.count_nonzero(~held)
@@ -242,14 +242,14 @@ def spread_agents(
     return draw(ids, range(1)) if chosen is None else chosen, fits
 
 
-def _place_batch(
-    occupancy: Occupancy, draw: PositionDrawer, ids: NDArray[np.int64], radius: Floats, first: int, rounds: tuple[int, ...]
-) -> tuple[StartPositionDraws, Flags]:
+def _place_agent_batch(
+    occupancy: OccupiedDiscs, draw: PositionDrawer, ids: NDArray[np.int64], radius: Floats, first: int, rounds: tuple[int, ...]
+) -> tuple[StartPositionCandidates, Flags]:
     """Place one batch of agents in rounds. Return their positions, and a mask of the positions that are free."""
     n, wide = len(ids), has_extent(radius)
     held, best, entry_of = np.zeros(n, np.bool_), np.full(n, -2.0), np.full(n, -1, np.intp)
     order = np.arange(first, first + n)
-    chosen: StartPositionDraws | None = None
+    chosen: StartPositionCandidates | None = None
     attempt = 0
     for tries in rounds:
         left = np.flatnonzero(~held)
@@ -257,7 +257,7 @@ def _place_batch(
             break
         drawn = draw(ids[left], range(attempt, attempt + tries))
         attempt += tries
-        score = _score_positions(occupancy, drawn, np.tile(left, tries), radius, wide, order).reshape(tries, len(left))
+        score = _score_start_positions(occupancy, drawn, np.tile(left, tries), radius, wide, order).reshape(tries, len(left))
         pick = score.argmax(axis=0)  # the first free position, else the one with the least overlap
         score = score[pick, np.arange(len(left))]
         drawn = drawn.select_rows(pick * len(left) + np.arange(len(left)))
@@ -274,29 +274,31 @@ def _place_batch(
         clear_rows = new[_find_first_per_cell(chosen.position[new], radius[new], 1)]
         crowded = np.setdiff1d(new, clear_rows, assume_unique=True)
         held[crowded], best[crowded] = False, 0.0
-        entry_of[clear_rows] = occupancy.add(chosen.position[clear_rows], radius[clear_rows], order[clear_rows])
+        entry_of[clear_rows] = occupancy.add_discs(chosen.position[clear_rows], radius[clear_rows], order[clear_rows])
         losing, share = occupancy.find_displaced_entries(entry_of[clear_rows])
-        occupancy.remove(losing)
-        displaced_rows = occupancy.get_start_order(losing) - first
+        occupancy.remove_discs(losing)
+        displaced_rows = occupancy.get_placement_order(losing) - first
         held[displaced_rows], best[displaced_rows] = False, share
-    occupancy.drop_removed()
+    occupancy.forget_removed_discs()
     assert chosen is not None
     return chosen, held
 
 
-def _score_positions(
-    occupancy: Occupancy, draws: StartPositionDraws, rows: Rows, radius: Floats, is_wide: Flags, order: Rows
+def _score_start_positions(
+    occupancy: OccupiedDiscs, draws: StartPositionCandidates, rows: Rows, radius: Floats, is_wide: Flags, order: Rows
 ) -> Floats:
     """Return a score for each drawn position: 1 if it is free, less if it is occupied, -1 if no agent may start there."""
     score = np.where(draws.is_allowed, 1.0, -1.0)
     good_rows = np.flatnonzero(draws.is_allowed & is_wide[rows])
-    score[good_rows] = occupancy.measure_freedom(draws.position[good_rows], radius[rows[good_rows]], order[rows[good_rows]])
+    score[good_rows] = occupancy.measure_free_distances(
+        draws.position[good_rows], radius[rows[good_rows]], order[rows[good_rows]]
+    )
     return score
 
 
-def _join_draws(first: StartPositionDraws, second: StartPositionDraws) -> StartPositionDraws:
+def _join_draws(first: StartPositionCandidates, second: StartPositionCandidates) -> StartPositionCandidates:
     place, up = np.concatenate([first.position, second.position]), np.concatenate([first.up, second.up])
-    return StartPositionDraws(
+    return StartPositionCandidates(
         Footing.concatenate(first.footing, second.footing), place, up, np.concatenate([first.is_allowed, second.is_allowed])
     )
 

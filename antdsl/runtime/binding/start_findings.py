@@ -23,7 +23,7 @@ _UNREACHABLE_HELP = (
 )
 
 
-def find_start_warnings(scene: Scene, world: World) -> Report:
+def find_unreachable_target_warnings(scene: Scene, world: World) -> Report:
     """Return warnings about the start of a world's crowds, each with its location in the scene."""
     report = find_crowding_warnings(scene, world)
     report.extend(find_far_targets(scene, world))
@@ -82,7 +82,7 @@ def find_crowding_warnings(scene: Scene, world: World) -> Report:
     Lines with a place that is off all surfaces are skipped, because another check reports them."""
     report, setting = Report(), world.setting
     for line in world.overcrowded_lines:
-        if is_away_from_surfaces(setting.crowds[line.group].place, setting, scene.model.up):
+        if is_away_from_surfaces(setting.crowds[line.crowd_index].place, setting, scene.model.up):
             continue
         low, high = (f"{radius:.3g}" for radius in line.radius)
         wide = f"{low} mm" if low == high else f"{low} to {high} mm"
@@ -92,7 +92,7 @@ def find_crowding_warnings(scene: Scene, world: World) -> Report:
             else f"{line.covered_area:,.0f} of {line.available_area:,.0f} mm²"
         )
         words = f"only {line.fitting_count:,} of {line.count:,} `{line.species}` have space at the start"
-        place = scene.model.crowd[line.group].place
+        place = scene.model.crowd[line.crowd_index].place
         words += (
             f": with a radius of {wide} {'or half of `apart` ' if place.apart is not None else ''}all of them would cover {cover}"
         )
@@ -102,11 +102,11 @@ def find_crowding_warnings(scene: Scene, world: World) -> Report:
         elif line.sufficient_radius is not None:
             larger = f"`radius: {_round_up(line.sufficient_radius / scene.model.unit_mm)} {scene.model.units}`"
             help = f"write {larger}, a smaller `count`, or a smaller `radius` in the program"
-        elif line.fits_by_area:
+        elif line.fits_available_area:
             help = "use all sides with `by: area`, or write a smaller `count`"
         elif place.inside is not None or place.density is not None:
             help = "write a larger place, a smaller `count`, or a smaller `radius` in the program"
-        report.warning("no-room", words, scene.find_span("crowd", line.group, "place"), help)
+        report.warning("no-room", words, scene.find_span("crowd", line.crowd_index, "place"), help)
     return report
 
 

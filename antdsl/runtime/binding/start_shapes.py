@@ -24,7 +24,7 @@ FULL_TURN = np.float32(2 * np.pi)
 _PAIRS_PER_BLOCK = 1 << 20  # pairs of position and edge that are measured at once
 
 
-def locate_place(world: World, place: PlacementData) -> PlacementData:
+def resolve_placement(world: World, place: PlacementData) -> PlacementData:
     """Return a place with its centre at the current position of the item that the scene names as the centre."""
     centre = place.centre_item
     if centre is None or centre.items not in world.setting.motion.items or centre.items not in world.items:
@@ -33,7 +33,7 @@ def locate_place(world: World, place: PlacementData) -> PlacementData:
     return replace(place, disc_centre=(x, y, z))
 
 
-def has_shape(place: PlacementData) -> bool:
+def has_placement_shape(place: PlacementData) -> bool:
     """Return whether the shape of a place is one of those in this module."""
     return any(part is not None for part in (place.ranks, place.curve_name, place.border_surface, place.volume, place.clumps))
 
@@ -43,10 +43,10 @@ def draw_shape_points(world: World, place: PlacementData, numbers: Ids, draw: Dr
 
     `numbers`: the number of each agent in its crowd line. `draw`: returns random numbers by their index."""
     if place.ranks is not None:
-        return _compute_ranks(world, place, place.ranks, numbers)
+        return _compute_rank_positions(world, place, place.ranks, numbers)
     if place.volume is not None:
         return _draw_in_volume(place.volume, draw) - world.origin
-    start, end = _find_segments(world, place)
+    start, end = _find_curve_segments(world, place)
     step = end - start
     length = np.cumsum(np.sqrt((step * step).sum(axis=1)))
     if not len(length) or not length[-1] > 0:
@@ -55,10 +55,10 @@ def draw_shape_points(world: World, place: PlacementData, numbers: Ids, draw: Dr
     piece = np.minimum(np.searchsorted(length, along, side="right"), len(length) - 1)
     part = 1.0 - (length[piece] - along) / np.maximum(np.diff(length, prepend=0.0)[piece], 1e-300)
     points: Floats = start[piece] + np.clip(part, 0.0, 1.0)[:, None] * step[piece]
-    return points if place.radius is None else points + draw_disc(world, place.radius, draw(1), draw(2))
+    return points if place.radius is None else points + draw_points_in_disc(world, place.radius, draw(1), draw(2))
 
 
-def draw_disc(world: World, radius: float, u: NDArray[np.float32], v: NDArray[np.float32]) -> Floats:
+def draw_points_in_disc(world: World, radius: float, u: NDArray[np.float32], v: NDArray[np.float32]) -> Floats:
     """Return offsets (n, 3; mm) from the centre of a horizontal disc, spread evenly over it. `u`, `v`: random numbers."""
     away, angle = np.sqrt(u).astype(np.float64) * radius, v * FULL_TURN
     up = vec.split_columns(np.broadcast_to(world.up, (len(u), 3)), np.float64)
@@ -80,16 +80,16 @@ def _draw_in_volume(volume: VolumeData, draw: Draw) -> Floats:
     return points
 
 
-def _find_segments(world: World, place: PlacementData) -> tuple[Floats, Floats]:
+def _find_curve_segments(world: World, place: PlacementData) -> tuple[Floats, Floats]:
     """Return the start and the end (m, 3) of each straight segment of the place's curve or border."""
     if place.curve_name is not None:
         samples = world.curves[place.curve_name].samples
         return (samples[:-1], samples[1:]) if len(samples) > 1 else (samples, samples)
-    border = _find_border(world, place)
-    return border.start, border.end
+    border = _find_surface_border(world, place)
+    return border.start_points, border.end_points
 
 
-def _find_border(world: World, place: PlacementData) -> BorderEdges:
+def _find_surface_border(world: World, place: PlacementData) -> BorderEdges:
     """Return the edges of the open border of the place's surface; no edges if it has no border."""
     meshes = world.ground.meshes
     none = np.empty((0, 3))
@@ -98,7 +98,7 @@ def _find_border(world: World, place: PlacementData) -> BorderEdges:
     return find_border_edges(meshes, meshes.triangles[2] == meshes.names.index(place.border_surface))
 
 
-def _compute_ranks(world: World, place: PlacementData, ranks: RanksData, numbers: Ids) -> Floats:
+def _compute_rank_positions(world: World, place: PlacementData, ranks: RanksData, numbers: Ids) -> Floats:
     """Return the positions of agents in ranks. The first rank is in front, and the ranks are centred at the place."""
     middle = np.asarray(place.disc_centre or (0.0, 0.0, 0.0), np.float64) - world.origin
     up, facing = world.up, place.facing
@@ -120,7 +120,7 @@ def compute_facing(world: World, crowd: CrowdData, position: Floats) -> Floats |
     """Return the direction (n, 3) that each agent of a line faces at its position; 0 for agents without a direction.
 
     None if the scene sets no direction, so that headings are random."""
-    place = locate_place(world, crowd.place)
+    place = resolve_placement(world, crowd.place)
     facing = place.facing
     if facing is None:
         return None
@@ -130,11 +130,11 @@ def compute_facing(world: World, crowd: CrowdData, position: Floats) -> Floats |
     if facing.kind == "point":
         return vector - world.origin - position
     if place.border_surface is not None:
-        border = _find_border(world, place)
+        border = _find_surface_border(world, place)
         nearest = _find_nearest_edges(border, position)
         if nearest is None:
             return np.zeros_like(position)
-        directions = border.end - border.start if facing.kind == "along" else border.inward_direction
+        directions = border.end_points - border.start_points if facing.kind == "along" else border.inward_direction
         return directions[nearest] * (-1.0 if facing.kind == "out" else 1.0)
     if place.curve_name is not None:
         closest = world.curves[place.curve_name].find_closest(*position.T)
@@ -142,11 +142,11 @@ def compute_facing(world: World, crowd: CrowdData, position: Floats) -> Floats |
             return np.stack([closest.tx, closest.ty, closest.tz], axis=1).astype(np.float64)
         centre = np.stack([closest.px, closest.py, closest.pz], axis=1).astype(np.float64)
     else:
-        centre = np.broadcast_to(_find_centre(place) - world.origin, position.shape)
+        centre = np.broadcast_to(_find_placement_centre(place) - world.origin, position.shape)
     return (position - centre) * (1.0 if facing.kind == "out" else -1.0)
 
 
-def _find_centre(place: PlacementData) -> Floats:
+def _find_placement_centre(place: PlacementData) -> Floats:
     if place.volume is not None:
         low, high = (np.asarray(corner, np.float64) for corner in (place.volume.low, place.volume.high))
         return low if place.volume.radius > 0 else (low + high) / 2
@@ -155,14 +155,14 @@ def _find_centre(place: PlacementData) -> Floats:
 
 def _find_nearest_edges(border: BorderEdges, position: Floats) -> NDArray[np.intp] | None:
     """Return the index of the edge nearest to each position. None if there are no edges."""
-    if not len(border.start):
+    if not len(border.start_points):
         return None
-    step = border.end - border.start
+    step = border.end_points - border.start_points
     square = np.maximum((step * step).sum(axis=1), 1e-300)
     nearest = np.empty(len(position), np.intp)
     rows = max(1, _PAIRS_PER_BLOCK // len(step))
     for begin in range(0, len(position), rows):
-        away = position[begin : begin + rows, None, :] - border.start
+        away = position[begin : begin + rows, None, :] - border.start_points
         part = np.clip((away * step).sum(axis=2) / square, 0.0, 1.0)
         rest = away - part[:, :, None] * step
         nearest[begin : begin + rows] = (rest * rest).sum(axis=2).argmin(axis=1)

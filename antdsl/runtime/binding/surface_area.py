@@ -18,15 +18,15 @@ _FACE_EDGE_BISECTIONS = 24  # bisections of face edges that extend beyond a ball
 _THIN_TRIANGLE_RATIO = 64.0  # a triangle is thin above this ratio: longest edge squared / twice the area
 _CORNER_WEIGHTS = np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
 # The four triangles that the middles of the edges make, by the corners 0 1 2 and the middles 3 (of 0 1), 4 (of 1 2), 5 (of 2 0).
-_QUARTER_CORNERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
+_SUBTRIANGLE_CORNERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FaceArea:
+class SampledFaceArea:
     """The m triangles on which positions are drawn. Each is one of k faces, or a part of it.
 
     `first_corner`, `edge1`, `edge2` (k, 3; mm): the first corner of each face relative to the world's origin, and the two edges
-    from it. `ball`: the centre and the radius (mm) of the ball in which positions must be, or None."""
+    from it. `clipping_ball`: the centre and the radius (mm) of the ball in which positions must be, or None."""
 
     world: World
     mesh_numbers: NDArray[np.int32]  # (k) the mesh of each face; numbers of solids follow those of meshes
@@ -38,7 +38,7 @@ class FaceArea:
     weights: Floats  # (m, 3, 2) weights b1 and b2 of the triangle's corners in its face
     cumulative_area: Floats  # (3m) cumulative area times density, for each corner of each triangle
     total_area: float  # mm²
-    ball: tuple[Floats, float] | None
+    clipping_ball: tuple[Floats, float] | None
 
     def draw_points(
         self, u: NDArray[np.float32], *draws: NDArray[np.float32]
@@ -70,8 +70,8 @@ class FaceArea:
         if not len(self.cumulative_area):
             return Footing.create_unplaced(len(face)), np.array(np.broadcast_to(self.world.up, place.shape)), face >= 0
         can_stand = np.ones(len(face), np.bool_)
-        if self.ball is not None:
-            middle, radius = self.ball
+        if self.clipping_ball is not None:
+            middle, radius = self.clipping_ball
             away = place - middle
             can_stand &= away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1] + away[:, 2] * away[:, 2] <= radius * radius
         across = vec.cross(vec.split_columns(self.edge1[face], np.float64), vec.split_columns(self.edge2[face], np.float64))
@@ -98,9 +98,9 @@ class FaceArea:
         return footing, up, can_stand
 
 
-def find_face_area(
+def collect_face_area(
     world: World, names: tuple[str, ...], density: str | None, around: PointMm | None, radius: float | None
-) -> FaceArea:
+) -> SampledFaceArea:
     """Return the faces of the surfaces and solids `names`, at their current positions, for drawing positions.
 
     `around`, `radius` (mm): the ball in which positions must be. If it contains no face, it is enlarged until it extends by its
@@ -122,7 +122,7 @@ def find_face_area(
     dense = (weight[face, :1] * (1.0 - b1 - b2) + weight[face, 1:2] * b1) + weight[face, 2:] * b2
     cumulative = np.cumsum((dense * size[:, None]).ravel())
     total = float(size[(dense > 0).any(axis=1)].sum() / 2.0)
-    return FaceArea(world, mesh, local, corner, edge1, edge2, face, weights, cumulative, total, ball)
+    return SampledFaceArea(world, mesh, local, corner, edge1, edge2, face, weights, cumulative, total, ball)
 
 
 _FaceArrays = tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats, Floats, Floats]
@@ -177,12 +177,12 @@ def _triangulate_ball_faces(
         face, weights = face[large], weights[large]
         if not len(face):
             break
-        face, weights = _cut_triangles(face, weights, at[large])
+        face, weights = _subdivide_triangles(face, weights, at[large])
     faces, parts = zip(*pieces, strict=True)
     return np.concatenate(faces), np.concatenate(parts)
 
 
-def _cut_triangles(face: NDArray[np.int64], weights: Floats, corners: Floats) -> tuple[NDArray[np.int64], Floats]:
+def _subdivide_triangles(face: NDArray[np.int64], weights: Floats, corners: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Divide each triangle into four at the midpoints of its edges. Return the faces and the corners' weights of the parts.
 
     `face`, `weights`: the face of each triangle, and the weights of its corners. `corners` (m, 3, 3): its corners (mm). Thin
@@ -192,7 +192,7 @@ def _cut_triangles(face: NDArray[np.int64], weights: Floats, corners: Floats) ->
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     thin = sides.max(axis=1) > _THIN_TRIANGLE_RATIO * np.sqrt((across * across).sum(axis=1))
     middles = (weights + np.roll(weights, -1, axis=1)) / 2
-    quarters = np.concatenate([weights, middles], axis=1)[~thin][:, _QUARTER_CORNERS].reshape(-1, 3, 2)
+    quarters = np.concatenate([weights, middles], axis=1)[~thin][:, _SUBTRIANGLE_CORNERS].reshape(-1, 3, 2)
     row, first = np.flatnonzero(thin), sides[thin].argmax(axis=1)
     one, two, three = (weights[row, (first + k) % 3] for k in range(3))
     middle = middles[row, first]

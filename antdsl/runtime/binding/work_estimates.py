@@ -25,7 +25,7 @@ class WorkEstimate(NamedTuple):
     """The memory that a thing of the world needs: the number of its parts, the plural name of the parts, and approximate
     bytes."""
 
-    thing: str
+    subject: str
     part_count: int
     unit_name: str
     bytes: int
@@ -46,13 +46,13 @@ def estimate_world_work(
     ]
 
 
-def _saturate_count(count: float) -> int:
+def _clamp_count(count: float) -> int:
     """Return an estimated number as an integer, limited to a maximum, because it may be infinite."""
     return int(min(count, 2.0**62)) if count > 0 else 0
 
 
 def _make_estimate(thing: str, count: float, parts: str, factor: int) -> WorkEstimate:
-    return WorkEstimate(thing, _saturate_count(count), parts, _saturate_count(count * factor))
+    return WorkEstimate(thing, _clamp_count(count), parts, _clamp_count(count * factor))
 
 
 def _estimate_meshes(setting: WorldSetting) -> Iterator[WorkEstimate]:

@@ -85,7 +85,7 @@ def compute_crouch_lowering(world: World, key: str) -> NDArray[np.float32] | Non
     population = world.populations.get(find_species_of_key(key))
     if population is None or not has_crouch(population):
         return None
-    rows = population.rows_by_id()
+    rows = population.get_rows_by_id()
     own_rows = dict(group_rows_by_body(population, world.setting))[key]
     rows = rows if own_rows is None else rows[np.isin(rows, own_rows)]
     return compute_lowering(population, rows)
@@ -95,7 +95,7 @@ def find_sorted_ids(world: World, key: str) -> NDArray[np.int64]:
     """Return the ids of the agents that have the body `key`, ascending."""
     population = world.populations[find_species_of_key(key)]
     if len(world.setting.list_body_keys(population.name)) < 2:
-        return population.sorted_ids()[0]
-    numbers = find_body_numbers(population, world.setting)[population.rows_by_id()]
-    own: NDArray[np.int64] = population.sorted_ids()[0][numbers == find_number_of_key(key)]
+        return population.get_sorted_ids()[0]
+    numbers = find_body_numbers(population, world.setting)[population.get_rows_by_id()]
+    own: NDArray[np.int64] = population.get_sorted_ids()[0][numbers == find_number_of_key(key)]
     return own

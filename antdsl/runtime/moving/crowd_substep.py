@@ -213,7 +213,7 @@ class _CrowdSubstep:
         if paces is not None:
             paces.scale_motions(p, self.velocity, self.step, self.step_lengths)
         if self.world.notes is not None:
-            self.world.notes.cut_steps(self.world, p, (self.step, self.velocity), float(self.dt))
+            self.world.notes.limit_steps(self.world, p, (self.step, self.velocity), float(self.dt))
 
     def deflect_at_obstacles(self) -> None:
         """Deflect steps along obstacles, and update the velocities of agents with deflected steps."""

@@ -51,7 +51,7 @@ def pose_geometry(world: World, frame: int) -> None:
         if name in world.obstacles:
             world.obstacles[name] = _make_ray_scene(world, name, frame)
             if world.detail_levels is not None and name in world.setting.obstacles:
-                world.detail_levels.move_boxes(name, compute_vertices(world, name, frame))
+                world.detail_levels.update_boxes(name, compute_vertices(world, name, frame))
     for name, tracks in moves.items.items():
         if name in world.items:
             items = world.items[name]

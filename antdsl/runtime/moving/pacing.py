@@ -75,7 +75,7 @@ class SpeedShares:
 
 def find_speed_shares(world: World, population: Population) -> SpeedShares | None:
     """Return the agents of a species that move at a fraction of their speed in this step; None if there are none."""
-    return None if world.notes is None else world.notes.paces.get(population.name)
+    return None if world.notes is None else world.notes.speed_shares.get(population.name)
 
 
 def _undo_speed_shares(velocity: VectorArrays, rows: NDArray[np.intp], shares: NDArray[np.float32]) -> None:

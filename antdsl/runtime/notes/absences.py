@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.randomness import draw_uniform
 from antdsl.runtime.sensing.selectable_agents import collect_selectable_frame
-from antdsl.runtime.world import World, select_rows
+from antdsl.runtime.world import World, retain_rows
 from antdsl.scene.notes.notes_model import Note, ThinNote, WithoutNote
 from antdsl.scene.notes.selection import select_rows as select_agents
 
-_THIN_SITE = "note.thin"
+_THINNING_RANDOM_SITE = "note.thin"
 
 
-def remove_absent(world: World, notes: Iterable[Note], first_rows: dict[str, int], is_start: bool) -> None:
+def remove_agents_of_absence_notes(world: World, notes: Iterable[Note], first_rows: dict[str, int], is_start: bool) -> None:
     """Remove newborn agents that notes exclude. `first_rows`: by species, the row of the first newborn agent.
 
     `is_start`: whether these are agents that the scene places; only such agents are thinned out."""
@@ -29,18 +29,18 @@ def remove_absent(world: World, notes: Iterable[Note], first_rows: dict[str, int
     is_absent = {name: np.zeros(len(population), np.bool_) for name, population in world.populations.items()}
     for note in absences:
         for name, mask in select_agents(note.selector, frame).items():
-            is_absent[name] |= _thin_out(world, name, mask, note.to) if isinstance(note, ThinNote) else mask
+            is_absent[name] |= _draw_agents_to_remove(world, name, mask, note.to) if isinstance(note, ThinNote) else mask
     for name, first in first_rows.items():
         is_absent[name][:first] = False
         if is_absent[name].any():
-            select_rows(world.populations[name], np.flatnonzero(~is_absent[name]))
+            retain_rows(world.populations[name], np.flatnonzero(~is_absent[name]))
 
 
-def _thin_out(world: World, species: str, mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
+def _draw_agents_to_remove(world: World, species: str, mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
     """Return a mask of the agents in `mask` to remove. The fraction `share` of them, with the least random draws, remains."""
     rows = np.flatnonzero(mask)
     ids = world.populations[species].ids[rows]
-    draws = draw_uniform(world.setting.seed, 0, species, _THIN_SITE, 0, ids)
+    draws = draw_uniform(world.setting.seed, 0, species, _THINNING_RANDOM_SITE, 0, ids)
     absent = np.zeros(len(mask), np.bool_)
     absent[rows[np.lexsort((ids, draws))[round(share * len(rows)) :]]] = True
     return absent

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.numerics.vector_rows import length
-from antdsl.runtime.notes.active_notes import NoteAgents, find_last_frames
-from antdsl.runtime.notes.regions import select_inside
-from antdsl.runtime.notes.targets import find_target
+from antdsl.runtime.notes.active_notes import NotedAgents, find_last_active_frames
+from antdsl.runtime.notes.regions import select_agents_inside
+from antdsl.runtime.notes.targets import find_target_points
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.scene.crowds.casting_model import FacingDirection
 from antdsl.scene.notes.note_programs import (
@@ -21,10 +21,10 @@ from antdsl.scene.notes.note_programs import (
 )
 from antdsl.scene.notes.notes_model import ChangeNote
 
-_FAR_MM = 1e6  # mm, at which agents look that look in a direction
+_LOOK_DISTANCE_MM = 1e6  # mm, at which agents look that look in a direction
 
 
-def change_states(agents: NoteAgents) -> None:
+def apply_state_notes(agents: NotedAgents) -> None:
     """Raise the event of a `change` note, which lasts for one frame."""
     note, population = agents.active.note, agents.population
     assert isinstance(note, ChangeNote)
@@ -32,19 +32,21 @@ def change_states(agents: NoteAgents) -> None:
         _raise_event(agents, machine.name, split_state_name(note.to, machine.name))
 
 
-def show_displays(agents: NoteAgents) -> None:
+def start_displays(agents: NotedAgents) -> None:
     """Raise the events for the clip and the looks of a note, and set the points at which its agents look."""
     note = agents.active.note
-    agents = select_inside(agents.select(agents.world.display_frame <= find_last_frames(note, agents.delays)))  # others fade out
+    agents = select_agents_inside(
+        agents.select_agents(agents.world.display_frame <= find_last_active_frames(note, agents.delays))
+    )  # others fade out
     population, rows = agents.population, agents.rows
     if note.played_clip:
         _raise_event(agents, PLAY_MACHINE_NAME, note.played_clip)
     for group, target in note.looks.items():
         if isinstance(target, FacingDirection):
             direction = np.array([target.direction], np.float64)
-            offset = np.broadcast_to(direction * (_FAR_MM / length(direction)), (len(rows), 3))
+            offset = np.broadcast_to(direction * (_LOOK_DISTANCE_MM / length(direction)), (len(rows), 3))
         else:
-            offset, distance = find_target(agents.world, target).find_nearest(population.position[rows])
+            offset, distance = find_target_points(agents.world, target).find_nearest(population.position[rows])
             if not np.isfinite(distance).all():
                 continue  # the agents that it looked at are dead
         points = population.position[rows] + offset
@@ -64,7 +66,7 @@ def end_displays(world: World, population: Population) -> None:
             population.events[off][:] = ~np.logical_or.reduce(requested) & (population.now[f"{machine.name}.state"] != 0)
 
 
-def _raise_event(agents: NoteAgents, machine: str, state: str) -> None:
+def _raise_event(agents: NotedAgents, machine: str, state: str) -> None:
     flags = agents.population.events.get(format_event_name(machine, state))
     if flags is not None:
         flags[agents.rows] = True

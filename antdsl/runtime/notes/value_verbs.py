@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.plan.ir import ValueKind
-from antdsl.runtime.notes.active_notes import NoteAgents, compute_weight
-from antdsl.runtime.notes.regions import select_inside
+from antdsl.runtime.notes.active_notes import NotedAgents, compute_note_weight
+from antdsl.runtime.notes.regions import select_agents_inside
 from antdsl.scene.notes.notes_model import SetNote
 
 
-def set_attributes(agents: NoteAgents) -> None:
+def apply_attribute_notes(agents: NotedAgents) -> None:
     """Set attributes to the values that a `set` note lists, after the layers of the program have run."""
-    agents = select_inside(agents)
+    agents = select_agents_inside(agents)
     note, p, rows, setting = agents.active.note, agents.population, agents.rows, agents.world.setting
     assert isinstance(note, SetNote)
-    weight, previous = agents.weight, compute_weight(note, agents.delays, agents.world.display_frame - 1)
+    weight, previous = agents.weight, compute_note_weight(note, agents.delays, agents.world.display_frame - 1)
     growth = np.maximum(weight - previous, 0.0) / np.maximum(1.0 - previous, 1e-9)  # of what is left to the value
     for name, value in note.to.items():
         if name not in p.now:

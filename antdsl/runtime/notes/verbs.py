@@ -6,43 +6,44 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from antdsl.runtime.notes import display_verbs, goal_verbs, pace_verbs, part_verb, region_verbs, value_verbs
-from antdsl.runtime.notes.active_notes import NoteAgents
+from antdsl.runtime.notes.active_notes import NotedAgents
 from antdsl.runtime.notes.wishes import Floats
 
 
 @dataclass(frozen=True, slots=True)
-class VerbFunctions:
+class NoteVerbFunctions:
     """The functions of a verb, called for the agents of one species. None means that nothing happens at that stage.
 
-    `begin`: acts at the start of the step. `values`: changes attributes after the layers. `pace`: returns the fraction of its
-    speed at which each agent moves. `wish`: mixes wishes into the named registers, first into what states steer, then into the
-    result of all layers. Its last argument tells whether the first wish is already part of this result, so that only urgent
-    wishes are added. `step`: returns the steps (k, 3) mm of agents in a substep, without the parts that the note forbids."""
+    `begin_step`: acts at the start of the step. `set_values`: changes attributes after the layers.
+    `compute_speed_shares`: returns the fraction of its speed at which each agent moves. `add_wishes`: mixes wishes into the
+    named registers, first into what states steer, then into the result of all layers. Its last argument tells whether the first
+    wish is already part of this result, so that only urgent wishes are added. `limit_steps`: returns the steps (k, 3) mm of
+    agents in a substep, without the parts that the note forbids."""
 
-    begin: Callable[[NoteAgents], None] | None = None
-    values: Callable[[NoteAgents], None] | None = None
-    pace: Callable[[NoteAgents], pace_verbs.Shares] | None = None
-    wish: Callable[[NoteAgents, str, bool], None] | None = None
-    step: Callable[[NoteAgents, Floats], Floats] | None = None
+    begin_step: Callable[[NotedAgents], None] | None = None
+    set_values: Callable[[NotedAgents], None] | None = None
+    compute_speed_shares: Callable[[NotedAgents], pace_verbs.Shares] | None = None
+    add_wishes: Callable[[NotedAgents, str, bool], None] | None = None
+    limit_steps: Callable[[NotedAgents, Floats], Floats] | None = None
 
 
-VERBS: Mapping[str, VerbFunctions] = {
-    "hold": VerbFunctions(begin=display_verbs.show_displays, pace=pace_verbs.hold_agents),
-    "look": VerbFunctions(begin=display_verbs.show_displays),
-    "play": VerbFunctions(begin=display_verbs.show_displays),
-    "set": VerbFunctions(values=value_verbs.set_attributes),
-    "change": VerbFunctions(begin=display_verbs.change_states),
-    "retime": VerbFunctions(pace=pace_verbs.retime_agents),
-    "release": VerbFunctions(pace=pace_verbs.hold_agents),
-    "reach": VerbFunctions(wish=goal_verbs.lead_to_target),
-    "path": VerbFunctions(wish=goal_verbs.lead_along_path),
-    "slow": VerbFunctions(pace=region_verbs.slow_in_region),
-    "forbid": VerbFunctions(wish=region_verbs.lead_out_of_region, step=region_verbs.stop_at_region),
-    "confine": VerbFunctions(wish=region_verbs.lead_out_of_region, step=region_verbs.stop_at_region),
-    "attract": VerbFunctions(wish=region_verbs.lead_towards),
-    "repel": VerbFunctions(wish=region_verbs.lead_away),
-    "lane": VerbFunctions(wish=region_verbs.lead_along_lane),
-    "part": VerbFunctions(wish=part_verb.make_way, step=part_verb.stop_at_outline),
-    "without": VerbFunctions(),  # `absences` removes these agents at their birth
-    "thin": VerbFunctions(),
+FUNCTIONS_BY_NOTE_VERB: Mapping[str, NoteVerbFunctions] = {
+    "hold": NoteVerbFunctions(begin_step=display_verbs.start_displays, compute_speed_shares=pace_verbs.compute_hold_shares),
+    "look": NoteVerbFunctions(begin_step=display_verbs.start_displays),
+    "play": NoteVerbFunctions(begin_step=display_verbs.start_displays),
+    "set": NoteVerbFunctions(set_values=value_verbs.apply_attribute_notes),
+    "change": NoteVerbFunctions(begin_step=display_verbs.apply_state_notes),
+    "retime": NoteVerbFunctions(compute_speed_shares=pace_verbs.compute_retime_shares),
+    "release": NoteVerbFunctions(compute_speed_shares=pace_verbs.compute_hold_shares),
+    "reach": NoteVerbFunctions(add_wishes=goal_verbs.steer_to_target),
+    "path": NoteVerbFunctions(add_wishes=goal_verbs.steer_along_path),
+    "slow": NoteVerbFunctions(compute_speed_shares=region_verbs.compute_slow_region_shares),
+    "forbid": NoteVerbFunctions(add_wishes=region_verbs.steer_out_of_region, limit_steps=region_verbs.limit_steps_at_region),
+    "confine": NoteVerbFunctions(add_wishes=region_verbs.steer_out_of_region, limit_steps=region_verbs.limit_steps_at_region),
+    "attract": NoteVerbFunctions(add_wishes=region_verbs.steer_towards_attractor),
+    "repel": NoteVerbFunctions(add_wishes=region_verbs.steer_away_from_repeller),
+    "lane": NoteVerbFunctions(add_wishes=region_verbs.steer_along_lane),
+    "part": NoteVerbFunctions(add_wishes=part_verb.steer_out_of_the_way, limit_steps=part_verb.limit_steps_at_outline),
+    "without": NoteVerbFunctions(),  # `absences` removes these agents at their birth
+    "thin": NoteVerbFunctions(),
 }

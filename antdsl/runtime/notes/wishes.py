@@ -10,8 +10,11 @@ from antdsl.numerics.vector_rows import dot, length
 from antdsl.runtime.notes.active_notes import Rows
 from antdsl.runtime.world import AXES, Population, World
 
-STATE_WISH, FINAL_WISH = "~steer", "push"  # registers: the sum of what states steer, and the result of the layers
-_STATE_LAYER = "state"  # the line of `layers` that stands for what states steer
+STATE_WISH_REGISTER, FINAL_WISH_REGISTER = (
+    "~steer",
+    "push",
+)  # registers: the sum of what states steer, and the result of the layers
+_STATE_LAYER_NAME = "state"  # the line of `layers` that stands for what states steer
 Floats = NDArray[np.float64]
 
 
@@ -19,12 +22,12 @@ def has_state_wish(population: Population) -> bool:
     """Return whether the steering of states affects the push of a species. If so, a wish mixed into it does not change other
     layers."""
     layers = population.plan.layers
-    return f"{STATE_WISH}.x" in population.now and (
-        not layers or any(layer.text.split("(")[0].split()[:1] == [_STATE_LAYER] for layer in layers)
+    return f"{STATE_WISH_REGISTER}.x" in population.now and (
+        not layers or any(layer.text.split("(")[0].split()[:1] == [_STATE_LAYER_NAME] for layer in layers)
     )
 
 
-def wish_velocities(
+def add_velocity_wishes(
     world: World, population: Population, rows: Rows, velocity: Floats, share: NDArray[np.floating] | float, register: str
 ) -> None:
     """Mix a push into the wishes of agents that would give them `velocity` (k, 3) mm/s within this step. `share`: the weight of
@@ -43,7 +46,7 @@ def wish_velocities(
         wish[rows] += (component - wish[rows]) * part
 
 
-def lay_on_ground(population: Population, rows: Rows, direction: Floats) -> Floats:
+def project_directions_to_ground(population: Population, rows: Rows, direction: Floats) -> Floats:
     """Return unit vectors along the ground below agents, for directions (k, 3). 0 where a direction has no component along it."""
     normal = population.normal[rows].astype(np.float64)
     flat = direction - dot(direction, normal)[:, None] * normal

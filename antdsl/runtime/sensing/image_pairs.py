@@ -25,12 +25,12 @@ _MAX_GRID_REACH_SHARE = 0.499
 _PAIRS_PER_CHUNK = 1 << 20
 
 
-def measure_offsets(world: World, theirs: Any, mine: Any) -> tuple[NDArray[Any], ...]:
-    """Return the vectors x, y, z (mm) from positions `mine` to positions `theirs`. In a periodic world, they lead to the nearest
-    images."""
+def measure_offsets(world: World, other_positions: Any, own_positions: Any) -> tuple[NDArray[Any], ...]:
+    """Return the vectors x, y, z (mm) from positions `own_positions` to positions `other_positions`. In a periodic world, they
+    lead to the nearest images."""
     if world.periodic is None:
-        return tuple(other - own for other, own in zip(theirs, mine, strict=True))
-    return tuple(measure_offset(*each) for each in zip(theirs, mine, world.periodic.box.widths, strict=True))
+        return tuple(other - own for other, own in zip(other_positions, own_positions, strict=True))
+    return tuple(measure_offset(*each) for each in zip(other_positions, own_positions, world.periodic.box.widths, strict=True))
 
 
 class ImageGrid(CellGrid):
@@ -46,12 +46,12 @@ class ImageGrid(CellGrid):
         return replace(pairs, j=self._sources.take(pairs.j))
 
 
-def fits_image_grid(world: World, radius: float) -> bool:
+def can_use_image_grid(world: World, radius: float) -> bool:
     """Return whether an image grid can serve a search with this radius (mm): no agent may have two images in reach."""
     return world.periodic is None or radius < _MAX_GRID_REACH_SHARE * world.periodic.box.least_width
 
 
-def list_image_reaches(world: World) -> Floats:
+def get_image_reach_by_axis(world: World) -> Floats:
     """Return, for each axis, the distance (mm) within which others count at their nearest image, float32[3]. It is slightly less
     than half a width, so that an agent never has two images within it. It is infinite along axes that do not wrap."""
     widths = np.zeros(3) if world.periodic is None else np.array(world.periodic.box.widths)

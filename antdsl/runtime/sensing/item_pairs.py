@@ -37,7 +37,7 @@ def find_items_within(items: Items, own_positions: tuple[Floats, ...], radius: A
     return find_pairs_among_all_items(items, own_positions, reach)
 
 
-def _visible_positions(items: Items) -> VectorArrays:
+def _get_visible_positions(items: Items) -> VectorArrays:
     """Return the positions of items as agents sense them, x, y and z as float32 arrays."""
     x, y, z = (np.asarray(items.visible_values[axis], np.float32) for axis in AXES)
     return x, y, z
@@ -46,7 +46,7 @@ def _visible_positions(items: Items) -> VectorArrays:
 def find_pairs_among_all_items(items: Items, own_positions: tuple[Floats, ...], reach: Floats) -> ItemPairColumns:
     """Return the pairs within `reach` (mm), by measuring the distance of every item from every agent."""
     item_points, agent_points, (reach,) = (
-        make_contiguous(*_visible_positions(items)),
+        make_contiguous(*_get_visible_positions(items)),
         make_contiguous(*own_positions),
         make_contiguous(reach),
     )
@@ -62,7 +62,7 @@ def find_pairs_among_near_items(items: Items, own_positions: tuple[Floats, ...],
     """Return the pairs within `reach` (mm), by measuring only items that are within reach along two axes.
 
     These are the two axes along which the items are spread most widely."""
-    n, item_points = len(own_positions[0]), _visible_positions(items)
+    n, item_points = len(own_positions[0]), _get_visible_positions(items)
     with np.errstate(invalid="ignore"):
         one, two = sorted(range(3), key=lambda k: -float(np.nan_to_num(np.ptp(item_points[k]))))[:2]
         order = np.argsort(item_points[one], kind="stable")

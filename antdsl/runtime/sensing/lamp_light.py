@@ -32,14 +32,14 @@ def sense_light(world: World, population: Population, node: ir.PlanNode, rows: R
     start = place + normal * (population.start["size"][rows].astype(np.float64) * _RAY_START_HEIGHT_PER_BODY)[:, None]
     total = np.zeros(len(place))
     with np.errstate(all="ignore"):
-        for lamp in select_brightest_lamps(_find_lamps(world, node.attrs[0])):
+        for lamp in select_brightest_lamps(_find_lamps_by_name(world, node.attrs[0])):
             light = lamp.compute_intensity(place, normal)
             lit = np.flatnonzero((light > _MIN_LIGHT) & (light < np.inf))
             total[lit] += light[lit] * (1 - _find_hidden_share(world, lamp, start[lit]))
         return total.astype(np.float32)
 
 
-def _find_lamps(world: World, name: str) -> Iterator[LightSphere]:
+def _find_lamps_by_name(world: World, name: str) -> Iterator[LightSphere]:
     """Yield the items with this name that emit light, if their amount is above 0 at the start of the step."""
     items, strength = world.items[name], world.setting.lamp_strength
     for index, data in enumerate(world.setting.items.get(name, ())):

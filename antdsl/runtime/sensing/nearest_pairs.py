@@ -34,7 +34,7 @@ def find_nearest_agents(
     to the others; distances. None if a position is not finite, or if its square exceeds float32. `own_positions`: x, y and z of
     the requesting agents, float32[n] mm. `ids`: their ids if both are of the same species, so that no agent finds itself; else
     None."""
-    mine, sites = np.stack(own_positions, axis=1).astype(np.float64), _get_sites(world, other)
+    mine, sites = np.stack(own_positions, axis=1).astype(np.float64), _get_position_tree(world, other)
     if sites is None or not (np.abs(mine) < _MAX_DISTANCE_MM).all():
         return None
     every = len(sites.first_rows)
@@ -72,7 +72,7 @@ def _measure_all_agents(
     other: Population, own_positions: tuple[Floats, ...], ids: NDArray[np.int64] | None, requesting_rows: NDArray[np.intp]
 ) -> list[PairColumns]:
     """Return the nearest other agent for each of `requesting_rows`, by measuring the distance to all others."""
-    order = other.rows_by_id()
+    order = other.get_rows_by_id()
     known, place = other.ids.take(order), [other.start[f"position.{axis}"].take(order) for axis in AXES]
     parts, at_once = [], max(1, _PAIRS_PER_CHUNK // len(order))
     for first in range(0, len(requesting_rows), at_once):
@@ -99,7 +99,7 @@ def _measure_pairs(other: Population, own_positions: tuple[Floats, ...], i: NDAr
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _AgentSites:
+class _AgentPositionTree:
     """The distinct positions of the agents of a species.
 
     `tree`: a k-d tree of the positions. `first_rows`: at each position, the row of the agent with the least id. `second_rows`:
@@ -110,18 +110,18 @@ class _AgentSites:
     second_rows: NDArray[np.intp]
 
 
-def _get_sites(world: World, other: Population) -> _AgentSites | None:
+def _get_position_tree(world: World, other: Population) -> _AgentPositionTree | None:
     """Return the distinct positions of a species at the start of the step. The result is cached for the step.
 
     None if there are no agents, or if a position is not finite or is too far from the origin."""
     if other.name not in world.trees:
-        world.trees[other.name] = _build_sites(other)
-    sites: _AgentSites | None = world.trees[other.name]
+        world.trees[other.name] = _build_position_tree(other)
+    sites: _AgentPositionTree | None = world.trees[other.name]
     return sites
 
 
-def _build_sites(other: Population) -> _AgentSites | None:
-    """Return the distinct positions of a species. None in the same cases as for `_get_sites`."""
+def _build_position_tree(other: Population) -> _AgentPositionTree | None:
+    """Return the distinct positions of a species. None in the same cases as for `_get_position_tree`."""
     from scipy.spatial import cKDTree
 
     x, y, z = (other.start[f"position.{axis}"] for axis in AXES)
@@ -134,4 +134,4 @@ def _build_sites(other: Population) -> _AgentSites | None:
     several = np.diff(np.append(starts, len(order))) > 1
     second = np.where(several, order.take(np.minimum(starts + 1, len(order) - 1)), -1)
     points = np.stack([each.take(starts) for each in (x, y, z)], axis=1).astype(np.float64)
-    return _AgentSites(cKDTree(points), order.take(starts), second)
+    return _AgentPositionTree(cKDTree(points), order.take(starts), second)

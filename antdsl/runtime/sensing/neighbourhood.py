@@ -17,7 +17,7 @@ from antdsl.machine_code.number_kinds import LANE_COUNT
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
-from antdsl.runtime.sensing.image_pairs import ImageGrid, list_image_reaches
+from antdsl.runtime.sensing.image_pairs import ImageGrid, get_image_reach_by_axis
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.senses.clear_velocity import WishedVelocities, fill_clear_velocities, find_widest_gaps
 from antdsl.senses.nearest_others import CrowdTables, NeighbourRequests, fill_nearest_offsets, pack_up_and_motion
@@ -101,7 +101,7 @@ class _CrowdGrid(CellGrid):
             return array if sources is None else array.take(sources)
 
         super().__init__(x, y, z, np.arange(x.size), cell, threads)
-        numbers = add_images(join_arrays([each.id_ranks() + self.first_rows[name] for name, each in populations.items()]))
+        numbers = add_images(join_arrays([each.compute_id_ranks() + self.first_rows[name] for name, each in populations.items()]))
         radius = add_images(join_arrays([each.start["radius"] for each in populations.values()]))
         up, motion = np.empty((2, 4 * (x.size + LANE_COUNT)), np.float32)
         ups, velocities = (tuple(map(add_images, join_vectors(name))) for name in ("up", "velocity"))
@@ -117,7 +117,7 @@ class _CrowdGrid(CellGrid):
             by_name = add_images(
                 join_arrays([np.arange(len(each), dtype=np.int32) + named[name] for name, each in populations.items()])
             )
-        self.crowd = CrowdTables(self.make_tables(), up, motion, by_name, list_image_reaches(world))
+        self.crowd = CrowdTables(self.make_tables(), up, motion, by_name, get_image_reach_by_axis(world))
 
 
 def _find_first_rows(populations: Mapping[str, Population], names: Sequence[str]) -> dict[str, int]:

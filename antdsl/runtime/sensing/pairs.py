@@ -17,7 +17,7 @@ from antdsl.numerics import exact_sums
 from antdsl.plan import ir
 from antdsl.plan.traverse import collect_required_nodes, iterate_statements, list_blocks, list_operands
 from antdsl.runtime.faults import Fault, LimitStop
-from antdsl.runtime.sensing.image_pairs import fits_image_grid, measure_offsets, measure_pairs_within
+from antdsl.runtime.sensing.image_pairs import can_use_image_grid, measure_offsets, measure_pairs_within
 from antdsl.runtime.sensing.item_pairs import find_items_within
 from antdsl.runtime.sensing.nearest_pairs import find_nearest_agents
 from antdsl.runtime.sensing.neighbourhood import find_species_grid
@@ -34,48 +34,48 @@ MAX_PAIRS_PER_CHUNK = 1 << 22  # limit for a chunk that compares all agents with
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PairRows:
+class NeighbourPairRows:
     """The pairs of a set.
 
-    `others`: the other agents or the items. `count`: the number of requesting rows. `i`: for each pair, the index of the
-    requesting row, from 0. `j`: the row in `others`. `dx`, `dy`, `dz`: the position of the other minus that of the requester,
-    float32 mm. `distance`: the length of this vector."""
+    `others`: the other agents or the items. `count`: the number of requesting rows. `agent_indices`: for each pair, the index of
+    the requesting row, from 0. `other_indices`: the row in `others`. `dx`, `dy`, `dz`: the position of the other minus that of
+    the requester, float32 mm. `distance`: the length of this vector."""
 
     others: Population | Items
     count: int  # requesting rows
-    i: Index
-    j: Index
+    agent_indices: Index
+    other_indices: Index
     dx: Floats
     dy: Floats
     dz: Floats
     distance: Floats
 
-    def select_rows(self, rows: NDArray[np.intp]) -> PairRows:
+    def select_rows(self, rows: NDArray[np.intp]) -> NeighbourPairRows:
         """Return only the pairs of the given requesting rows, which are numbered from 0 again."""
         number = np.full(self.count, -1)
         number[rows] = np.arange(len(rows))
-        i = number.take(self.i)
+        i = number.take(self.agent_indices)
         keep = np.flatnonzero(i >= 0)
-        rest: Any = (a.take(keep) for a in (self.j, self.dx, self.dy, self.dz, self.distance))
-        return PairRows(self.others, len(rows), i.take(keep), *rest)
+        rest: Any = (a.take(keep) for a in (self.other_indices, self.dx, self.dy, self.dz, self.distance))
+        return NeighbourPairRows(self.others, len(rows), i.take(keep), *rest)
 
 
 def find_pairs(
     world: World, population: Population, node: ir.PlanNode, rows: Any, args: tuple[Any, ...], threads: int = 1
-) -> PairRows:
+) -> NeighbourPairRows:
     """Return the pairs of a set for the given rows (a slice or an array). `args`: the values of the set's operands."""
     own = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     if node.op == "set.items":
         items = world.items[node.attrs[0]]
         if world.periodic is not None:
-            return PairRows(items, len(own[0]), *measure_pairs_within(world, items, own, None, args[0]))
-        return PairRows(items, len(own[0]), *find_items_within(items, own, args[0]))
+            return NeighbourPairRows(items, len(own[0]), *measure_pairs_within(world, items, own, None, args[0]))
+        return NeighbourPairRows(items, len(own[0]), *find_items_within(items, own, args[0]))
     other = world.populations[node.attrs[0]]
     ids = population.ids[rows] if other is population else None
     if node.op == "set.every":
-        plain = world.periodic is None and is_nearest_only(world.plan.species[population.name], node)
+        plain = world.periodic is None and needs_only_nearest(world.plan.species[population.name], node)
         nearest = find_nearest_agents(world, other, own, ids) if plain else None
-        return _make_all_pairs(world, other, own, ids) if nearest is None else PairRows(other, len(own[0]), *nearest)
+        return _make_all_pairs(world, other, own, ids) if nearest is None else NeighbourPairRows(other, len(own[0]), *nearest)
     radius, cosine = args
     view = None if node.attrs[1] else _read_view_cones(population, rows, cosine, len(own[0]))
     try:
@@ -83,23 +83,23 @@ def find_pairs(
     except TooManyNeighboursError:
         pass
     species = world.plan.species[population.name]
-    count = count_nearest(species, node)
+    count = find_needed_nearest_count(species, node)
     try:
         if count is None:
             raise TooManyNeighboursError
-        return _find_pairs_within(world, other, own, ids, _shorten_radii(other, own, ids, radius, count), view, threads)
+        return _find_pairs_within(world, other, own, ids, _limit_radii_to_nearest(other, own, ids, radius, count), view, threads)
     except TooManyNeighboursError:
-        span = _find_set_use(species, node)
+        span = _find_first_use_of_set(species, node)
         what = "neighbours" if span is None else " ".join(span.text.split())
         why = (
             f"has more than {limits.MAX_CANDIDATES_IN_RADIUS:,} neighbours in its radius, of which it uses only "
             f"the {limits.MAX_QUERY_NEIGHBOURS} nearest"
         )
-        fault = Fault(world.frame, population.name, -1, what, span, (), f"{why}: {_advise_on_radius(other, radius)}")
+        fault = Fault(world.frame, population.name, -1, what, span, (), f"{why}: {_format_radius_advice(other, radius)}")
         raise LimitStop(fault) from None
 
 
-def _advise_on_radius(other: Population, radius: Any) -> str:
+def _format_radius_advice(other: Population, radius: Any) -> str:
     """Return advice for messages about a radius that contains too many agents. If they cannot all fit without overlap, the advice
     is to separate them."""
     widest, body = float(np.max(radius)), float(np.median(other.start["radius"]))
@@ -108,14 +108,14 @@ def _advise_on_radius(other: Population, radius: Any) -> str:
     return "write a smaller radius"
 
 
-def is_nearest_only(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
+def needs_only_nearest(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
     """Return whether a set is a complete species of which only the nearest agent is used. If so, the set contains only this
     agent."""
-    return node.op == "set.every" and count_nearest(species, node) == 1
+    return node.op == "set.every" and find_needed_nearest_count(species, node) == 1
 
 
 @lru_cache(256)
-def count_nearest(species: ir.SpeciesPlan, node: ir.PlanNode) -> int | None:
+def find_needed_nearest_count(species: ir.SpeciesPlan, node: ir.PlanNode) -> int | None:
     """Return how many of the nearest agents suffice for all results that use a set. None if results need other agents too."""
     every = collect_required_nodes(
         n for _, block in list_blocks(species) for _, statement in iterate_statements(block) for n in list_operands(statement)
@@ -128,7 +128,7 @@ def count_nearest(species: ir.SpeciesPlan, node: ir.PlanNode) -> int | None:
     return 1 if plain else limits.MAX_QUERY_NEIGHBOURS
 
 
-def _shorten_radii(
+def _limit_radii_to_nearest(
     other: Population, own_positions: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any, count: int
 ) -> Floats:
     """Return the radii (mm), shortened so that they still contain the nearest `count` others."""
@@ -143,23 +143,25 @@ def _shorten_radii(
     return shorter
 
 
-def _find_set_use(species: ir.SpeciesPlan, node: ir.PlanNode) -> Span | None:
+def _find_first_use_of_set(species: ir.SpeciesPlan, node: ir.PlanNode) -> Span | None:
     """Return the shortest text in the species' source file that uses a set. The set itself may be defined in a library."""
-    if _is_own_text(node.span):
+    if _is_in_program_text(node.span):
         return node.span
     for _, block in list_blocks(species):
         for _, statement in iterate_statements(block):
             below = collect_required_nodes(list_operands(statement))
-            if node not in below or not _is_own_text(statement.span):
+            if node not in below or not _is_in_program_text(statement.span):
                 continue
             using = {node.number}
             using.update(each.number for each in below if any(arg.number in using for arg in each.args))
-            spans = [each.span for each in below if each.number in using and each.span is not None and _is_own_text(each.span)]
+            spans = [
+                each.span for each in below if each.number in using and each.span is not None and _is_in_program_text(each.span)
+            ]
             return min(spans, key=lambda span: span.end - span.start, default=statement.span)
     return node.span
 
 
-def _is_own_text(span: Span | None) -> bool:
+def _is_in_program_text(span: Span | None) -> bool:
     return span is not None and not span.source.path.startswith("<")
 
 
@@ -177,11 +179,13 @@ def _find_pairs_within(
     radius: Any,
     view: ViewConeColumns | None,
     threads: int,
-) -> PairRows:
+) -> NeighbourPairRows:
     """Return the pairs within a radius (mm) and in view, found with a cell grid."""
     widest = float(np.max(radius, initial=0.0)) if np.size(radius) else 0.0
-    if not fits_image_grid(world, widest):
-        return PairRows(other, len(own_positions[0]), *measure_pairs_within(world, other, own_positions, ids, radius, view))
+    if not can_use_image_grid(world, widest):
+        return NeighbourPairRows(
+            other, len(own_positions[0]), *measure_pairs_within(world, other, own_positions, ids, radius, view)
+        )
     widest = widest if np.isfinite(widest) and widest > 0 else 1.0
     grid = find_species_grid(world, other, widest)
     p = grid.find_pairs(
@@ -195,12 +199,12 @@ def _find_pairs_within(
         threads=threads,
         limit=limits.MAX_CANDIDATES_IN_RADIUS,
     )
-    return PairRows(other, len(own_positions[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
+    return NeighbourPairRows(other, len(own_positions[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
 
 
 def _make_all_pairs(
     world: World, other: Population, own_positions: tuple[Floats, ...], ids: NDArray[np.int64] | None
-) -> PairRows:
+) -> NeighbourPairRows:
     """Return the pairs of each requesting row with all agents of a species, except with itself."""
     n, m = len(own_positions[0]), len(other)
     i, j = np.repeat(np.arange(n), m), np.tile(np.arange(m), n)
@@ -209,39 +213,39 @@ def _make_all_pairs(
         i, j = i.take(keep), j.take(keep)
     theirs = [other.start[f"position.{axis}"].take(j) for axis in AXES]
     dx, dy, dz = measure_offsets(world, theirs, [own.take(i) for own in own_positions])
-    return PairRows(other, n, i, j, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
+    return NeighbourPairRows(other, n, i, j, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))
 
 
 # --- reductions ------------------------------------------------------------------------------------------------------
 
 
-def _select_rows(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.intp] | None]:
+def _select_rows_by_condition(pairs: NeighbourPairRows, condition: Any) -> tuple[Index, NDArray[np.intp] | None]:
     """Return the requesting rows of those pairs that satisfy a condition, and the indices of these pairs (None: all pairs)."""
     if np.ndim(condition) == 0:
-        return (pairs.i, None) if condition else (pairs.i[:0], np.empty(0, np.intp))
+        return (pairs.agent_indices, None) if condition else (pairs.agent_indices[:0], np.empty(0, np.intp))
     keep = np.flatnonzero(condition)
-    return (pairs.i, None) if len(keep) == len(pairs.i) else (pairs.i.take(keep), keep)
+    return (pairs.agent_indices, None) if len(keep) == len(pairs.agent_indices) else (pairs.agent_indices.take(keep), keep)
 
 
-def _select_body_values(pairs: PairRows, body: Any, selected_rows: NDArray[np.intp] | None) -> Floats:
+def _get_body_values(pairs: NeighbourPairRows, body: Any, selected_rows: NDArray[np.intp] | None) -> Floats:
     """Return the values of a reduction's body for the selected pairs. `selected_rows`: the indices of these pairs; None for
     all."""
-    values: Floats = np.full(len(pairs.i), body) if np.ndim(body) == 0 else body
+    values: Floats = np.full(len(pairs.agent_indices), body) if np.ndim(body) == 0 else body
     return values if selected_rows is None else values.take(selected_rows)
 
 
-def _reduce_sum(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
-    i, keep = _select_rows(pairs, condition)
-    return exact_sums.sum_by_index(i, _select_body_values(pairs, body, keep), int(node.attrs[0]), pairs.count)
+def _reduce_sum(pairs: NeighbourPairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+    i, keep = _select_rows_by_condition(pairs, condition)
+    return exact_sums.sum_by_index(i, _get_body_values(pairs, body, keep), int(node.attrs[0]), pairs.count)
 
 
-def _reduce_count(pairs: PairRows, node: ir.PlanNode, condition: Any) -> Any:
-    return np.bincount(_select_rows(pairs, condition)[0], minlength=pairs.count).astype(np.float32)
+def _reduce_count(pairs: NeighbourPairRows, node: ir.PlanNode, condition: Any) -> Any:
+    return np.bincount(_select_rows_by_condition(pairs, condition)[0], minlength=pairs.count).astype(np.float32)
 
 
-def _reduce_any(pairs: PairRows, node: ir.PlanNode, condition: Any) -> Any:
+def _reduce_any(pairs: NeighbourPairRows, node: ir.PlanNode, condition: Any) -> Any:
     has_any = np.zeros(pairs.count, np.bool_)
-    has_any[_select_rows(pairs, condition)[0]] = True
+    has_any[_select_rows_by_condition(pairs, condition)[0]] = True
     return has_any
 
 
@@ -258,26 +262,26 @@ def _find_row_minima(i: Index, body: Floats, count: int) -> Floats:
     return result
 
 
-def _reduce_min(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
-    i, keep = _select_rows(pairs, condition)
-    return _find_row_minima(i, _select_body_values(pairs, body, keep), pairs.count)
+def _reduce_min(pairs: NeighbourPairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+    i, keep = _select_rows_by_condition(pairs, condition)
+    return _find_row_minima(i, _get_body_values(pairs, body, keep), pairs.count)
 
 
-def _reduce_max(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
-    i, keep = _select_rows(pairs, condition)
-    return -_find_row_minima(i, -_select_body_values(pairs, body, keep), pairs.count) + np.float32(0)
+def _reduce_max(pairs: NeighbourPairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+    i, keep = _select_rows_by_condition(pairs, condition)
+    return -_find_row_minima(i, -_get_body_values(pairs, body, keep), pairs.count) + np.float32(0)
 
 
-def _find_best_label(pairs: PairRows, condition: Any, body: Any, label: NDArray[Any], none: Any) -> Any:
+def _find_best_label(pairs: NeighbourPairRows, condition: Any, body: Any, label: NDArray[Any], missing_label: Any) -> Any:
     """Return, for each requesting row, the label (id or number) of the pair with the least `body`; if several are equal, the
     least label.
 
-    `none`: the result for rows without pairs."""
-    result = np.full(pairs.count, none)
-    i, keep = _select_rows(pairs, condition)
+    `missing_label`: the result for rows without pairs."""
+    result = np.full(pairs.count, missing_label)
+    i, keep = _select_rows_by_condition(pairs, condition)
     if not len(i):
         return result
-    body = _select_body_values(pairs, body, keep)
+    body = _get_body_values(pairs, body, keep)
     label = label if keep is None else label.take(keep)
     best = np.flatnonzero(body == _find_row_minima(i, body, pairs.count).take(i))
     if len(best):
@@ -287,23 +291,25 @@ def _find_best_label(pairs: PairRows, condition: Any, body: Any, label: NDArray[
     return result
 
 
-def _find_best_agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+def _find_best_agent(pairs: NeighbourPairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
     assert isinstance(pairs.others, Population)
-    return _find_best_label(pairs, condition, body, pairs.others.ids.take(pairs.j), NO_AGENT)
+    return _find_best_label(pairs, condition, body, pairs.others.ids.take(pairs.other_indices), NO_AGENT)
 
 
-def _find_best_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
-    return _find_best_label(pairs, condition, body, pairs.j.astype(np.int32), NO_ITEM)
+def _find_best_item(pairs: NeighbourPairRows, node: ir.PlanNode, condition: Any, body: Any) -> Any:
+    return _find_best_label(pairs, condition, body, pairs.other_indices.astype(np.int32), NO_ITEM)
 
 
-def _find_nth_label(pairs: PairRows, condition: Any, body: Any, number: Any, label: NDArray[Any], none: Any) -> Any:
+def _find_nth_label(
+    pairs: NeighbourPairRows, condition: Any, body: Any, number: Any, label: NDArray[Any], missing_label: Any
+) -> Any:
     """Return, for each requesting row, the label (id or number) of the pair with the n-th least `body`. Equal pairs are sorted by
     label.
 
-    `number`: n for each row. `none`: the result for rows with fewer than n pairs."""
-    result = np.full(pairs.count, none)
-    i, keep = _select_rows(pairs, condition)
-    body, number = _select_body_values(pairs, body, keep), np.floor(_select_body_values(pairs, number, keep))
+    `number`: n for each row. `missing_label`: the result for rows with fewer than n pairs."""
+    result = np.full(pairs.count, missing_label)
+    i, keep = _select_rows_by_condition(pairs, condition)
+    body, number = _get_body_values(pairs, body, keep), np.floor(_get_body_values(pairs, number, keep))
     label = label if keep is None else label.take(keep)
     order = np.lexsort((label, body, i))
     order = order[body[order] == body[order]]
@@ -316,13 +322,13 @@ def _find_nth_label(pairs: PairRows, condition: Any, body: Any, number: Any, lab
     return result
 
 
-def _find_nth_agent(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
+def _find_nth_agent(pairs: NeighbourPairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
     assert isinstance(pairs.others, Population)
-    return _find_nth_label(pairs, condition, body, number, pairs.others.ids.take(pairs.j), NO_AGENT)
+    return _find_nth_label(pairs, condition, body, number, pairs.others.ids.take(pairs.other_indices), NO_AGENT)
 
 
-def _find_nth_item(pairs: PairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
-    return _find_nth_label(pairs, condition, body, number, pairs.j.astype(np.int32), NO_ITEM)
+def _find_nth_item(pairs: NeighbourPairRows, node: ir.PlanNode, condition: Any, body: Any, number: Any) -> Any:
+    return _find_nth_label(pairs, condition, body, number, pairs.other_indices.astype(np.int32), NO_ITEM)
 
 
 REDUCTION_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
@@ -338,7 +344,7 @@ REDUCTION_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
 }
 
 
-def read_pair_value(pairs: PairRows, node: ir.PlanNode) -> NDArray[Any]:
+def read_pair_value(pairs: NeighbourPairRows, node: ir.PlanNode) -> NDArray[Any]:
     """Return, for each pair, a value of the other agent, of the item, or of the pair itself."""
     match node.op:
         case "pair.x":
@@ -350,11 +356,11 @@ def read_pair_value(pairs: PairRows, node: ir.PlanNode) -> NDArray[Any]:
         case "pair.distance":
             return pairs.distance
         case "other.row":
-            return pairs.j.astype(np.int32)
+            return pairs.other_indices.astype(np.int32)
         case "other.id":
             assert isinstance(pairs.others, Population)
-            return pairs.others.ids.take(pairs.j)
+            return pairs.others.ids.take(pairs.other_indices)
         case "other":
             source = pairs.others.start if isinstance(pairs.others, Population) else pairs.others.visible_values
-            return source[node.attrs[0]].take(pairs.j)
+            return source[node.attrs[0]].take(pairs.other_indices)
     raise AssertionError(f"{node.op} is not of a pair")

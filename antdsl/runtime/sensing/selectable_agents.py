@@ -12,7 +12,7 @@ def collect_selectable_frame(world: World) -> SelectableFrame:
     points = {name: items.position + world.origin for name, items in world.items.items() if len(items)}
     single = {item: points[name][k : k + 1] for name, items in world.items.items() for k, item in enumerate(items.names)}
     return SelectableFrame(
-        {name: _collect_agents(world, population) for name, population in world.populations.items()},
+        {name: _collect_agents_of_species(world, population) for name, population in world.populations.items()},
         {crowd.name: line for crowd, line in zip(world.setting.crowds, world.crowd_lines, strict=True) if crowd.name},
         single | points,
         world.setting.seed,
@@ -21,7 +21,7 @@ def collect_selectable_frame(world: World) -> SelectableFrame:
     )
 
 
-def _collect_agents(world: World, population: Population) -> SelectableAgents:
+def _collect_agents_of_species(world: World, population: Population) -> SelectableAgents:
     states = {
         machine.name: StateColumn(population.now[f"{machine.name}.state"], machine.states) for machine in population.plan.machines
     }

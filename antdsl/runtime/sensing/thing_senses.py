@@ -68,7 +68,7 @@ def _sense_camera_position(world: World, population: Population, node: ir.PlanNo
 
 def _sense_camera_view(world: World, population: Population, node: ir.PlanNode, rows: Rows, margin: SenseValue) -> SenseValue:
     place = read_exact_positions(world, population, rows)
-    return _find_camera(world, node).find_in_view(world.frame, place, np.float64(1) * expand_to_rows(margin, rows))
+    return _find_camera(world, node).find_positions_in_view(world.frame, place, np.float64(1) * expand_to_rows(margin, rows))
 
 
 PLACED_THING_SENSES: Mapping[str, Callable[..., SenseValue]] = {

@@ -31,10 +31,10 @@ from antdsl.runtime.world import AXES, Population, World
 
 FLOAT32_MIN_VECTOR_LENGTH = np.float32(MIN_VECTOR_LENGTH)
 NO_HIT = (np.False_, np.float32(np.inf), np.float32(0), np.float32(0), np.float32(0))  # result of a ray without a hit
-_BORDER_PULL_SHARE = 1e-6  # share of the path from a border point to the middle of its face
+_BORDER_INSET_SHARE = 1e-6  # share of the path from a border point to the middle of its face
 
 
-def make_constant_scalar(node: ir.PlanNode) -> SenseValue:
+def compute_constant(node: ir.PlanNode) -> SenseValue:
     """Return the value of a constant node as a NumPy scalar."""
     match node.op:
         case "const":
@@ -51,7 +51,7 @@ def make_constant_scalar(node: ir.PlanNode) -> SenseValue:
 def compute_uniform_leaf(world: World, node: ir.PlanNode) -> SenseValue:
     """Return the value of a leaf node that is equal for all agents, as a scalar: a constant, a param, the time, or similar."""
     if node.rate is ir.UpdateRate.CONST:
-        return make_constant_scalar(node)
+        return compute_constant(node)
     match node.op:
         case "param":
             return world.params[node.attrs[0]]
@@ -89,7 +89,7 @@ def _sense_draw(world: World, population: Population, node: ir.PlanNode, rows: R
 def _sense_drawn_agent(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
     site, species = node.attrs
     word = randomness.draw_four_words(world.setting.seed, world.frame, population.name, site, 0, population.ids[rows])[0]
-    return world.populations[species].pick_ids(word)
+    return world.populations[species].draw_living_ids(word)
 
 
 def _sense_event(world: World, population: Population, node: ir.PlanNode, rows: Rows) -> SenseValue:
@@ -250,13 +250,13 @@ def _sense_field_ahead(
             stop_at_borders=True,
         )
     field = world.fields[node.attrs[0]]
-    footing, position = _pull_inside_border(world, moved)
+    footing, position = _move_inside_border(world, moved)
     place = moving_geometry.compute_rest_positions(world, footing, position)
     cells = field.cells.find_cells_by_side(place, world.ground.find_sides(footing))
     return field.sample(np.where(moved.is_lost, -1, cells))
 
 
-def _pull_inside_border(world: World, move: GroundMove) -> tuple[Footing, NDArray[np.float64]]:
+def _move_inside_border(world: World, move: GroundMove) -> tuple[Footing, NDArray[np.float64]]:
     """Return the footings and the positions at the ends of walks. An end at an open border is moved slightly into the face.
 
     A border may be on the boundary of two cells. A position exactly on it could read a cell outside the surface."""
@@ -267,7 +267,7 @@ def _pull_inside_border(world: World, move: GroundMove) -> tuple[Footing, NDArra
     footing, position = move.footing.copy(), move.position.copy()
     inner = footing.select_rows_on_meshes(rows)
     for weight in (inner.b1, inner.b2):
-        weight += (1 / 3 - weight) * _BORDER_PULL_SHARE
+        weight += (1 / 3 - weight) * _BORDER_INSET_SHARE
     footing.write_rows(rows, inner)
     position[rows] = meshes.position(inner)
     return footing, position

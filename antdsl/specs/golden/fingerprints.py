@@ -138,7 +138,7 @@ def _compute_part_digests(world: World) -> dict[str, bytes]:
 
 def _make_agent_columns(world: World, program: Program, population: Population) -> list[FingerprintColumn]:
     """Return a column for each value that the author has named, and one column for all memories and footings together."""
-    rows = population.rows_by_id()
+    rows = population.get_rows_by_id()
     ids, name = population.ids[rows], population.name
     species = program.species[name]
     type_by_attribute = {a.name: a.type for a in species.attributes}
@@ -303,7 +303,7 @@ def _find_differing_agents(world: World, program: Program, name: str, recorded_d
     rows, digest = choose_sample_indices(len(population)), digest_agents(world, population, program)
     if len(digest) != len(recorded_digest):
         return ""
-    ids = population.ids[population.rows_by_id()][rows]
+    ids = population.ids[population.get_rows_by_id()][rows]
     differ = [int(id) for k, id in enumerate(ids) if digest[4 * k : 4 * k + 4] != recorded_digest[4 * k : 4 * k + 4]]
     if not differ:
         return ""

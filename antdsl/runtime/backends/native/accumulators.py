@@ -19,69 +19,69 @@ NO_LABEL = (1 << 63) - 1
 
 
 @dataclass(slots=True, eq=False)
-class RunningReduction:
+class LaneReduction:
     """The intermediate values of one reduction over pairs, stored on the stack.
 
     The eight lanes are either eight requesting agents, or eight parts of one agent's pairs. A label is the id or number that a
     reduction such as `nearest` returns."""
 
     builder: LaneBuilder
-    node: ir.PlanNode
+    reduction_node: ir.PlanNode
     needs_two_words: bool  # whether there are more terms than float64 adds exactly
     _stack_slots: list[tuple[Number, str]] = field(default_factory=list)  # stack slots with their kinds
 
     def allocate_values(self) -> None:
         """Allocate the intermediate values on the stack, and initialise them."""
-        for k, row in enumerate(INITIAL_VALUES[self.node.op]):
-            if k == 0 or self.needs_two_words or self.node.op != "reduce.sum":
+        for k, row in enumerate(INITIAL_VALUES[self.reduction_node.op]):
+            if k == 0 or self.needs_two_words or self.reduction_node.op != "reduce.sum":
                 self._stack_slots.append((self.builder.allocate_slot(row[0], LANE_COUNT), row[0]))
-                self._write_part(k, self.builder.make_constant(row[1], row[0]))
+                self._write_accumulator(k, self.builder.make_constant(row[1], row[0]))
 
-    def add_term(self, mask: Lanes, body: Lanes | None, label: Lanes | None) -> None:
+    def emit_add_term(self, mask: Lanes, body: Lanes | None, label: Lanes | None) -> None:
         """Emit code that adds a term to the lanes in `mask`. The term is `body`. If the reduction selects a label, such as
         `nearest`, it stores the `label` of the least `body`."""
         e = self.builder
-        match self.node.op:
+        match self.reduction_node.op:
             case "reduce.sum":
                 assert body is not None
                 term = self._round_term(e.select_lanes(mask, body, e.make_constant(0.0, F32)))
                 if self.needs_two_words:
-                    quantum = int(self.node.attrs[0])
+                    quantum = int(self.reduction_node.attrs[0])
                     magic = float(np.ldexp(1.5, quantum + exact_sums.LOW_WORD_BITS + 52))
                     high = (term + magic) - magic
-                    self._write_part(0, self._read_part(0) + high)
-                    self._write_part(1, self._read_part(1) + (term - high))
+                    self._write_accumulator(0, self._read_accumulator(0) + high)
+                    self._write_accumulator(1, self._read_accumulator(1) + (term - high))
                 else:
-                    self._write_part(0, self._read_part(0) + term)
+                    self._write_accumulator(0, self._read_accumulator(0) + term)
             case "reduce.count":
-                self._write_part(0, self._read_part(0) + e.convert(mask, I32))
+                self._write_accumulator(0, self._read_accumulator(0) + e.convert(mask, I32))
             case "reduce.any":
-                self._write_part(0, self._read_part(0) | e.convert(mask, I32))
+                self._write_accumulator(0, self._read_accumulator(0) | e.convert(mask, I32))
             case "reduce.min":
                 assert body is not None
-                least = self._read_part(0)
-                self._write_part(0, e.select_lanes(mask & (body < least), body, least))
+                least = self._read_accumulator(0)
+                self._write_accumulator(0, e.select_lanes(mask & (body < least), body, least))
             case "reduce.max":
                 assert body is not None
-                most = self._read_part(0)
-                self._write_part(0, e.select_lanes(mask & (body > most), body, most))
+                most = self._read_accumulator(0)
+                self._write_accumulator(0, e.select_lanes(mask & (body > most), body, most))
             case _:
                 assert body is not None and label is not None
-                least, best_label = self._read_part(0), self._read_part(1)
+                least, best_label = self._read_accumulator(0), self._read_accumulator(1)
                 better = mask & ((body < least) | ((body == least) & (label < best_label)))
-                self._write_part(0, e.select_lanes(better, body, least))
-                self._write_part(1, e.select_lanes(better, label, best_label))
+                self._write_accumulator(0, e.select_lanes(better, body, least))
+                self._write_accumulator(1, e.select_lanes(better, label, best_label))
 
-    def _read_part(self, part: int) -> Lanes:
+    def _read_accumulator(self, part: int) -> Lanes:
         place, kind = self._stack_slots[part]
         return self.builder.load(place, kind, LANE_COUNT)
 
-    def _write_part(self, part: int, value: Lanes) -> None:
+    def _write_accumulator(self, part: int, value: Lanes) -> None:
         self.builder.store_number(self._stack_slots[part][0], value)
 
     def _round_term(self, body: Lanes) -> Lanes:
         """Emit code that rounds a term to a multiple of the reduction's quantum. Same as `exact_sums.quantise_terms`."""
-        quantum = int(self.node.attrs[0])
+        quantum = int(self.reduction_node.attrs[0])
         bound, magic = float(np.ldexp(1.0, quantum + exact_sums.MAX_TERM_EXPONENT)), float(np.ldexp(1.5, quantum + 52))
         if float(np.float32(bound)) == bound:  # then clamping before the conversion gives the same result
             body, bound = self.builder.apply_function(np.clip, body, -np.float32(bound), np.float32(bound)), np.inf
@@ -94,47 +94,49 @@ class RunningReduction:
     def emit_result(self) -> Lanes:
         """Emit code that computes the result of each lane from its intermediate values. Return the results."""
         e = self.builder
-        match self.node.op:
+        match self.reduction_node.op:
             case "reduce.sum":
-                total = self._read_part(0)
+                total = self._read_accumulator(0)
                 if self.needs_two_words:
-                    total = total + self._read_part(1)
+                    total = total + self._read_accumulator(1)
                 return e.convert(total, F32)
             case "reduce.count":
-                return e.convert(self._read_part(0), F32)
+                return e.convert(self._read_accumulator(0), F32)
             case "reduce.any":
-                return self._read_part(0) != 0
+                return self._read_accumulator(0) != 0
             case "reduce.min" | "reduce.max":
-                return self._read_part(0) + np.float32(0)
-        label = self._read_part(1)
+                return self._read_accumulator(0) + np.float32(0)
+        label = self._read_accumulator(1)
         label = e.select_lanes(label == NO_LABEL, e.make_constant(-1, I64), label)
-        return label if self.node.op == "reduce.agent" else e.convert(label, I32)
+        return label if self.reduction_node.op == "reduce.agent" else e.convert(label, I32)
 
-    def combine_lanes(self) -> None:
+    def emit_combine_lanes(self) -> None:
         """Emit code that combines the intermediate values of all eight lanes, and stores the combination in each lane."""
         for half in (4, 2, 1):
-            self._combine_with([self.builder.rotate_lanes(self._read_part(k), half) for k in range(len(self._stack_slots))])
+            self._emit_combine_with(
+                [self.builder.rotate_lanes(self._read_accumulator(k), half) for k in range(len(self._stack_slots))]
+            )
 
-    def _combine_with(self, other: list[Lanes]) -> None:
+    def _emit_combine_with(self, other_reduction: list[Lanes]) -> None:
         """Emit code that combines the intermediate values with `other`, lane by lane."""
-        e, a = self.builder, other[0]
-        match self.node.op:
+        e, a = self.builder, other_reduction[0]
+        match self.reduction_node.op:
             case "reduce.sum" | "reduce.count":
-                for k, value in enumerate(other):
-                    self._write_part(k, self._read_part(k) + value)
+                for k, value in enumerate(other_reduction):
+                    self._write_accumulator(k, self._read_accumulator(k) + value)
             case "reduce.any":
-                self._write_part(0, self._read_part(0) | a)
+                self._write_accumulator(0, self._read_accumulator(0) | a)
             case "reduce.min":
-                mine = self._read_part(0)
-                self._write_part(0, e.select_lanes(a < mine, a, mine))
+                mine = self._read_accumulator(0)
+                self._write_accumulator(0, e.select_lanes(a < mine, a, mine))
             case "reduce.max":
-                mine = self._read_part(0)
-                self._write_part(0, e.select_lanes(a > mine, a, mine))
+                mine = self._read_accumulator(0)
+                self._write_accumulator(0, e.select_lanes(a > mine, a, mine))
             case _:
-                mine, best_label, label = self._read_part(0), self._read_part(1), other[1]
+                mine, best_label, label = self._read_accumulator(0), self._read_accumulator(1), other_reduction[1]
                 better = (a < mine) | ((a == mine) & (label < best_label))
-                self._write_part(0, e.select_lanes(better, a, mine))
-                self._write_part(1, e.select_lanes(better, label, best_label))
+                self._write_accumulator(0, e.select_lanes(better, a, mine))
+                self._write_accumulator(1, e.select_lanes(better, label, best_label))
 
 
 INITIAL_VALUES: dict[str, tuple[tuple[str, Any], ...]] = {

@@ -18,12 +18,12 @@ class AddressLayout:
     """The inputs of a block's machine code: keys, numbered in a table of addresses and a table of numbers.
 
     `pointer_indices`: for each key, its index in the table of addresses. Entry 0 is the address of the table of numbers.
-    `number_indices`: for each key, its index in the table of numbers, eight bytes each. `array_kinds`: by (slot, part), the kind
-    of each value that is stored for later stages or for calls."""
+    `number_indices`: for each key, its index in the table of numbers, eight bytes each. `array_kind_by_slot`: by (slot, part),
+    the kind of each value that is stored for later stages or for calls."""
 
     pointer_indices: dict[AddressKey, int] = field(default_factory=lambda: {("numbers",): 0})
     number_indices: dict[AddressKey, int] = field(default_factory=dict)
-    array_kinds: dict[tuple[int, int], str] = field(default_factory=dict)
+    array_kind_by_slot: dict[tuple[int, int], str] = field(default_factory=dict)
 
     def find_pointer_index(self, *key: Hashable) -> int:
         """Return the index in the table of addresses for a key. Add the key if it is new."""
@@ -36,5 +36,5 @@ class AddressLayout:
     def find_array_index(self, slot: int, part: int, kind: str) -> int:
         """Return the index in the table of addresses for the stored part `part` of a slot's value. `kind`: the kind of this
         part."""
-        self.array_kinds[slot, part] = kind
+        self.array_kind_by_slot[slot, part] = kind
         return self.find_pointer_index("array", slot, part)

@@ -21,23 +21,23 @@ from antdsl.numerics import randomness
 from antdsl.plan import ir
 from antdsl.program.tables.columns import FIXED_COLUMN_BY_NAME
 from antdsl.runtime.backends.native.address_layout import AddressKey
-from antdsl.runtime.backends.native.block_writer import BlockCode
-from antdsl.runtime.backends.native.lane_memory import LaneMemories, LaneMemory
+from antdsl.runtime.backends.native.block_writer import BlockCodePlan
+from antdsl.runtime.backends.native.lane_memory import LaneBufferPool, LaneBuffers
 from antdsl.runtime.backends.native.padded_arrays import PaddedArrays, PaddedCopy
-from antdsl.runtime.clip_values import find_table_starts, make_clip_table
+from antdsl.runtime.clip_values import find_clip_table_starts, make_clip_table
 from antdsl.runtime.moving.clearance.obstacle_clearance import get_obstacle_clearance
 from antdsl.runtime.world import Population, World
 
 AddressFinder = Callable[[World, Population], int]
-HolderFinder = Callable[[World, Population], Any]
+OwnerFinder = Callable[[World, Population], Any]
 NamedIndices = list[tuple[str, int]]  # register names, with the indices of their addresses
-TableWords = NDArray[np.int64]
+AddressWords = NDArray[np.int64]
 
 
 class WatchedArrays:
     """Arrays of one object of the world. When one of them changes its address, the table is updated.
 
-    `find_holder`: returns the object. `get_arrays`: returns its arrays, or an object that changes when they change.
+    `find_owner`: returns the object. `get_arrays`: returns its arrays, or an object that changes when they change.
     `write_addresses`: writes the addresses to the table, and may replace arrays by padded ones. It is called if the result of
     `get_arrays` differs from `previous_arrays`."""
 
@@ -45,11 +45,11 @@ class WatchedArrays:
 
     def __init__(
         self,
-        find_holder: HolderFinder,
+        find_owner: OwnerFinder,
         get: Callable[[Any], Iterable[NDArray[Any]]],
-        store_words: Callable[[World, Population, Any, TableWords], None],
+        store_words: Callable[[World, Population, Any, AddressWords], None],
     ) -> None:
-        self.find_holder, self.get_arrays, self.write_addresses = find_holder, get, store_words
+        self.find_holder, self.get_arrays, self.write_addresses = find_owner, get, store_words
         self.previous_arrays: Iterable[Any] = repeat(None)
 
 
@@ -58,12 +58,12 @@ class AddressTables:
 
     `lanes`: the memory of each part of the block."""
 
-    def __init__(self, code: BlockCode, padded_arrays: PaddedArrays) -> None:
+    def __init__(self, code: BlockCodePlan, padded_arrays: PaddedArrays) -> None:
         self.code, self._padded_arrays = code, padded_arrays
         self.numbers = np.zeros(max(len(code.layout.number_indices), 1), np.int64)
         self.pointers = np.zeros(len(code.layout.pointer_indices), np.int64)
         self.pointers[0] = get_array_address(self.numbers)
-        self.lanes = LaneMemories(code)
+        self.lanes = LaneBufferPool(code)
         self.version = 0  # version of the pointers
         self._views = {np.dtype(kind): self.numbers.view(kind) for kind in (np.int64, np.float64, np.float32, np.int32, np.bool_)}
         nodes: list[tuple[ir.PlanNode, int]] = []
@@ -91,7 +91,7 @@ class AddressTables:
         groups: dict[AddressKey, list[tuple[AddressKey, int]]] = {}
         self._finder_entries: list[tuple[AddressFinder, int]] = []
         for key, place in pointers:
-            holder = self._find_holder_key(key)
+            holder = self._find_owner_key(key)
             if holder is not None:
                 groups.setdefault(holder, []).append((key, place))
             elif key[0] in _FINDER_MAKERS:
@@ -99,7 +99,7 @@ class AddressTables:
         self._watched_arrays = [self._watch_arrays(holder, keys) for holder, keys in groups.items()]
         self._written_addresses = [0] * len(self._finder_entries)
 
-    def fill(
+    def fill_tables(
         self,
         world: World,
         population: Population,
@@ -136,15 +136,15 @@ class AddressTables:
                 changed = True
         self.version += changed
 
-    def count_largest_species(self, world: World) -> int:
+    def count_agents_of_largest_species(self, world: World) -> int:
         """Return the number of agents in the largest species that the block searches. 0 if it searches none."""
         return max([len(other) for other in world.populations.values()]) if self.code.searches else 0
 
-    def prepare_lanes(self, parts: int, rows: int, others: int) -> list[LaneMemory]:
+    def prepare_lane_buffers(self, parts: int, rows: int, other_count: int) -> list[LaneBuffers]:
         """Return the memories of `parts` parts of a block, for `rows` rows each, with the addresses of these tables.
 
         `others`: the number of agents in the largest species that is searched."""
-        return self.lanes.prepare_lanes(parts, rows, others, self.pointers)
+        return self.lanes.prepare_lane_buffers(parts, rows, other_count, self.pointers)
 
     def _update_numbers(self, world: World, values: Mapping[ir.PlanNode, Any], constant_values: Any) -> None:
         """Write the numbers that have changed since the last step to the table."""
@@ -171,13 +171,13 @@ class AddressTables:
                     place, np.float64(current_value) if isinstance(current_value, float) else np.int64(current_value)
                 )
 
-    def _write_number(self, place: int, value: Any) -> None:
+    def _write_number(self, index: int, value: Any) -> None:
         view = self._views[value.dtype]
-        view[place * (8 // value.dtype.itemsize)] = value
+        view[index * (8 // value.dtype.itemsize)] = value
 
     # --- arrays with names in the world: keys grouped by the object that contains them -----------------------------------------
 
-    def _find_holder_key(self, key: AddressKey) -> AddressKey | None:
+    def _find_owner_key(self, key: AddressKey) -> AddressKey | None:
         """Return the key of the object of the world that contains the array `key`. None if no object contains it."""
         match key[0]:
             case "start" | "now" | "cell":
@@ -190,10 +190,10 @@ class AddressTables:
                 return ("other" if key[2] in _FIXED_COLUMN_BY_OTHER_KEY else "start of", key[1])
         return None
 
-    def _watch_arrays(self, holder: AddressKey, keys: list[tuple[AddressKey, int]]) -> WatchedArrays:
-        """Return watched arrays of the object with key `holder`. `keys`: the key and the table index of each array."""
-        of, names = str(holder[-1]), [(str(key[-1]), place) for key, place in keys]
-        match holder[0]:
+    def _watch_arrays(self, owner: AddressKey, keys: list[tuple[AddressKey, int]]) -> WatchedArrays:
+        """Return watched arrays of the object with key `owner`. `keys`: the key and the table index of each array."""
+        of, names = str(owner[-1]), [(str(key[-1]), place) for key, place in keys]
+        match owner[0]:
             case "start" | "now" as when:
                 return self._watch_registers(names, start=when == "start")
             case "own":
@@ -213,28 +213,28 @@ class AddressTables:
         """Return watched registers with these `names`. `start`: whether to watch their values at the start of the step, or the
         current ones."""
 
-        def write_addresses(world: World, population: Population, holder: Any, words: TableWords) -> None:
+        def write_addresses(world: World, population: Population, holder: Any, words: AddressWords) -> None:
             for name, place in names:
-                words[place] = self._padded_arrays.move_register(population, name, start=start)[1]
+                words[place] = self._padded_arrays.pad_register(population, name, start=start)[1]
 
-        find: HolderFinder = (lambda world, population: population.start) if start else (lambda world, population: population.now)
-        return WatchedArrays(find, _make_array_getter(names), write_addresses)
+        find: OwnerFinder = (lambda world, population: population.start) if start else (lambda world, population: population.now)
+        return WatchedArrays(find, _make_arrays_getter(names), write_addresses)
 
-    def _watch_mapping(self, find_holder: HolderFinder, names: NamedIndices) -> WatchedArrays:
-        """Return watched arrays with these `names`, in the mapping that `find_holder` returns."""
+    def _watch_mapping(self, find_owner: OwnerFinder, names: NamedIndices) -> WatchedArrays:
+        """Return watched arrays with these `names`, in the mapping that `find_owner` returns."""
 
-        def write_addresses(world: World, population: Population, holder: Any, words: TableWords) -> None:
+        def write_addresses(world: World, population: Population, holder: Any, words: AddressWords) -> None:
             for name, place in names:
                 holder[name], words[place] = self._padded_arrays.pad_array(holder[name])
 
-        return WatchedArrays(find_holder, _make_array_getter(names), write_addresses)
+        return WatchedArrays(find_owner, _make_arrays_getter(names), write_addresses)
 
     # --- functions for other kinds of keys, which find the address in each step
     # --------------------------------------------------
 
     def _make_mesh_finder(self, key: AddressKey) -> AddressFinder:
-        copy = self._get_copy(key)
-        return lambda world, population: copy.update(population.footing.mesh, np.int64)
+        copy = self._get_padded_copy(key)
+        return lambda world, population: copy.update_copy(population.footing.mesh, np.int64)
 
     def _make_event_finder(self, key: AddressKey) -> AddressFinder:
         """Return a function that returns the address of the event's flags, one per agent.
@@ -242,8 +242,8 @@ class AddressTables:
         For a species that does not handle the event, all flags are False."""
         name = str(key[1])
         if name not in self.code.species.event_names:
-            copy = self._get_copy(key)
-            return lambda world, population: copy.update(np.zeros(len(population), np.bool_), np.bool_, len(population))
+            copy = self._get_padded_copy(key)
+            return lambda world, population: copy.update_copy(np.zeros(len(population), np.bool_), np.bool_, len(population))
 
         def find_event_address(world: World, population: Population) -> int:
             population.events[name], place = self._padded_arrays.pad_array(population.events[name])
@@ -253,28 +253,28 @@ class AddressTables:
 
     def _make_sorted_ids_finder(self, key: AddressKey) -> AddressFinder:
         """Return a function that returns the address of another species' sorted ids, or of the rows of these ids."""
-        copy, species, which = self._padded_arrays.copy(*key), str(key[1]), key[2] != "sorted ids"
+        copy, species, which = self._padded_arrays.get_copy(*key), str(key[1]), key[2] != "sorted ids"
 
         def find_sorted_ids(world: World, population: Population) -> int:
             other = world.populations[species]
-            return copy.update(other.sorted_ids()[which], np.int64, (other.version, len(other)))
+            return copy.update_copy(other.get_sorted_ids()[which], np.int64, (other.version, len(other)))
 
         return find_sorted_ids
 
     def _make_clearance_finder(self, key: AddressKey) -> AddressFinder:
-        copy, name = self._get_copy(key), str(key[1])
-        return lambda world, population: copy.update(get_obstacle_clearance(world, population, name), np.float32)
+        copy, name = self._get_padded_copy(key), str(key[1])
+        return lambda world, population: copy.update_copy(get_obstacle_clearance(world, population, name), np.float32)
 
     def _make_clip_finder(self, key: AddressKey) -> AddressFinder:
-        copy, what = self._get_copy(key), str(key[1])
+        copy, what = self._get_padded_copy(key), str(key[1])
         return lambda world, population: copy.update_derived_copy(world.setting, lambda: make_clip_table(world, population, what))
 
     def _find_clip_body(self, key: AddressKey) -> AddressFinder:
-        """Return a function that returns the address of the result of `clip_values.find_table_starts`."""
-        copy = self._get_copy(key)
+        """Return a function that returns the address of the result of `clip_values.find_clip_table_starts`."""
+        copy = self._get_padded_copy(key)
 
         def find_clip_table(world: World, population: Population) -> int:
-            return copy.update(find_table_starts(world, population), np.int32, (population.version, len(population)))
+            return copy.update_copy(find_clip_table_starts(world, population), np.int32, (population.version, len(population)))
 
         return find_clip_table
 
@@ -294,12 +294,12 @@ class AddressTables:
 
         return find_threshold_cells
 
-    def _get_copy(self, key: AddressKey) -> PaddedCopy:
+    def _get_padded_copy(self, key: AddressKey) -> PaddedCopy:
         """Return the padded copy that belongs to this species and a key."""
-        return self._padded_arrays.copy(self.code.species.name, *key)
+        return self._padded_arrays.get_copy(self.code.species.name, *key)
 
 
-def _make_array_getter(names: NamedIndices) -> Callable[[Any], Iterable[NDArray[Any]]]:
+def _make_arrays_getter(names: NamedIndices) -> Callable[[Any], Iterable[NDArray[Any]]]:
     """Return a function that takes a mapping, and returns its arrays with these names."""
     get_arrays = itemgetter(*(name for name, _ in names))
     return get_arrays if len(names) > 1 else lambda holder: (get_arrays(holder),)
@@ -312,7 +312,7 @@ def _watch_field(field_name: str, names: list[tuple[AddressKey, int]]) -> Watche
     def get_version(field: PheromoneField) -> tuple[Any, ...]:
         return field, field.version
 
-    def write_field_addresses(world: World, population: Population, field: PheromoneField, words: TableWords) -> None:
+    def write_field_addresses(world: World, population: Population, field: PheromoneField, words: AddressWords) -> None:
         for (what, *arguments), place in names:
             if what == "places":
                 words[place] = get_array_address(field.sensed_positions)

@@ -28,11 +28,11 @@ from antdsl.runtime.backends.block_compiler import (
     InstructionKind,
     RowScope,
 )
-from antdsl.runtime.backends.metering import MeteredBlock
+from antdsl.runtime.backends.metering import BlockCallMeter
 from antdsl.runtime.backends.native.address_tables import AddressTables
-from antdsl.runtime.backends.native.compile_queue import ReadyCode
-from antdsl.runtime.backends.native.lane_memory import LaneMemory
-from antdsl.runtime.backends.native.line_profiling import LineTimes
+from antdsl.runtime.backends.native.compile_queue import CompiledPlanCode
+from antdsl.runtime.backends.native.lane_memory import LaneBuffers
+from antdsl.runtime.backends.native.line_profiling import LineTimeCounters
 from antdsl.runtime.backends.native.padded_arrays import PaddedArrays
 from antdsl.runtime.backends.native.request_emission import record_request
 from antdsl.runtime.requests import FaultEntry
@@ -41,61 +41,63 @@ from antdsl.runtime.world import Population, World
 
 _PART_ROW_MULTIPLE = 64  # part sizes are multiples of this, so that few births change no size
 # Calls at the end of a stage, in groups of one sense with one name: whether the sense writes its results to the arrays itself,
-# and each call with its index in `BlockCode.needs`, -1 for none.
-StageCalls = list[tuple[bool, list[tuple[BlockInstruction, int]]]]
+# and each call with its index in `BlockCodePlan.needs`, -1 for none.
+StageCallList = list[tuple[bool, list[tuple[BlockInstruction, int]]]]
 
 
 class BlockRunner:
     """The runner of one block's machine code, used again in each step."""
 
-    def __init__(self, ready_code: ReadyCode, species: str, name: str, padded_arrays: PaddedArrays) -> None:
-        self.code, self.compiler = ready_code.block_codes[species, name], ready_code.blocks[species, name]
+    def __init__(self, compiled_code: CompiledPlanCode, species: str, name: str, padded_arrays: PaddedArrays) -> None:
+        self.code, self.compiler = compiled_code.block_codes[species, name], compiled_code.blocks[species, name]
         self.tables = AddressTables(self.code, padded_arrays)
-        self.numpy_calls = ready_code.calls
+        self.numpy_calls = compiled_code.calls
         self.uniform_nodes = {slot: node for node, slot in self.compiler.uniform_slots.items()}
         numbers = {each: number for number, each in enumerate(self.code.optional_calls)}
         self._prepared_for: tuple[int, ...] = ()
-        self._part_groups: list[PartGroup] = []
-        self.stages: list[tuple[Any, StageCalls]] = []  # the function of each stage, and the calls after it
+        self._part_groups: list[RowPartGroup] = []
+        self.stages: list[tuple[Any, StageCallList]] = []  # the function of each stage, and the calls after it
         for stage, function in enumerate(self.code.function_names):
-            groups = ready_code.call_groups[species, name, stage]
+            groups = compiled_code.call_groups[species, name, stage]
             calls = [(_is_batched_sense(group[0]), [(each, numbers.get(each, -1)) for each in group]) for group in groups]
-            self.stages.append((ready_code.function(function), calls))
+            self.stages.append((compiled_code.get_function(function), calls))
 
-    def run(
-        self, world: World, population: Population, values: dict[ir.PlanNode, Any], metered_block: MeteredBlock | None
+    def run_block(
+        self, world: World, population: Population, values: dict[ir.PlanNode, Any], metered_block: BlockCallMeter | None
     ) -> list[tuple[int, int]]:
         """Run the block for all agents, and add their requests to the population's effects in row order.
 
         Return the ranges of rows (first row, end row) in which an agent has too many neighbours for machine code. NumPy must run
         these. `values`: by node, the values that are equal for all agents. `metered_block`: receives the time of each source
         line, or None."""
-        count, others = len(population), self.tables.count_largest_species(world)
+        count, others = len(population), self.tables.count_agents_of_largest_species(world)
         of = (count, others, world.options.chunk, world.options.threads, self.tables.version)
         if of != self._prepared_for:
-            self._prepare_lanes(*of)
+            self._prepare_lane_buffers(*of)
             self._prepared_for = of
         if metered_block is not None:
             return self._run_with_line_times(world, population, values, metered_block)
         return self._run_parts(world, population, values)
 
-    def _prepare_lanes(self, count: int, others: int, chunk: int, threads: int, version: int) -> None:
+    def _prepare_lane_buffers(self, count: int, other_count: int, chunk: int, threads: int, version: int) -> None:
         """Divide `count` rows into parts, and prepare the memory of each part."""
         threads = max(1, min(threads, count_available_cores()))
         size = _choose_part_size(count, chunk, threads)
         bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
-        lanes = self.tables.prepare_lanes(min(len(bounds), PARTS_PER_THREAD * threads if threads > 1 else 1), size, others)
-        chunks = [RowChunk(self, lane) for lane in lanes]
+        lanes = self.tables.prepare_lane_buffers(
+            min(len(bounds), PARTS_PER_THREAD * threads if threads > 1 else 1), size, other_count
+        )
+        chunks = [RowPartRun(self, lane) for lane in lanes]
         firsts = range(0, len(bounds), len(lanes))
-        self._part_groups = [PartGroup(self, chunks, bounds[first : first + len(lanes)], threads) for first in firsts]
+        self._part_groups = [RowPartGroup(self, chunks, bounds[first : first + len(lanes)], threads) for first in firsts]
 
     def _run_with_line_times(
-        self, world: World, population: Population, values: dict[ir.PlanNode, Any], metered_block: MeteredBlock
+        self, world: World, population: Population, values: dict[ir.PlanNode, Any], metered_block: BlockCallMeter
     ) -> list[tuple[int, int]]:
-        """Run all rows, and add the time of each source line to `metered_block`. Same result as `run`."""
+        """Run all rows, and add the time of each source line to `metered_block`. Same result as `run_block`."""
         lines, chunks, began = self.code.line_counters, self._part_groups[0].chunks, perf_counter()
         for each in chunks:
-            each.line_times = None if lines is None else LineTimes(lines, each.lane.ticks, metered_block.make_counters())
+            each.line_times = None if lines is None else LineTimeCounters(lines, each.lane.ticks, metered_block.make_counters())
         bad = self._run_parts(world, population, values)
         counted = [each.line_times for each in chunks if each.line_times is not None]
         if counted:
@@ -109,7 +111,7 @@ class BlockRunner:
     def _run_parts(self, world: World, population: Population, values: dict[ir.PlanNode, Any]) -> list[tuple[int, int]]:
         bad: list[tuple[int, int]] = []
         for each in self._part_groups:
-            bad += each.run(world, population, values)
+            bad += each.run_parts(world, population, values)
         return bad
 
 
@@ -136,41 +138,41 @@ def _choose_part_size(count: int, chunk: int, threads: int) -> int:
     return _PART_ROW_MULTIPLE * max(1, -(-count // most))
 
 
-class PartGroup:
+class RowPartGroup:
     """Consecutive parts of a block's rows, which pass through its stages together.
 
     Each stage runs for all parts without the interpreter. Then the calls at the end of the stage are made, and the next stage
     begins."""
 
-    def __init__(self, block: BlockRunner, chunks: list[RowChunk], bounds: list[tuple[int, int]], threads: int) -> None:
+    def __init__(self, block: BlockRunner, chunks: list[RowPartRun], bounds: list[tuple[int, int]], threads: int) -> None:
         self._block, self._threads, self._bounds = block, threads, bounds
         self.chunks = chunks[: len(bounds)]
         self._begin, self._end = bounds[0][0], bounds[-1][1]
         self._table = np.array([(each.lane.address, *part) for each, part in zip(self.chunks, bounds, strict=True)], np.int64)
 
-    def run(self, world: World, population: Population, values: dict[ir.PlanNode, Any]) -> list[tuple[int, int]]:
+    def run_parts(self, world: World, population: Population, values: dict[ir.PlanNode, Any]) -> list[tuple[int, int]]:
         """Run the parts through all stages, and add their requests to the population's effects.
 
         Return the parts (first row, end row) in which an agent has too many neighbours for machine code."""
         chunks, timed = self.chunks, self.chunks[0].line_times is not None
         for each, part in zip(chunks, self._bounds, strict=True):
-            each.begin(world, population, values, *part)
+            each.prepare_run(world, population, values, *part)
         for function, calls in self._block.stages:
             if timed:
-                self._run_in_threads(partial(RowChunk.run_stage, function=function))
+                self._run_in_threads(partial(RowPartRun.run_stage, function=function))
             else:
                 parallel.call_for_each_row(function, self._table, self._threads)
             if calls:
                 self._run_needed_calls(world, population, values, calls)
-        return [part for each, part in zip(chunks, self._bounds, strict=True) if not each.end()]
+        return [part for each, part in zip(chunks, self._bounds, strict=True) if not each.finish_run()]
 
-    def _run_in_threads(self, work: Callable[[RowChunk], object]) -> None:
-        """Run `work` for each part, in several threads."""
+    def _run_in_threads(self, run_part: Callable[[RowPartRun], object]) -> None:
+        """Run `run_part` for each part, in several threads."""
         coming = iter(self.chunks)
 
         def run_parts(_: int) -> None:
             for each in coming:  # the next part that no thread has taken yet
-                work(each)
+                run_part(each)
 
         if len(self.chunks) > 1:
             parallel.run_in_threads(run_parts, min(self._threads, len(self.chunks)))
@@ -178,7 +180,7 @@ class PartGroup:
             run_parts(0)
 
     def _run_needed_calls(
-        self, world: World, population: Population, values: dict[ir.PlanNode, Any], stage_calls: StageCalls
+        self, world: World, population: Population, values: dict[ir.PlanNode, Any], stage_calls: StageCallList
     ) -> None:
         """Run those calls at the end of a stage that at least one agent needs."""
         needs = [max(each) for each in zip(*[chunk.lane.needed_calls.tolist() for chunk in self.chunks], strict=True)]
@@ -190,7 +192,7 @@ class PartGroup:
             elif needed:
                 others.append(group)
         if others:
-            self._run_in_threads(partial(RowChunk.run_calls, stage_calls=others))
+            self._run_in_threads(partial(RowPartRun.run_calls, stage_calls=others))
 
     def _run_calls_of_all_parts(
         self, world: World, population: Population, values: dict[ir.PlanNode, Any], instructions: list[BlockInstruction]
@@ -213,7 +215,7 @@ class PartGroup:
             self.chunks[0].add_call_time(began, instructions, [int(np.count_nonzero(asking)) for asking, _, _ in queries])
 
 
-class RowChunk:
+class RowPartRun:
     """A range of a block's rows that one thread runs through a stage. `line_times`: receives the times of source lines, or
     None."""
 
@@ -223,13 +225,13 @@ class RowChunk:
     first_row: int
     end_row: int
 
-    def __init__(self, block: BlockRunner, lane: LaneMemory) -> None:
+    def __init__(self, block: BlockRunner, lane: LaneBuffers) -> None:
         self.runner, self.lane = block, lane
-        self.line_times: LineTimes | None = None
+        self.line_times: LineTimeCounters | None = None
         self._rows_by_mask: dict[int, NDArray[np.intp]] = {}
         self._slots: list[Any] | None = None
 
-    def begin(self, world: World, population: Population, values: dict[ir.PlanNode, Any], first: int, last: int) -> None:
+    def prepare_run(self, world: World, population: Population, values: dict[ir.PlanNode, Any], first: int, last: int) -> None:
         """Set the world, the values and the rows of the next run: from `first` to `last` - 1."""
         self.world, self.population, self.values = world, population, values
         self.first_row, self.end_row = first, last
@@ -244,7 +246,7 @@ class RowChunk:
         if self.line_times is not None:
             self.line_times.seconds += perf_counter() - began
 
-    def end(self) -> bool:
+    def finish_run(self) -> bool:
         """After all stages, add the requests of the rows to the population's effects.
 
         Return False, and add nothing, if an agent has too many neighbours."""
@@ -269,7 +271,7 @@ class RowChunk:
         if self.line_times is not None:
             each_row = (perf_counter() - start_time) / max(sum(rows), 1)
             for each, count in zip(instructions, rows, strict=True):
-                self.line_times.add_call(each, count * each_row)
+                self.line_times.add_call_time(each, count * each_row)
 
     def _record_faults(self) -> None:
         """Record a fault for each value that machine code rejected."""
@@ -289,7 +291,7 @@ class RowChunk:
             v = self._slots = [None] * compiler.slot_count
             v[WORLD_SLOT], v[POPULATION_SLOT], v[EFFECTS_SLOT] = self.world, self.population, self.population.effects
             v[PAIRS_SLOT], v[THREADS_SLOT] = {}, 1
-            v[compiler.root_scope.rows] = slice(self.first_row, self.end_row)
+            v[compiler.root_scope.rows_slot] = slice(self.first_row, self.end_row)
             for node, slot in compiler.uniform_slots.items():
                 v[slot] = self.values[node]
         return self._slots
@@ -301,9 +303,9 @@ class RowChunk:
         return self._rows_by_mask[slot]
 
     def _find_scope_rows(self, scope: RowScope) -> NDArray[np.intp]:
-        rows, v = self._find_masked_rows(self.runner.code.schedule.resolve_slot(scope.rows)), self._make_numpy_slots()
+        rows, v = self._find_masked_rows(self.runner.code.schedule.resolve_slot(scope.rows_slot)), self._make_numpy_slots()
         is_complete = len(rows) == self.end_row - self.first_row
-        v[scope.rows], v[scope.row_count] = (
+        v[scope.rows_slot], v[scope.row_count_slot] = (
             (slice(self.first_row, self.end_row) if is_complete else rows + self.first_row),
             len(rows),
         )

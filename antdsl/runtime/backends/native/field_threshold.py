@@ -16,20 +16,20 @@ _STRENGTH_INDEX_IN_RESULT = 0  # index of the strength in the result of `field.s
 _COMPARISON_OPERATIONS = frozenset(("lt", "le", "gt", "ge"))
 
 
-def read_own_cell(w: Any, field: str) -> Lanes:
+def emit_own_cell(w: Any, field: str) -> Lanes:
     """Return the field cell in which each of the eight agents is. An agent without a cell gets the number of cells."""
-    cell = w.builder.load_lanes(w.array_address("cell", field), w.row, I32)
-    cell_number: Lanes = w.builder.select_lanes(cell < 0, w.read_uniform(I32, "cells", field), cell)
+    cell = w.builder.load_lanes(w.emit_array_address("cell", field), w.row, I32)
+    cell_number: Lanes = w.builder.select_lanes(cell < 0, w.emit_uniform_value(I32, "cells", field), cell)
     return cell_number
 
 
-def may_reach_threshold(w: Any, node: ir.PlanNode, bound: ir.PlanNode) -> Lanes:
+def emit_may_reach_threshold(w: Any, node: ir.PlanNode, bound: ir.PlanNode) -> Lanes:
     """Return a mask of the agents that have a cell nearby in which the field may reach the threshold. `bound`: the node of the
     threshold."""
 
     def load_reached() -> Lanes:
         is_reached: Lanes = w.builder.gather(
-            w.array_address("reached", *node.attrs, bound), read_own_cell(w, node.attrs[0]), BOOL
+            w.emit_array_address("reached", *node.attrs, bound), emit_own_cell(w, node.attrs[0]), BOOL
         )
         return is_reached
 
@@ -37,12 +37,12 @@ def may_reach_threshold(w: Any, node: ir.PlanNode, bound: ir.PlanNode) -> Lanes:
     return may
 
 
-def limit_strength(w: Any, node: ir.PlanNode, bound: ir.PlanNode, stored_strength: Lanes) -> Lanes:
+def emit_limited_strength(w: Any, node: ir.PlanNode, bound: ir.PlanNode, stored_strength: Lanes) -> Lanes:
     """Return `stored_strength` for agents near a cell that may reach the threshold, and 0 for all others.
 
     For the others, the strength is below the threshold in any case, so the comparison gives the same result."""
     bounded_strength: Lanes = w.builder.select_lanes(
-        may_reach_threshold(w, node, bound), stored_strength, w.builder.make_constant(0.0, stored_strength.kind)
+        emit_may_reach_threshold(w, node, bound), stored_strength, w.builder.make_constant(0.0, stored_strength.kind)
     )
     return bounded_strength
 
@@ -71,7 +71,7 @@ def find_scent_thresholds(compiler: BlockCompiler, schedule: StageSchedule) -> d
         compared = [by for number in numbers for by in readers.get(number, [])]
         if (
             not compared
-            or not all(_is_strength_part(part) for part in parts)
+            or not all(_is_strength_result(part) for part in parts)
             or not all(_get_operation_name(by) in _COMPARISON_OPERATIONS for by in compared)
         ):
             continue
@@ -85,7 +85,7 @@ def _get_operation_name(instruction: BlockInstruction) -> str:
     return instruction.subject.op if isinstance(instruction.subject, ir.PlanNode) else ""
 
 
-def _is_strength_part(instruction: BlockInstruction) -> bool:
+def _is_strength_result(instruction: BlockInstruction) -> bool:
     """Return whether an instruction extracts the strength from the result of `field.strongest`."""
     return (
         instruction.kind is InstructionKind.VALUE
@@ -98,5 +98,5 @@ def _is_strength_part(instruction: BlockInstruction) -> bool:
 def _iterate_instructions(scope: RowScope) -> Iterator[BlockInstruction]:
     for each in scope.code:
         yield each
-        if each.inner is not None:
-            yield from _iterate_instructions(each.inner)
+        if each.inner_scope is not None:
+            yield from _iterate_instructions(each.inner_scope)

@@ -15,7 +15,7 @@ from antdsl.machine_code.number_kinds import BOOL, F32, F64, I32, I64, LANE_COUN
 from antdsl.plan import ir
 from antdsl.runtime.backends.block_compiler import BlockInstruction
 from antdsl.runtime.backends.native.address_layout import AddressKey
-from antdsl.runtime.backends.native.block_writer import BlockCode
+from antdsl.runtime.backends.native.block_writer import BlockCodePlan
 from antdsl.runtime.backends.native.search import MAX_LISTED_CANDIDATES
 
 DTYPE_BY_KIND = {F32: np.float32, F64: np.float64, BOOL: np.bool_, I32: np.int32, I64: np.int64}
@@ -23,7 +23,7 @@ Arrays = dict[tuple[int, int], NDArray[Any]]  # by slot and part
 _LANE_KEY_KINDS = ("array", "laid", "notes", "counts", "needs", "ticks", "candidates")  # kinds of keys with an array per lane
 
 
-class LaneMemory:
+class LaneBuffers:
     """The memory that machine code uses for one part of a block's rows.
 
     `counts`: entry 0 is positive if an agent has too many neighbours; the other entries are the lengths of the lists of requests.
@@ -31,7 +31,7 @@ class LaneMemory:
     their values. `ticks`: the time counters by source line, if lines are timed. `deposit_flags`: by field, whether anything was
     deposited. `max_radii`: the greatest radius (mm) of each search, for eight agents at a time."""
 
-    def __init__(self, code: BlockCode, pointers: NDArray[np.int64]) -> None:
+    def __init__(self, code: BlockCodePlan, pointers: NDArray[np.int64]) -> None:
         self.code, self.pointers = code, np.zeros_like(pointers)
         self.address = get_array_address(self.pointers)
         self.arrays: Arrays = {}
@@ -65,7 +65,7 @@ class LaneMemory:
         if self.code.optional_calls:
             self.needed_calls.fill(0)
 
-    def allocate(self, arrays: Arrays, rows: int, others: int) -> None:
+    def allocate_arrays(self, arrays: Arrays, rows: int, other_count: int) -> None:
         """Use `arrays` as the memory for `rows` rows and eight spare rows at the end.
 
         `others`: the number of agents in the largest species that is searched; buffers have this size."""
@@ -76,7 +76,7 @@ class LaneMemory:
             self.list_columns.append([self.arrays[-1 - number, part] for part in parts])
         notes, candidates = (
             1 + 2 * (len(self.code.fault_sources) * (rows // LANE_COUNT + 1)),
-            2 * others + (LANE_COUNT + 1) * MAX_LISTED_CANDIDATES,
+            2 * other_count + (LANE_COUNT + 1) * MAX_LISTED_CANDIDATES,
         )
         if len(self.fault_notes) < notes:
             self.fault_notes = np.zeros(notes, np.int64)
@@ -105,32 +105,32 @@ class LaneMemory:
         return self._candidates
 
 
-class LaneMemories:
+class LaneBufferPool:
     """The memories of all parts of a block that run at the same time.
 
     Results of a stage are contiguous over all parts: the arrays of a part are slices of `arrays`."""
 
-    def __init__(self, code: BlockCode) -> None:
+    def __init__(self, code: BlockCodePlan) -> None:
         self.code = code
         self.arrays: Arrays = {}
-        self.every: list[LaneMemory] = []  # includes lanes of earlier runs with more parts
+        self.every: list[LaneBuffers] = []  # includes lanes of earlier runs with more parts
         self._part_rows = self._largest_species = self._part_count = 0
         self._queries: dict[
             BlockInstruction, tuple[FeelerQuery, list[tuple[ir.PlanNode, Any]]]
         ] = {}  # the query of each call, with its uniform operands and their values
 
-    def prepare_lanes(self, parts: int, rows: int, others: int, pointers: NDArray[np.int64]) -> list[LaneMemory]:
+    def prepare_lane_buffers(self, parts: int, rows: int, other_count: int, pointers: NDArray[np.int64]) -> list[LaneBuffers]:
         """Return the memories of `parts` parts, for `rows` rows each. `pointers`: the addresses that are equal for all parts.
 
         If there are several parts, `rows` must be a multiple of eight. `others`: the number of agents in the largest species that
         is searched."""
         while len(self.every) < parts:
-            self.every.append(LaneMemory(self.code, pointers))
-        if rows != self._part_rows or parts > self._part_count or others > self._largest_species:
+            self.every.append(LaneBuffers(self.code, pointers))
+        if rows != self._part_rows or parts > self._part_count or other_count > self._largest_species:
             self._part_rows, self._part_count, self._largest_species = (
                 rows,
                 max(parts, self._part_count),
-                max(others, self._largest_species),
+                max(other_count, self._largest_species),
             )
             self._allocate_arrays()
         lanes = self.every[:parts]
@@ -142,12 +142,12 @@ class LaneMemories:
         """Allocate the arrays of all parts, and give each part its slices."""
         rows, length = self._part_rows, self._part_count * self._part_rows + LANE_COUNT
         self._queries.clear()
-        for key, kind in self.code.layout.array_kinds.items():
+        for key, kind in self.code.layout.array_kind_by_slot.items():
             if key not in self.arrays or len(self.arrays[key]) < length:
                 self.arrays[key] = np.zeros(length, DTYPE_BY_KIND[kind])
         for k, lane in enumerate(self.every[: self._part_count]):
             own = {key: array[k * rows : (k + 1) * rows + LANE_COUNT] for key, array in self.arrays.items()}
-            lane.allocate(own, rows, self._largest_species)
+            lane.allocate_arrays(own, rows, self._largest_species)
 
     def build_query(
         self, instruction: BlockInstruction, rows: int, uniform: Mapping[int, ir.PlanNode], values: Mapping[ir.PlanNode, Any]

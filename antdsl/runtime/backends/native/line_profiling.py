@@ -16,7 +16,7 @@ from antdsl.machine_code.kernels.values import Number
 from antdsl.machine_code.lanes import Lanes
 from antdsl.machine_code.number_kinds import I64
 from antdsl.runtime.backends.block_compiler import BlockCompiler, BlockInstruction
-from antdsl.runtime.backends.metering import list_instructions
+from antdsl.runtime.backends.metering import list_scope_instructions
 
 if TYPE_CHECKING:
     from antdsl.runtime.backends.native.block_writer import FunctionWriter
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 class LineCounters:
     """The time counters of a block. Each layer has one counter per source line. Counter 0 is for instructions without a line.
 
-    `number_by_instruction`: the index of each instruction in `MeteredBlock.instructions`. `instruction_numbers`: for each
+    `number_by_instruction`: the index of each instruction in `BlockCallMeter.instructions`. `instruction_numbers`: for each
     counter, the index of an instruction on its line, -1 for none."""
 
     def __init__(self, compiler: BlockCompiler) -> None:
-        self.number_by_instruction = {each: k for k, each in enumerate(list_instructions(compiler.root_scope))}
+        self.number_by_instruction = {each: k for k, each in enumerate(list_scope_instructions(compiler.root_scope))}
         self.instruction_numbers = [-1]
         self._counters: dict[tuple[str, int, int], int] = {}
 
@@ -44,16 +44,16 @@ class LineCounters:
         return self._counters[key]
 
 
-class _MarkWriter:
+class _TimeMarkWriter:
     """A writer that inserts marks into a function, between instructions with different time counters."""
 
     def __init__(self, w: FunctionWriter) -> None:
-        self.builder, self._ticks, self._last_time_slot = w.builder, w.array_address("ticks"), w.builder.allocate_slot(I64)
+        self.builder, self._ticks, self._last_time_slot = w.builder, w.emit_array_address("ticks"), w.builder.allocate_slot(I64)
         self._needs_fence = w.module.target.is_x86
         self._pending_slots: dict[str, Number] = {}  # stack slots that hold values, by type
         self._mark_end = 0  # index in the block after the last mark
 
-    def write_marks(self) -> None:
+    def write_time_marks(self) -> None:
         """Insert the marks into all basic blocks of the function."""
         e, blocks = self.builder, self.builder.blocks
         e.blocks, e.current_block = blocks[:1], BasicBlock(blocks[0].label, [])
@@ -114,19 +114,19 @@ class _MarkWriter:
         self._mark_end = 0
 
 
-def add_marks(w: FunctionWriter) -> None:
+def add_time_marks(w: FunctionWriter) -> None:
     """Add time marks to a function that is complete except for its end."""
-    _MarkWriter(w).write_marks()
+    _TimeMarkWriter(w).write_time_marks()
 
 
 @dataclass(slots=True, eq=False)
-class LineTimes:
+class LineTimeCounters:
     """The times of one part of a block in one run of the block.
 
     `ticks`: the time counters by source line, in ticks of the processor, written by machine code. `counters`: the times by
-    instruction, from `MeteredBlock.make_counters`. `seconds`: the total time of the functions."""
+    instruction, from `BlockCallMeter.make_counters`. `seconds`: the total time of the functions."""
 
-    lines: LineCounters
+    line_counters: LineCounters
     ticks: NDArray[np.int64]
     counters: list[float]
     seconds: float = 0.0
@@ -134,15 +134,15 @@ class LineTimes:
     def __post_init__(self) -> None:
         self.ticks[:] = 0
 
-    def add_call(self, instruction: BlockInstruction, seconds: float) -> None:
+    def add_call_time(self, instruction: BlockInstruction, seconds: float) -> None:
         """Add `seconds` to the time of an instruction that runs without machine code."""
-        self._add_seconds(self.lines.number_by_instruction[instruction], seconds)
+        self._add_seconds(self.line_counters.number_by_instruction[instruction], seconds)
 
     def distribute_to_lines(self) -> None:
         """Divide the time of the functions among the source lines, in proportion to their ticks."""
         ticks = np.maximum(self.ticks, 0)  # counters of two processors may differ
         to_seconds = self.seconds / max(int(ticks.sum()), 1)
-        for number, count in zip(self.lines.instruction_numbers, ticks.tolist(), strict=True):
+        for number, count in zip(self.line_counters.instruction_numbers, ticks.tolist(), strict=True):
             if number >= 0:
                 self._add_seconds(number, count * to_seconds)
 

@@ -14,13 +14,13 @@ from antdsl.plan import ir
 from antdsl.plan.traverse import collect_required_nodes
 from antdsl.runtime.backends.native import program_listing
 from antdsl.runtime.backends.native.block_runner import BlockRunner
-from antdsl.runtime.backends.native.block_writer import NeighbourSearch
+from antdsl.runtime.backends.native.block_writer import NeighbourSearchPlan
 from antdsl.runtime.backends.native.compile_queue import (
     CodeUnavailable,
-    ReadyCode,
-    find_ready_code,
+    CompiledPlanCode,
+    find_compiled_code,
     find_stored_blocks,
-    start_building,
+    start_code_build,
 )
 from antdsl.runtime.backends.native.padded_arrays import PaddedArrays
 from antdsl.runtime.backends.native.programs import WorldFacts, write_program
@@ -45,19 +45,17 @@ class NativeBackend(NumpyBackend):
     def __init__(self, plan: ir.Plan) -> None:
         super().__init__(plan)
         self._plan = plan
-        self._pending_code: Future[ReadyCode] | None = None
+        self._pending_code: Future[CompiledPlanCode] | None = None
         self._unavailable_reason: str | None = None  # the reason if machine code cannot be made
         self._has_begun = False
         self._looked_up_facts: set[WorldFacts] = set()  # facts for which stored code was searched
-        self.ready_code: ReadyCode | None = None
+        self.ready_code: CompiledPlanCode | None = None
         self._runners: dict[tuple[str, str], BlockRunner] = {}
         self._is_timed = False  # whether the active code is timed by line
         # the inactive code: timed code while untimed code is active, and the reverse
-        self._inactive_code: tuple[ReadyCode | None, Future[ReadyCode] | None, dict[tuple[str, str], BlockRunner]] = (
-            None,
-            None,
-            {},
-        )
+        self._inactive_code: tuple[
+            CompiledPlanCode | None, Future[CompiledPlanCode] | None, dict[tuple[str, str], BlockRunner]
+        ] = (None, None, {})
         self._padded_arrays = PaddedArrays()
         self._versions: list[int] = []
         self._search_radii: dict[tuple[str, str, int], float] = {}
@@ -67,7 +65,7 @@ class NativeBackend(NumpyBackend):
     def backend_name(self) -> str:
         return super().backend_name if self.ready_code is None else "machine code"
 
-    def set_timing(self, enabled: bool) -> None:
+    def set_timing_enabled(self, enabled: bool) -> None:
         """Start or stop to measure the time of program lines, from the next step on.
 
         Timing requires other machine code. NumPy runs the blocks until this code is ready."""
@@ -75,29 +73,29 @@ class NativeBackend(NumpyBackend):
             self._is_timed = enabled
             current = (self.ready_code, self._pending_code, self._runners)
             (self.ready_code, self._pending_code, self._runners), self._inactive_code = self._inactive_code, current
-        super().set_timing(enabled)
+        super().set_timing_enabled(enabled)
 
-    def begin(self, world: World) -> None:
+    def begin_step(self, world: World) -> None:
         """Begin a step: compute the values that are equal for all agents, clear cached senses, and use code that has become
         ready."""
-        self._request_code(world, world.options.wait_for_code)
+        self._request_compiled_code(world, world.options.wait_for_code)
         self._has_begun = True
         versions = [population.version for population in world.populations.values()]
         if versions != self._versions:
             self._versions = versions
-            self._padded_arrays.drop_unused()
+            self._padded_arrays.drop_unused_copies()
         self._padded_arrays.begin_step(world.populations.values())
         self._grids.begin_step()
-        super().begin(world)
+        super().begin_step(world)
 
-    def messages(self) -> list[str]:
+    def list_messages(self) -> list[str]:
         """Return messages for the user, for example that NumPy runs instead of machine code. Results are the same."""
         sentences = [] if self._unavailable_reason is None else [self._unavailable_reason]
         return sentences + code_cache.take_messages()
 
     def wait_for_code(self, world: World) -> None:
         """Wait until machine code for all blocks is ready for the next step, or until compilation has failed."""
-        self._request_code(world, True)
+        self._request_compiled_code(world, True)
 
     def count_instructions_by_function(self) -> dict[str, int]:
         """Return the number of LLVM instructions of each function, by name, if compiled for a generic processor."""
@@ -109,7 +107,7 @@ class NativeBackend(NumpyBackend):
             for name, number in program_listing.count_instructions_by_function(native_program).items()
         }
 
-    def _request_code(self, world: World, must_wait: bool) -> None:
+    def _request_compiled_code(self, world: World, must_wait: bool) -> None:
         """Request missing machine code, if enough steps remain for it to pay off.
 
         Code that an earlier run has stored is loaded before the first step. Other code is requested after the first step, so that
@@ -119,14 +117,14 @@ class NativeBackend(NumpyBackend):
         if self._is_timed and llvm_compiler.is_available() and not llvm_compiler.find_host_target().is_x86:
             return  # other processors may forbid reading the counter
         facts = WorldFacts.from_setting(world.setting, is_timed=self._is_timed)
-        ready = find_ready_code(world.plan, facts)
+        ready = find_compiled_code(world.plan, facts)
         pays = len(world) >= _MIN_AGENTS_FOR_CODE or sum(world.cpu_seconds.values()) >= _MIN_EARLIER_STEP_SECONDS
         if ready is None and self._pending_code is None and (must_wait or pays):
             is_first = facts not in self._looked_up_facts
             self._looked_up_facts.add(facts)
             stored = find_stored_blocks(world.plan, self.blocks, facts) if is_first else None
             if must_wait or self._has_begun or stored is not None:
-                self._pending_code = start_building(world.plan, self.blocks, facts, stored)
+                self._pending_code = start_code_build(world.plan, self.blocks, facts, stored)
                 if stored is not None:
                     wait([self._pending_code], _MAX_LOAD_SECONDS)
         if self._pending_code is not None and (must_wait or self._pending_code.done()):
@@ -156,8 +154,8 @@ class NativeBackend(NumpyBackend):
         near = code.code.searches
         grids = [self._find_search_grid(world, population, block, each, number) for number, each in enumerate(near)]
         values, tables = self._uniform_values[name], code.tables
-        tables.fill(world, population, values, self._run_values[name], self._stored_senses[name], grids)
-        for begin, end in code.run(world, population, values, metered):
+        tables.fill_tables(world, population, values, self._run_values[name], self._stored_senses[name], grids)
+        for begin, end in code.run_block(world, population, values, metered):
             super().run(world, population, block, np.arange(begin, end))  # raises the error with its location
         for lane in tables.lanes.every:
             for field, laid in lane.deposit_flags.items():
@@ -177,21 +175,25 @@ class NativeBackend(NumpyBackend):
         native_block = self._runners[species, block] = BlockRunner(self.ready_code, species, block, self._padded_arrays)
         return native_block
 
-    def _find_search_grid(self, world: World, population: Population, block: str, search: NeighbourSearch, number: int) -> Arrays:
+    def _find_search_grid(
+        self, world: World, population: Population, block: str, search: NeighbourSearchPlan, number: int
+    ) -> Arrays:
         """Return the arrays of the cell grid for a search.
 
-        The cell size depends on the greatest radius of the previous step. In the first step, `_estimate_radius` estimates this
-        radius."""
+        The cell size depends on the greatest radius of the previous step. In the first step, `_estimate_search_radius` estimates
+        this radius."""
         key = (population.name, block, number)
         other = world.populations[search.species]
         if key not in self._search_radii:
-            self._search_radii[key] = _estimate_radius(world, population, other, [chosen.args[0] for chosen in search.sets])
+            self._search_radii[key] = _estimate_search_radius(
+                world, population, other, [chosen.args[0] for chosen in search.set_nodes]
+            )
         widest = self._search_radii[key]
         beside = [(names, [other.start[name] for name in names.split()]) for names in search.extra_registers]
         return self._grids.build_tables(world, other, widest if widest > 0 else 1.0, beside)
 
 
-def _estimate_radius(world: World, population: Population, other: Population, radii: list[ir.PlanNode]) -> float:
+def _estimate_search_radius(world: World, population: Population, other: Population, radii: list[ir.PlanNode]) -> float:
     """Return the greatest radius (mm) of a search, for a sample of agents, computed by the reference backend.
 
     If the radius itself depends on a search, this would take too long. Then return a radius within which about

@@ -16,8 +16,8 @@ from antdsl.numerics.randomness import UNIT_FLOAT_STEP
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.address_layout import LANE_TYPE_BY_KIND
 from antdsl.runtime.backends.native.block_writer import FunctionWriter, NodeLowerer
-from antdsl.runtime.backends.native.field_threshold import read_own_cell
-from antdsl.runtime.backends.native.float4 import load_quadruples
+from antdsl.runtime.backends.native.field_threshold import emit_own_cell
+from antdsl.runtime.backends.native.float4 import emit_quadruple_loads
 from antdsl.runtime.moving.clearance.obstacle_clearance import is_contact_possible
 from antdsl.runtime.sensing.world_senses import NO_HIT
 from antdsl.runtime.world import AXES
@@ -28,27 +28,27 @@ _CELL_STRIDE = 4  # neighbour cells are sorted: about this many share a cache li
 def _emit_register(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
     """Return a register of the agent itself: its current value, or its value at the start of the step."""
     value: Lanes = w.builder.load_lanes(
-        w.array_address("start" if node.op == "snap" else "now", node.attrs[0]), w.row, LANE_TYPE_BY_KIND[node.kind]
+        w.emit_array_address("start" if node.op == "snap" else "now", node.attrs[0]), w.row, LANE_TYPE_BY_KIND[node.kind]
     )
     return value
 
 
 def _emit_id(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    ids: Lanes = w.builder.load_lanes(w.array_address("ids"), w.row, I64)
+    ids: Lanes = w.builder.load_lanes(w.emit_array_address("ids"), w.row, I64)
     return ids
 
 
 def _emit_age(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    return _emit_age_from_birth(w, w.builder.load_lanes(w.array_address("born"), w.row, I64))
+    return _emit_age_from_birth(w, w.builder.load_lanes(w.emit_array_address("born"), w.row, I64))
 
 
 def _emit_age_from_birth(w: Any, birth_frames: Lanes) -> Lanes:
     """Return the age (s) of agents, given the frames in which they were born."""
-    frames = w.read_uniform(I64, "frame") - birth_frames
+    frames = w.emit_uniform_value(I64, "frame") - birth_frames
     frame_count = w.builder.convert(
         w.builder.select_lanes(frames > 0, frames, w.builder.make_constant(0, I64)), I32
     )  # a run has far fewer than 2**31 frames
-    age: Lanes = w.builder.convert(w.builder.convert(frame_count, F64) * w.read_uniform(F64, "dt"), F32)
+    age: Lanes = w.builder.convert(w.builder.convert(frame_count, F64) * w.emit_uniform_value(F64, "dt"), F32)
     return age
 
 
@@ -60,7 +60,7 @@ def _emit_random_words(w: Any, site: str, block: int) -> list[Lanes]:
         e, wide = w.builder, format_llvm_type(I64, LANE_COUNT)
         out = e.allocate(4, wide)
         shared = [
-            w.read_uniform(I64, "philox", w.species, site, block, word, is_scalar=True)
+            w.emit_uniform_value(I64, "philox", w.species, site, block, word, is_scalar=True)
             for word in ("first", "low", "last", "k0", "k1")
         ]
         ids = _emit_id(w, None, ())  # type: ignore[arg-type]
@@ -98,20 +98,20 @@ def _emit_draw(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
 def _emit_drawn_agent(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
     site, species = node.attrs
     word = _emit_random_words(w, site, 0)[0]
-    count = w.read_uniform(I64, "agents", species)
+    count = w.emit_uniform_value(I64, "agents", species)
     at = (word * count) >> 32
-    agent_id = w.builder.gather(w.array_address("other", species, "sorted ids"), at, I64)
+    agent_id = w.builder.gather(w.emit_array_address("other", species, "sorted ids"), at, I64)
     none: Lanes = w.builder.select_lanes(count == 0, w.builder.make_constant(-1, I64), agent_id)
     return none
 
 
 def _emit_event(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    has_event: Lanes = w.builder.load_lanes(w.array_address("event", node.attrs[0]), w.row, BOOL)
+    has_event: Lanes = w.builder.load_lanes(w.emit_array_address("event", node.attrs[0]), w.row, BOOL)
     return has_event
 
 
 def _emit_touched_surface(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    is_touching: Lanes = w.builder.load_lanes(w.array_address("mesh"), w.row, I64) == w.read_uniform(
+    is_touching: Lanes = w.builder.load_lanes(w.emit_array_address("mesh"), w.row, I64) == w.emit_uniform_value(
         I64, "surface", node.attrs[0]
     )
     return is_touching
@@ -122,12 +122,15 @@ def _emit_rows_of_ids(w: Any, species: str, ids: Lanes) -> Lanes:
     e: LaneBuilder = w.builder
 
     def emit_rows() -> Lanes:
-        known, order = w.array_address("other", species, "sorted ids"), w.array_address("other", species, "rows of sorted ids")
-        count = w.read_uniform(I64, "agents", species)
+        known, order = (
+            w.emit_array_address("other", species, "sorted ids"),
+            w.emit_array_address("other", species, "rows of sorted ids"),
+        )
+        count = w.emit_uniform_value(I64, "agents", species)
         at, step = e.allocate_slot(I64, LANE_COUNT), e.allocate_slot(I64)
         e.store_number(at, e.make_constant(0, I64))
-        e.store_number(step, w.read_uniform(I64, "half", species, is_scalar=True))
-        with e.write_loop(w.read_uniform(I64, "turns", species, is_scalar=True)):
+        e.store_number(step, w.emit_uniform_value(I64, "half", species, is_scalar=True))
+        with e.write_loop(w.emit_uniform_value(I64, "turns", species, is_scalar=True)):
             size, place = e.load(step, I64), e.load(at, I64, LANE_COUNT)
             ahead = place + size
             inside = ahead < count
@@ -147,7 +150,9 @@ def _emit_agent_register(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> La
     row = _emit_rows_of_ids(w, species, args[0])
     kind, is_alive = LANE_TYPE_BY_KIND[node.kind], row >= 0
     value = w.builder.gather(
-        w.array_address("other", species, register), w.builder.select_lanes(is_alive, row, w.builder.make_constant(0, I64)), kind
+        w.emit_array_address("other", species, register),
+        w.builder.select_lanes(is_alive, row, w.builder.make_constant(0, I64)),
+        kind,
     )
     result: Lanes = w.builder.select_lanes(is_alive, value, w.builder.make_constant(0, kind))
     return result
@@ -157,7 +162,7 @@ def _emit_agent_age(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
     row = _emit_rows_of_ids(w, node.attrs[0], args[0])
     is_alive = row >= 0
     born = w.builder.gather(
-        w.array_address("other", node.attrs[0], "frame of birth"),
+        w.emit_array_address("other", node.attrs[0], "frame of birth"),
         w.builder.select_lanes(is_alive, row, w.builder.make_constant(0, I64)),
         I64,
     )
@@ -171,7 +176,7 @@ def _emit_agent_alive(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes
 
 def _emit_item_presence(w: Any, items: str, item: Lanes) -> Lanes:
     """Return a mask of the lanes in which `item` is the number of an existing item."""
-    has_item: Lanes = (item >= 0) & (item < w.read_uniform(I32, "items", items))
+    has_item: Lanes = (item >= 0) & (item < w.emit_uniform_value(I32, "items", items))
     return has_item
 
 
@@ -179,7 +184,9 @@ def _emit_item_amount(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes
     items, attribute = node.attrs
     has_item = _emit_item_presence(w, items, args[0])
     value = w.builder.gather(
-        w.array_address("item", items, attribute), w.builder.select_lanes(has_item, args[0], w.builder.make_constant(0, I32)), F32
+        w.emit_array_address("item", items, attribute),
+        w.builder.select_lanes(has_item, args[0], w.builder.make_constant(0, I32)),
+        F32,
     )
     result: Lanes = w.builder.select_lanes(has_item, value, w.builder.make_constant(0.0, F32))
     return result
@@ -190,16 +197,16 @@ def _emit_item_alive(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
 
 
 def _emit_field_value(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
-    held = w.builder.gather(w.array_address("field", node.attrs[0], "padded_values"), read_own_cell(w, node.attrs[0]), F64)
+    held = w.builder.gather(w.emit_array_address("field", node.attrs[0], "padded_values"), emit_own_cell(w, node.attrs[0]), F64)
     amount: Lanes = w.builder.convert(held, F32)
     return amount
 
 
-def _load_later_cells(w: Any, field: str, eights: int) -> Lanes:
+def _load_cells_of_later_rows(w: Any, field: str, eights: int) -> Lanes:
     """Return the cells of the agents processed `eights` iterations later; near the end of the loop, the current cells."""
     e: LaneBuilder = w.builder
     later = w.row + LANE_COUNT * eights
-    return e.load_lanes(w.array_address("cell", field), e.select_lanes(later < w.end, later, w.row), I32)
+    return e.load_lanes(w.emit_array_address("cell", field), e.select_lanes(later < w.end, later, w.row), I32)
 
 
 def _prefetch_elements(e: LaneBuilder, array: Lanes, at: Lanes, size: int) -> None:
@@ -207,10 +214,10 @@ def _prefetch_elements(e: LaneBuilder, array: Lanes, at: Lanes, size: int) -> No
     e.prefetch(e.address(array, e.convert(at, I64) * size, I8))
 
 
-def prefetch_cells(w: Any, field: str, array: Lanes, size: int, eights: int = 1) -> None:
+def prefetch_cell_amounts(w: Any, field: str, array: Lanes, size: int, eights: int = 1) -> None:
     """Emit code that prefetches what `array` has for the cells of agents `eights` iterations later. `size`: bytes per cell."""
     e: LaneBuilder = w.builder
-    cells = _load_later_cells(w, field, eights)
+    cells = _load_cells_of_later_rows(w, field, eights)
     for lane in range(LANE_COUNT):
         _prefetch_elements(e, array, e.extract_lane(cells, lane), size)
 
@@ -218,9 +225,9 @@ def prefetch_cells(w: Any, field: str, array: Lanes, size: int, eights: int = 1)
 def _prefetch_neighbour_cells(w: Any, field: str, amounts: Lanes, positions: Lanes, block: Lanes, count: int) -> None:
     """Emit code that prefetches amounts and positions around the next eight agents, and cell lists of the eight after them."""
     e: LaneBuilder = w.builder
-    prefetch_cells(w, field, block, 4 * count, 2)
-    cells = _load_later_cells(w, field, 1)
-    known = e.select_lanes((cells >= 0) & (cells < w.read_uniform(I32, "cells", field)), cells, e.make_constant(0, I32))
+    prefetch_cell_amounts(w, field, block, 4 * count, 2)
+    cells = _load_cells_of_later_rows(w, field, 1)
+    known = e.select_lanes((cells >= 0) & (cells < w.emit_uniform_value(I32, "cells", field)), cells, e.make_constant(0, I32))
     for lane in range(LANE_COUNT):
         around = e.address(block, e.convert(e.extract_lane(known, lane), I64) * count, I32)
         for k in range(0, count, _CELL_STRIDE):
@@ -260,12 +267,12 @@ def _emit_field_strongest(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> A
     e: LaneBuilder = w.builder
     field, count = node.attrs
     held, block, own = (
-        w.array_address("field", field, "padded_values"),
-        w.array_address("field", field, "block", int(count)),
-        read_own_cell(w, field),
+        w.emit_array_address("field", field, "padded_values"),
+        w.emit_array_address("field", field, "block", int(count)),
+        emit_own_cell(w, field),
     )
-    positions = w.array_address("field", field, "places")
-    has_cell = own < w.read_uniform(I32, "cells", field)
+    positions = w.emit_array_address("field", field, "places")
+    has_cell = own < w.emit_uniform_value(I32, "cells", field)
     most, where, home_cells = e.allocate_slot(F64, LANE_COUNT), e.allocate_slot(I32, LANE_COUNT), e.allocate_slot(I32, LANE_COUNT)
     e.store_number(most, e.make_constant(0.0, F64))
     e.store_number(where, own)
@@ -282,8 +289,8 @@ def _emit_field_strongest(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> A
     small = e.convert(value, F32)
     nothing = ~(small > 0)
     parts = [small]
-    for axis, has_cell in zip(AXES, load_quadruples(e, positions, cell), strict=False):
-        mine = e.load_lanes(w.array_address("start", f"position.{axis}"), w.row, F32)
+    for axis, has_cell in zip(AXES, emit_quadruple_loads(e, positions, cell), strict=False):
+        mine = e.load_lanes(w.emit_array_address("start", f"position.{axis}"), w.row, F32)
         parts.append(e.select_lanes(nothing, mine, has_cell))
     return tuple(parts)
 
@@ -293,8 +300,8 @@ def _emit_clip_value(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
     e: LaneBuilder = w.builder
     last = e.make_constant(len(w.code.species.clips), I32)
     number = e.select_lanes((args[0] >= 0) & (args[0] < last), args[0], last)
-    number = number + e.load_lanes(w.array_address("clip body"), w.row, I32)
-    value: Lanes = e.gather(w.array_address("clip", node.attrs[0]), number, F32)
+    number = number + e.load_lanes(w.emit_array_address("clip body"), w.row, I32)
+    value: Lanes = e.gather(w.emit_array_address("clip", node.attrs[0]), number, F32)
     return value
 
 
@@ -318,16 +325,16 @@ NATIVE_LOWERERS: Mapping[str, NodeLowerer] = {
 }
 
 
-def _emit_may_hit(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
+def _emit_may_ray_hit(w: Any, node: ir.PlanNode, args: tuple[Any, ...]) -> Lanes:
     """Return a mask of the agents with a feeler that may hit the obstacle."""
     reach = args[3]
-    clear = w.builder.load_lanes(w.array_address("clear", node.attrs[0]), w.row, F32)
+    clear = w.builder.load_lanes(w.emit_array_address("clear", node.attrs[0]), w.row, F32)
     is_near: Lanes = (reach > 0) & (reach < np.inf) & is_contact_possible(clear, reach)
     return is_near
 
 
 # For called senses: which agents need the call, and the result of the others.
-GUARDED_SENSES: Mapping[str, tuple[NodeLowerer, tuple[Any, ...]]] = {"ray": (_emit_may_hit, NO_HIT)}
+GUARDED_SENSES: Mapping[str, tuple[NodeLowerer, tuple[Any, ...]]] = {"ray": (_emit_may_ray_hit, NO_HIT)}
 SENSES_CALLED_ON_MOVING_GROUND = frozenset(("field.strongest",))  # its positions rotate with moving ground, so it is called there
 PAIR_SENSES = frozenset(
     ("agent.get", "agent.age", "agent.alive", "item.get", "item.alive")

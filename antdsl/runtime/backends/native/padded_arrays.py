@@ -42,7 +42,7 @@ class PaddedArrays:
             np.copyto(known[1], array)
         return known[1:]
 
-    def move_register(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
+    def pad_register(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
         """Move a register into a padded array, unless it is already in one. Return the array and its address.
 
         `start`: whether to move the values at the start of the step instead of the current ones. If both are in the same array,
@@ -63,11 +63,11 @@ class PaddedArrays:
             self._padded_by_id = {key: known for key, known in self._padded_by_id.items() if id(known[1]) in held}
             self._max_arrays = max(_MIN_ARRAYS_TO_DROP, 2 * len(self._padded_by_id))
 
-    def drop_unused(self) -> None:
+    def drop_unused_copies(self) -> None:
         """Release the arrays that are no longer in use after the rows have changed."""
         self._padded_by_id.clear()
 
-    def copy(self, *key: Hashable) -> PaddedCopy:
+    def get_copy(self, *key: Hashable) -> PaddedCopy:
         """Return the padded copy that belongs to a key. All blocks that use the key share it."""
         return self._copies.setdefault(key, PaddedCopy(self))
 
@@ -82,7 +82,7 @@ class PaddedCopy:
         self._source_stamp: Any = None
         self._padded: NDArray[Any] = np.zeros(0)
 
-    def update(self, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
+    def update_copy(self, array: NDArray[Any], dtype: Any, stamp: Any = None) -> int:
         """Copy an array into the padded copy if necessary. Return the address of the copy.
 
         The copy is valid as long as `stamp` is equal to that of the last call. Without a stamp, it is valid for one step."""

@@ -13,10 +13,10 @@ from antdsl.runtime.backends.numpy_backend import NumpyBackend
 _HEADER_PREFIXES = ("define ", "declare ", "}", "@")
 
 
-STATIC_WORLD = WorldFacts(has_moving_ground=False, has_detail_levels=False)
+STATIC_WORLD_FACTS = WorldFacts(has_moving_ground=False, has_detail_levels=False)
 
 
-def build_program(plan: ir.Plan, target: Target, facts: WorldFacts = STATIC_WORLD) -> NativeProgram:
+def build_program(plan: ir.Plan, target: Target, facts: WorldFacts = STATIC_WORLD_FACTS) -> NativeProgram:
     """Return the program that a plan compiles to, for a world with these `facts`."""
     return write_program(plan, NumpyBackend(plan).blocks, facts, target)
 
@@ -51,7 +51,9 @@ def format_listing(native_program: NativeProgram) -> str:
                     called[f"{each.subject.op}{of}{_get_source_location(each.subject)}"] += 1
             lines += [f"    then NumPy: {what}{f', {count} times' if count > 1 else ''}" for what, count in called.items()]
         for search in code.searches:
-            lines.append(f"    searches {search.species} for {len(search.sets)} set{'s' if len(search.sets) > 1 else ''}")
+            lines.append(
+                f"    searches {search.species} for {len(search.set_nodes)} set{'s' if len(search.set_nodes) > 1 else ''}"
+            )
         lines += [
             f"    asks for {_get_instruction_name(each.subject)}{_get_source_location(each.subject)}"
             for each in code.list_instructions

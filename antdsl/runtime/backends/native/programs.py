@@ -13,7 +13,7 @@ from antdsl.plan import ir
 from antdsl.runtime.backends.block_compiler import BlockCompiler, BlockInstruction
 from antdsl.runtime.backends.native import reduction_loops, search
 from antdsl.runtime.backends.native.address_layout import LANE_TYPE_BY_KIND, AddressLayout
-from antdsl.runtime.backends.native.block_writer import BlockCode, BlockWriter, NodeLowerer
+from antdsl.runtime.backends.native.block_writer import BlockCodePlan, BlockWriter, NodeLowerer
 from antdsl.runtime.backends.native.field_threshold import find_scent_thresholds
 from antdsl.runtime.backends.native.line_profiling import LineCounters
 from antdsl.runtime.backends.native.native_senses import (
@@ -24,7 +24,7 @@ from antdsl.runtime.backends.native.native_senses import (
 )
 from antdsl.runtime.backends.native.request_emission import emit_request
 from antdsl.runtime.backends.native.stage_schedule import PAIR_INSTRUCTION_KINDS, make_schedule
-from antdsl.runtime.sensing.pairs import is_nearest_only
+from antdsl.runtime.sensing.pairs import needs_only_nearest
 from antdsl.scene.setting import WorldSetting
 
 CompiledBlocks = Mapping[tuple[str, str], BlockCompiler]
@@ -50,7 +50,7 @@ class NativeProgram:
     text: str
     functions: Mapping[str, str]
     units: Mapping[str, str]
-    blocks: Mapping[tuple[str, str], BlockCode]
+    blocks: Mapping[tuple[str, str], BlockCodePlan]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class WorldFacts:
         return cls(any(name in setting.surfaces for name in setting.motion.meshes), setting.level_of_detail is not None, is_timed)
 
 
-def schedule_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> dict[tuple[str, str], BlockCode]:
+def schedule_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) -> dict[tuple[str, str], BlockCodePlan]:
     """Assign the instructions of each block to stages.
 
     Return block codes, by species and block, that have no functions yet. Blocks of births are omitted, because births are
@@ -79,8 +79,8 @@ def schedule_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) ->
 
     def has_machine_code(species: ir.SpeciesPlan, node: ir.PlanNode) -> bool:
         if node.op.startswith("reduce."):
-            plain = plan.period is None and not is_nearest_only(species, node.args[0])  # pairs of images have no machine code
-            return plain and reduction_loops.has_machine_code(node, PAIR_SENSES)
+            plain = plan.period is None and not needs_only_nearest(species, node.args[0])  # pairs of images have no machine code
+            return plain and reduction_loops.can_compile_node(node, PAIR_SENSES)
         return node.op == "get" or node.op in FUNCTION_BY_NAME or node.op in senses
 
     def is_costly(node: ir.PlanNode) -> bool:
@@ -92,7 +92,7 @@ def schedule_blocks(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts) ->
             of = plan.species[species]
             order = make_schedule(compiler, partial(has_machine_code, of), is_costly)
             lines = LineCounters(compiler) if facts.is_timed else None
-            output[species, block] = BlockCode(
+            output[species, block] = BlockCodePlan(
                 of, [], AddressLayout(), order, lines, scent_thresholds=find_scent_thresholds(compiler, order)
             )
     return output

@@ -15,14 +15,14 @@ from antdsl.numerics.elementwise import FUNCTION_BY_NAME
 from antdsl.plan import ir
 from antdsl.plan.traverse import collect_required_nodes
 from antdsl.runtime.backends.block_compiler import BlockInstruction, InstructionKind
-from antdsl.runtime.backends.native.accumulators import INITIAL_VALUES, RunningReduction
+from antdsl.runtime.backends.native.accumulators import INITIAL_VALUES, LaneReduction
 from antdsl.runtime.backends.native.address_layout import LANE_TYPE_BY_KIND
 from antdsl.runtime.backends.native.block_writer import BlockWriter, FunctionWriter
 from antdsl.runtime.backends.native.stage_schedule import PAIR_INSTRUCTION_KINDS
 from antdsl.runtime.world import AXES
 
 
-def has_machine_code(node: ir.PlanNode, leaves: frozenset[str]) -> bool:
+def can_compile_node(node: ir.PlanNode, leaves: frozenset[str]) -> bool:
     """Return whether a reduction can be compiled to machine code.
 
     This is the case if each node that depends on the other agent or item is an elementwise operation or one of `leaves`."""
@@ -34,7 +34,7 @@ def has_machine_code(node: ir.PlanNode, leaves: frozenset[str]) -> bool:
 # --- values of a pair ------------------------------------------------------------------------------------------------
 
 
-class PairValues:
+class PairValueCache:
     """The values of nodes for eight pairs. `own_value`: returns the value of a node for the requesting agents. `leaf_value`:
     returns the value of a leaf node for the pairs."""
 
@@ -47,19 +47,19 @@ class PairValues:
     ) -> None:
         self.w, self.own_value, self.leaf_value, self.senses = w, own_value, leaf_value, senses
 
-    def value(self, node: ir.PlanNode) -> Lanes:
+    def emit_value(self, node: ir.PlanNode) -> Lanes:
         """Return the value of a node for eight pairs. The code for a node is emitted only once."""
 
         def emit_node() -> Lanes:
             if node.rate <= ir.UpdateRate.STEP:
-                return self.w.read_uniform(LANE_TYPE_BY_KIND[node.kind], "node", node)
+                return self.w.emit_uniform_value(LANE_TYPE_BY_KIND[node.kind], "node", node)
             if node.rate is not ir.UpdateRate.PAIR:
                 return self.own_value(node)
             if node.op in FUNCTION_BY_NAME:
-                result: Lanes = self.w.apply_operation(node.op, *(self.value(each) for each in node.args))
+                result: Lanes = self.w.emit_operation(node.op, *(self.emit_value(each) for each in node.args))
                 return result
             if node.op in self.senses:
-                result = self.senses[node.op](self.w, node, tuple(self.value(each) for each in node.args))
+                result = self.senses[node.op](self.w, node, tuple(self.emit_value(each) for each in node.args))
                 return result
             return self.leaf_value(node)
 
@@ -78,21 +78,21 @@ def emit_member_loop(b: BlockWriter, first: BlockInstruction) -> None:
     own = find_own_values(b, instructions)
     of_items = nodes[0].args[0].op == "set.items"
     name = nodes[0].args[0].attrs[0]
-    place = [e.load_lanes(b.array_address("start", f"position.{axis}"), b.row, F32) for axis in AXES]
+    place = [e.load_lanes(b.emit_array_address("start", f"position.{axis}"), b.row, F32) for axis in AXES]
     reach = {chosen: b.find_slot_value(slots[0]) if of_items else None for chosen, slots in sets.items()}
     for make in own.values():
         make()  # computed before the loop
     mask = b.mask[-1]
-    itself = None if of_items or name != b.species else e.load_lanes(b.array_address("ids"), b.row, I64)
-    sums = [RunningReduction(e, node, needs_two_words=True) for node in nodes]
+    itself = None if of_items or name != b.species else e.load_lanes(b.emit_array_address("ids"), b.row, I64)
+    sums = [LaneReduction(e, node, needs_two_words=True) for node in nodes]
     for each in sums:
         each.allocate_values()
-    count = b.read_uniform(I64, "items" if of_items else "agents", name, is_scalar=True)
+    count = b.emit_uniform_value(I64, "items" if of_items else "agents", name, is_scalar=True)
     with e.write_loop(count) as number:
 
         def load_attribute(attribute: str, kind: str = F32) -> Lanes:
             key = ("item", name, attribute) if of_items else ("other", name, attribute)
-            return e.broadcast(e.load_scalar(b.array_address(*key), number, kind))
+            return e.broadcast(e.load_scalar(b.emit_array_address(*key), number, kind))
 
         dx, dy, dz = (
             load_attribute(axis if of_items else f"position.{axis}") - mine for axis, mine in zip(AXES, place, strict=True)
@@ -109,14 +109,14 @@ def emit_member_loop(b: BlockWriter, first: BlockInstruction) -> None:
                 return load_attribute("unsorted ids", I64)
             return load_attribute(node.attrs[0], LANE_TYPE_BY_KIND[node.kind])
 
-        pairs = PairValues(b, lambda node: own[node](), emit_leaf, b.senses)
+        pairs = PairValueCache(b, lambda node: own[node](), emit_leaf, b.senses)
         for each, node in zip(sums, nodes, strict=True):
             near = mask
             if of_items:
                 near = near & (distance <= reach[node.args[0]])
             elif itself is not None:
                 near = near & (load_attribute("unsorted ids", I64) != itself)
-            accumulate_pairs(
+            emit_pair_accumulation(
                 each,
                 node,
                 pairs,
@@ -127,22 +127,24 @@ def emit_member_loop(b: BlockWriter, first: BlockInstruction) -> None:
         b.record_slot_value(instruction.slot, each.emit_result())
 
 
-def evaluate_pairs(node: ir.PlanNode, pairs: PairValues, near_mask: Lanes) -> tuple[Lanes, Lanes | None]:
+def emit_pair_condition_and_body(node: ir.PlanNode, pairs: PairValueCache, near_mask: Lanes) -> tuple[Lanes, Lanes | None]:
     """Return a mask of the pairs that a reduction includes, and the value of its body for these pairs (None if it has no body).
 
     `near_mask`: the pairs that are in the set."""
     condition = node.args[1]
     if condition.op != "const.bool" or not condition.attrs[0]:
-        near_mask = near_mask & pairs.value(condition)
-    return near_mask, pairs.value(node.args[2]) if len(node.args) > 2 else None
+        near_mask = near_mask & pairs.emit_value(condition)
+    return near_mask, pairs.emit_value(node.args[2]) if len(node.args) > 2 else None
 
 
-def accumulate_pairs(
-    reduction: RunningReduction, node: ir.PlanNode, pairs: PairValues, near_mask: Lanes, label: Callable[[], Lanes]
+def emit_pair_accumulation(
+    reduction: LaneReduction, node: ir.PlanNode, pairs: PairValueCache, near_mask: Lanes, label: Callable[[], Lanes]
 ) -> None:
     """Emit code that adds the pairs that a reduction includes to its intermediate values. `near_mask`: the pairs that are in the
     set."""
-    reduction.add_term(*evaluate_pairs(node, pairs, near_mask), label() if node.op in ("reduce.agent", "reduce.item") else None)
+    reduction.emit_add_term(
+        *emit_pair_condition_and_body(node, pairs, near_mask), label() if node.op in ("reduce.agent", "reduce.item") else None
+    )
 
 
 def find_reduction_sets(instructions: list[BlockInstruction]) -> dict[ir.PlanNode, tuple[int, ...]]:

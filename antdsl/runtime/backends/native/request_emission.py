@@ -17,7 +17,7 @@ from antdsl.plan import ir
 from antdsl.program.tables.effects import EFFECT_BY_OPERATION
 from antdsl.runtime.backends.block_compiler import BlockInstruction
 from antdsl.runtime.backends.native.block_writer import BlockWriter
-from antdsl.runtime.backends.native.native_senses import prefetch_cells
+from antdsl.runtime.backends.native.native_senses import prefetch_cell_amounts
 from antdsl.runtime.requests import ClaimEntry, EffectRequests, GiftEntry, RequestEntry
 
 
@@ -26,21 +26,21 @@ def _emit_deposit(b: BlockWriter, instruction: BlockInstruction, statement: ir.R
     e, mask, name = b.builder, b.mask[-1], statement.target
     amount: Lanes = b.find_slot_value(instruction.inputs[0])
     mask = _emit_finite_check(b, mask, amount, EFFECT_BY_OPERATION[statement.op].fault_name.format(of=name), instruction)
-    cell = e.load_lanes(b.array_address("cell", name), b.row, I32)
+    cell = e.load_lanes(b.emit_array_address("cell", name), b.row, I32)
     laid = mask & (cell >= 0) & (amount != 0)
-    prefetch_cells(b, name, b.array_address("field", name, "pending_deposits"), 8)
+    prefetch_cell_amounts(b, name, b.emit_array_address("field", name, "pending_deposits"), 8)
     with e.write_if(e.any_lane(laid)):
         wide = e.emit_clamp(e.convert(amount, F64), e.make_constant(-MAX_DEPOSIT, F64), e.make_constant(MAX_DEPOSIT, F64))
         amounts, cells = e.allocate_slot(I64, LANE_COUNT), e.allocate_slot(I32, LANE_COUNT)
         e.store_number(amounts, e.to_int64(wide / DEPOSIT_QUANTUM))
         e.store_number(cells, cell)
         bits = e.mask_to_i64(laid)
-        pending = b.array_address("field", name, "pending_deposits")
+        pending = b.emit_array_address("field", name, "pending_deposits")
         with e.write_loop(LANE_COUNT) as lane, e.write_if(e.emit_bit_test(bits, lane)):
             at, increment = e.load_scalar(cells, lane, I32), e.load_scalar(amounts, lane, I64)
             place = e.address(pending, e.convert(at, I64), I64)
             adds = b.field_combination(name) == "add"
-            together = b.read_uniform(I64, "threads", is_scalar=True)
+            together = b.emit_uniform_value(I64, "threads", is_scalar=True)
             with e.write_if(together > 1):
                 e.op("atomic.add" if adds else "atomic.max", I64, place, increment)
             with e.write_if(together <= 1):
@@ -48,7 +48,7 @@ def _emit_deposit(b: BlockWriter, instruction: BlockInstruction, statement: ir.R
                 e.store_number(
                     place, old_value + increment if adds else e.select_lanes(increment > old_value, increment, old_value)
                 )
-        e.store_number(b.array_address("laid", name), e.make_constant(1, I8, 1))
+        e.store_number(b.emit_array_address("laid", name), e.make_constant(1, I8, 1))
 
 
 def _emit_list_append(b: BlockWriter, instruction: BlockInstruction, mask: Lanes, values: list[Lanes]) -> None:
@@ -58,7 +58,8 @@ def _emit_list_append(b: BlockWriter, instruction: BlockInstruction, mask: Lanes
     with e.write_if(e.any_lane(mask)):
         stored = [e.to_stored_form(value) for value in values]
         columns = [
-            b.stage_array_address(-1 - number, part, kind) for part, kind in enumerate((I64, *(value.kind for value in values)))
+            b.emit_stage_array_address(-1 - number, part, kind)
+            for part, kind in enumerate((I64, *(value.kind for value in values)))
         ]
         slots = []
         for value in stored:
@@ -67,7 +68,7 @@ def _emit_list_append(b: BlockWriter, instruction: BlockInstruction, mask: Lanes
         left = e.allocate_slot(I64)
         bits = e.mask_to_i64(mask)
         e.store_number(left, bits)
-        total = e.address(b.array_address("counts"), 1 + number, I64)
+        total = e.address(b.emit_array_address("counts"), 1 + number, I64)
         old_total = e.load(total, I64)
         count = e.op("ctpop", I64, bits)
         with e.write_loop(count) as k:
@@ -109,7 +110,7 @@ def _emit_claim(b: BlockWriter, instruction: BlockInstruction, statement: ir.Cla
     """Emit code that appends a claim to the statement's list, with the same result as in `numpy_statements`."""
     e, mask, slots = b.builder, b.mask[-1], iter(instruction.inputs)
     item: Lanes = (
-        e.load_lanes(b.array_address("cell", statement.target), b.row, I32)
+        e.load_lanes(b.emit_array_address("cell", statement.target), b.row, I32)
         if statement.item is None
         else b.find_slot_value(next(slots))
     )
@@ -122,14 +123,14 @@ def _emit_claim(b: BlockWriter, instruction: BlockInstruction, statement: ir.Cla
 
 def _emit_gift(b: BlockWriter, instruction: BlockInstruction, statement: ir.Give) -> None:
     """Emit code that appends a gift to the statement's list, with the same result as in `numpy_statements`."""
-    e, mask, own = b.builder, b.mask[-1], b.array_address("now", statement.register)
+    e, mask, own = b.builder, b.mask[-1], b.emit_array_address("now", statement.register)
     item: Lanes = b.find_slot_value(instruction.inputs[0])
     had = e.load_lanes(own, b.row, F32)
     amount = had
     if statement.amount is not None:
         amount = b.find_slot_value(instruction.inputs[1])
         mask = _emit_finite_check(b, mask, amount, f"give {statement.register}", instruction)
-    is_valid = mask & (item >= 0) & (item < b.read_uniform(I32, "items", statement.items))
+    is_valid = mask & (item >= 0) & (item < b.emit_uniform_value(I32, "items", statement.items))
     zero = e.make_constant(0.0, F32)
     most = e.select_lanes(had > zero, had, zero)
     cut = e.select_lanes(amount > zero, amount, zero)
@@ -157,11 +158,11 @@ def record_request(instruction: BlockInstruction, columns: Sequence[NDArray[Any]
     match what:
         case ir.Claim():
             rows, item, amount = columns
-            effects.claims.append(ClaimEntry(what, instruction.order, rows, item, amount))
+            effects.claims.append(ClaimEntry(what, instruction.statement_order, rows, item, amount))
         case ir.Give():
             _, item, amount = columns
             effects.gifts.append(GiftEntry(what, item, amount))
         case ir.Request():
             rest = iter(columns[1:])
             args = tuple(None if node is None else next(rest) for node in what.args)
-            effects.add_request(RequestEntry(what, instruction.order, columns[0], args))
+            effects.add_request(RequestEntry(what, instruction.statement_order, columns[0], args))

@@ -49,7 +49,7 @@ class StageSchedule:
 
     def is_run_in_stage(self, scope: RowScope, stage: int) -> bool:
         """Return whether any instruction of a scope runs in a stage."""
-        return stage in self.use_stages.get(self.resolve_slot(scope.rows), ())
+        return stage in self.use_stages.get(self.resolve_slot(scope.rows_slot), ())
 
 
 @dataclass(slots=True)
@@ -76,7 +76,7 @@ def make_schedule(
 ) -> StageSchedule:
     """Return the stages of a block.
 
-    `has_machine_code`: returns whether a node has machine code. `is_costly`: returns whether a cached node takes so long to
+    `can_compile_node`: returns whether a node has machine code. `is_costly`: returns whether a cached node takes so long to
     compute again that machine code must store it."""
     maker = _ScheduleBuilder(compiler, has_machine_code, is_costly, frozenset(compiler.uniform_slots.values()))
     for instruction in _iterate_instructions(compiler.root_scope):
@@ -84,14 +84,14 @@ def make_schedule(
         if instruction.kind is InstructionKind.REDUCE and isinstance(what, ir.PlanNode) and not has_machine_code(what):
             _find_pair_slots(maker, instruction)
     _assign_stages(maker, compiler.root_scope, 0)
-    return _trace_uses(maker)
+    return _find_slot_uses(maker)
 
 
 def _iterate_instructions(scope: RowScope) -> Iterator[BlockInstruction]:
     for instruction in scope.code:
         yield instruction
-        if instruction.inner is not None:
-            yield from _iterate_instructions(instruction.inner)
+        if instruction.inner_scope is not None:
+            yield from _iterate_instructions(instruction.inner_scope)
 
 
 def _find_pair_slots(builder: _ScheduleBuilder, reduce: BlockInstruction) -> None:
@@ -120,26 +120,29 @@ def _assign_stages(builder: _ScheduleBuilder, scope: RowScope, mask_stage: int) 
     """Determine the first stage in which each value can be known, and the stage of each statement.
 
     `mask_stage`: the first stage in which the scope's mask is known."""
-    builder.first_stage_by_slot[scope.rows] = mask_stage
+    builder.first_stage_by_slot[scope.rows_slot] = mask_stage
     for each in scope.code:
         stage, what = max(mask_stage, _find_earliest_stage(builder, each.inputs)), each.subject
         match each.kind:
             case InstructionKind.GATHER:
                 builder.slot_aliases[each.slot] = each.inputs[0]
             case InstructionKind.REGION:
-                assert each.inner is not None
-                _assign_stages(builder, each.inner, stage)
+                assert each.inner_scope is not None
+                _assign_stages(builder, each.inner_scope, stage)
             case InstructionKind.CACHED_SENSE:
-                assert each.inner is not None and isinstance(what, ir.PlanNode)
+                assert each.inner_scope is not None and isinstance(what, ir.PlanNode)
                 key = ("kept", what)
                 stage = max(mask_stage, builder.last_store_stages.get(key, 0))
                 if builder.has_machine_code(what) and not builder.is_costly(what):
                     builder.inlined_senses.add(each)
-                    builder.slot_aliases[each.slot], builder.slot_aliases[each.inner.rows] = each.inner_result_slot, scope.rows
-                    _assign_stages(builder, each.inner, mask_stage)
+                    builder.slot_aliases[each.slot], builder.slot_aliases[each.inner_scope.rows_slot] = (
+                        each.inner_result_slot,
+                        scope.rows_slot,
+                    )
+                    _assign_stages(builder, each.inner_scope, mask_stage)
                 else:
                     builder.last_load_stages[key] = stage
-                    _assign_stages(builder, each.inner, stage)
+                    _assign_stages(builder, each.inner_scope, stage)
                     result = builder.first_stage_by_slot.get(_resolve_alias(builder, each.inner_result_slot), 0)
                     builder.stage_by_instruction[each] = builder.last_store_stages[key] = builder.first_stage_by_slot[
                         each.slot
@@ -192,7 +195,7 @@ def list_reduction_operands(reduce: BlockInstruction) -> tuple[int, ...]:
     return tuple(operands)
 
 
-def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
+def _find_slot_uses(builder: _ScheduleBuilder) -> StageSchedule:
     """Find the stages that use each value, going backwards from the last instruction. Return the schedule."""
     stages = 1 + max(
         [*builder.first_stage_by_slot.values(), *builder.stage_by_instruction.values(), *(k + 1 for k in builder.calls_by_stage)],
@@ -219,15 +222,15 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
         instruction, ending = each
         scope, out = instruction.scope, instruction.slot
         if instruction.kind is InstructionKind.REGION:
-            assert instruction.inner is not None
-            mask = instruction.inner.rows
+            assert instruction.inner_scope is not None
+            mask = instruction.inner_scope.rows_slot
             if not ending and mask in use_stages:
                 home[mask] = min(use_stages[mask])
-                require_slots((instruction.inputs[0], scope.rows), home[mask])
-                _propagate_outwards(builder, scope, use_stages, use_stages[mask])
+                require_slots((instruction.inputs[0], scope.rows_slot), home[mask])
+                _propagate_uses_to_parents(builder, scope, use_stages, use_stages[mask])
         elif instruction.kind is InstructionKind.CACHED_SENSE:
-            assert instruction.inner is not None
-            mask = instruction.inner.rows
+            assert instruction.inner_scope is not None
+            mask = instruction.inner_scope.rows_slot
             if instruction in builder.inlined_senses:
                 continue
             if ending:
@@ -235,8 +238,8 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
                     require_slots((instruction.inner_result_slot, mask), builder.stage_by_instruction[instruction])
             elif mask in use_stages:
                 home[mask] = min(use_stages[mask])  # no earlier stage runs the scope that computes it
-                require_slots((scope.rows,), home[mask])
-                _propagate_outwards(builder, scope, use_stages, use_stages[mask])
+                require_slots((scope.rows_slot,), home[mask])
+                _propagate_uses_to_parents(builder, scope, use_stages, use_stages[mask])
         elif ending:
             continue
         elif instruction in called:
@@ -245,10 +248,10 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
                 slot for slot in instruction.inputs if _resolve_alias(builder, slot) not in made_by_calls | builder.pair_slots
             )
             require_slots(inputs, stage, array=True)
-            require_slots((scope.rows,), stage, array=True)
+            require_slots((scope.rows_slot,), stage, array=True)
             home[out] = stage + 1
         elif instruction.kind is InstructionKind.STATEMENT:
-            require_slots((*instruction.inputs, scope.rows), builder.stage_by_instruction[instruction])
+            require_slots((*instruction.inputs, scope.rows_slot), builder.stage_by_instruction[instruction])
         elif instruction in builder.native_instructions and out in use_stages:
             what = instruction.subject
             assert isinstance(what, ir.PlanNode)
@@ -257,10 +260,10 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
                 home[out] = min(use_stages[out])
                 reread_slots.add(out)
                 for stage in use_stages[out]:
-                    require_slots((scope.rows,), stage)
+                    require_slots((scope.rows_slot,), stage)
                 continue
             home[out] = builder.first_stage_by_slot[out] if what.op == "load" else min(use_stages[out])
-            require_slots((*inputs, scope.rows), home[out])
+            require_slots((*inputs, scope.rows_slot), home[out])
             if max(use_stages[out]) > home[out]:
                 left.add(out)
     for slot, stages_ in use_stages.items():
@@ -279,9 +282,11 @@ def _trace_uses(builder: _ScheduleBuilder) -> StageSchedule:
     )
 
 
-def _propagate_outwards(builder: _ScheduleBuilder, scope: RowScope, use_stages: dict[int, set[int]], stages: set[int]) -> None:
+def _propagate_uses_to_parents(
+    builder: _ScheduleBuilder, scope: RowScope, use_stages: dict[int, set[int]], stages: set[int]
+) -> None:
     """Add `stages` to the stages in which the scopes that enclose an inner scope are used."""
-    use_stages.setdefault(_resolve_alias(builder, scope.rows), set()).update(stages)
+    use_stages.setdefault(_resolve_alias(builder, scope.rows_slot), set()).update(stages)
 
 
 def _iterate_run_order(scope: RowScope) -> Iterator[tuple[BlockInstruction, bool]]:
@@ -290,6 +295,6 @@ def _iterate_run_order(scope: RowScope) -> Iterator[tuple[BlockInstruction, bool
     An instruction with an inner scope occurs twice: with False before that scope, and with True after it."""
     for instruction in scope.code:
         yield instruction, False
-        if instruction.inner is not None:
-            yield from _iterate_run_order(instruction.inner)
+        if instruction.inner_scope is not None:
+            yield from _iterate_run_order(instruction.inner_scope)
             yield instruction, True

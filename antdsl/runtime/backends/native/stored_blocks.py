@@ -18,14 +18,16 @@ from antdsl.machine_code import code_cache, object_cache
 from antdsl.machine_code.llvm_compiler import Target
 from antdsl.plan import ir
 from antdsl.runtime.backends.block_compiler import BlockInstruction
-from antdsl.runtime.backends.metering import list_instructions
-from antdsl.runtime.backends.native.block_writer import BlockCode, NeighbourSearch
+from antdsl.runtime.backends.metering import list_scope_instructions
+from antdsl.runtime.backends.native.block_writer import BlockCodePlan, NeighbourSearchPlan
 from antdsl.runtime.backends.native.programs import CompiledBlocks, NativeProgram, WorldFacts, schedule_blocks
 from antdsl.source import Span
 from antdsl.source_hash import has_module_sources, hash_sources
 
 _BlockKey = tuple[str, str]
-StoredBlocks = tuple[Mapping[str, str], Mapping[_BlockKey, BlockCode]]  # keys of texts by the names of functions, and the blocks
+StoredBlocks = tuple[
+    Mapping[str, str], Mapping[_BlockKey, BlockCodePlan]
+]  # keys of texts by the names of functions, and the blocks
 
 
 class _UnsupportedValue(Exception):
@@ -33,7 +35,7 @@ class _UnsupportedValue(Exception):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NumberedPlan:
+class IndexedPlan:
     """A plan and its blocks, with numbers for their nodes and instructions. `key`: the key of the file that stores them.
 
     `nodes`: the number of each node. `instructions`: the instructions of each block; the file refers to them by index."""
@@ -46,10 +48,10 @@ class NumberedPlan:
     instructions: Mapping[_BlockKey, list[BlockInstruction]]
 
 
-def number_plan(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target: Target) -> NumberedPlan | None:
+def index_plan(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target: Target) -> IndexedPlan | None:
     """Return a plan with numbered nodes and instructions, and the key of its file. None if the plan cannot be stored."""
     written = _PlanWriter()
-    instructions = {place: list_instructions(compiler.root_scope) for place, compiler in blocks.items()}
+    instructions = {place: list_scope_instructions(compiler.root_scope) for place, compiler in blocks.items()}
     if not has_module_sources():
         return None
     try:
@@ -60,7 +62,7 @@ def number_plan(plan: ir.Plan, blocks: CompiledBlocks, facts: WorldFacts, target
         return None
     text = "program " + blake2b("\n".join(written.parts).encode("utf-8", "surrogatepass"), digest_size=32).hexdigest()
     key = object_cache.compute_object_key(text, target, versions=object_cache.list_environment_versions())
-    return NumberedPlan(plan, blocks, facts, key, written.numbers, instructions)
+    return IndexedPlan(plan, blocks, facts, key, written.numbers, instructions)
 
 
 def make_text_key(text: str) -> str:
@@ -68,7 +70,7 @@ def make_text_key(text: str) -> str:
     return "program text " + blake2b(text.encode(), digest_size=32).hexdigest()
 
 
-def read_blocks(stored_subject: NumberedPlan) -> StoredBlocks | None:
+def read_stored_blocks(stored_subject: IndexedPlan) -> StoredBlocks | None:
     """Return the stored blocks of a plan. None if nothing is stored for it."""
     data = code_cache.load_stored_data(stored_subject.key)
     if data is None:
@@ -83,7 +85,7 @@ def read_blocks(stored_subject: NumberedPlan) -> StoredBlocks | None:
     return None
 
 
-def write_blocks(stored_subject: NumberedPlan, program: NativeProgram) -> None:
+def store_blocks(stored_subject: IndexedPlan, program: NativeProgram) -> None:
     """Store the results of compiling a plan, if all of them can be stored."""
     with suppress(_UnsupportedValue, KeyError):
         blocks = {
@@ -94,7 +96,7 @@ def write_blocks(stored_subject: NumberedPlan, program: NativeProgram) -> None:
         code_cache.store_data(stored_subject.key, json.dumps({"units": units, "blocks": blocks}).encode())
 
 
-def _block_to_json(code: BlockCode, nodes: Mapping[ir.PlanNode, int], instructions: list[BlockInstruction]) -> dict[str, Any]:
+def _block_to_json(code: BlockCodePlan, nodes: Mapping[ir.PlanNode, int], instructions: list[BlockInstruction]) -> dict[str, Any]:
     """Return a compiled block as JSON values, with numbers in place of nodes and instructions."""
     numbers = {each: number for number, each in enumerate(instructions)}
     layout = code.layout
@@ -102,9 +104,9 @@ def _block_to_json(code: BlockCode, nodes: Mapping[ir.PlanNode, int], instructio
         "names": code.function_names,
         "pointers": [_key_to_json(key, nodes) for key in layout.pointer_indices],
         "numbers": [_key_to_json(key, nodes) for key in layout.number_indices],
-        "arrays": [[*key, kind] for key, kind in layout.array_kinds.items()],
+        "arrays": [[*key, kind] for key, kind in layout.array_kind_by_slot.items()],
         "faults": [[what, numbers[each]] for what, each in code.fault_sources],
-        "near": [[each.species, [nodes[node] for node in each.sets], each.extra_registers] for each in code.searches],
+        "near": [[each.species, [nodes[node] for node in each.set_nodes], each.extra_registers] for each in code.searches],
         "kept": [nodes[node] for node in code.lazy_nodes],
         "lists": [numbers[each] for each in code.list_instructions],
         "needs": [numbers[each] for each in code.optional_calls],
@@ -114,16 +116,16 @@ def _block_to_json(code: BlockCode, nodes: Mapping[ir.PlanNode, int], instructio
 
 
 def _fill_block_from_json(
-    code: BlockCode, form: Mapping[str, Any], nodes: list[ir.PlanNode], instructions: list[BlockInstruction]
+    code: BlockCodePlan, form: Mapping[str, Any], nodes: list[ir.PlanNode], instructions: list[BlockInstruction]
 ) -> None:
     """Fill a block from JSON values in the form that `_block_to_json` returns."""
     code.function_names[:] = form["names"]
     code.layout.pointer_indices = {_key_from_json(key, nodes): place for place, key in enumerate(form["pointers"])}
     code.layout.number_indices = {_key_from_json(key, nodes): place for place, key in enumerate(form["numbers"])}
-    code.layout.array_kinds = {(slot, part): kind for slot, part, kind in form["arrays"]}
+    code.layout.array_kind_by_slot = {(slot, part): kind for slot, part, kind in form["arrays"]}
     code.fault_sources[:] = [(what, instructions[number]) for what, number in form["faults"]]
     code.searches[:] = [
-        NeighbourSearch(species, [nodes[number] for number in sets], beside) for species, sets, beside in form["near"]
+        NeighbourSearchPlan(species, [nodes[number] for number in sets], beside) for species, sets, beside in form["near"]
     ]
     code.lazy_nodes[:] = [nodes[number] for number in form["kept"]]
     code.list_instructions[:] = [instructions[number] for number in form["lists"]]

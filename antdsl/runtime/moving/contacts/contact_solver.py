@@ -28,7 +28,7 @@ from antdsl.runtime.moving.contacts.separation import DEAD_ZONE_SHARE, SUM_BITS,
 from antdsl.runtime.moving.contacts.step_retreats import Stances
 from antdsl.runtime.moving.correction_walks import CorrectionWalker, SpeciesStances, write_approach, write_stances
 from antdsl.runtime.moving.postures import has_posture
-from antdsl.runtime.world import PUSHED_REGISTER, World
+from antdsl.runtime.world import PUSHED_DISTANCE_REGISTER, World
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -163,15 +163,15 @@ def _record_pushes(
     Only displacements by other agents are added, not `own_corrections` (3, k), the corrections of the agents' own steps. `rows`:
     ascending rows of the crowd. `moved_rows`: indices into `rows` of the agents that moved. `requested_moves` (3, k) mm: the
     requested displacements. `reached_moves`: the actual displacements, from which the distances are computed."""
-    if not any(PUSHED_REGISTER in population.now for population in crowd.species):
+    if not any(PUSHED_DISTANCE_REGISTER in population.now for population in crowd.species):
         return
     pushed = requested_moves - own_corrections.take(moved_rows, axis=1)
     short = np.where((pushed == 0).all(axis=0), 0.0, reached_moves - (requested_moves - pushed))
     far = np.sqrt(dot(short, short)).astype(_F)
     first = 0
     for population, own in crowd.split_rows(rows):
-        if PUSHED_REGISTER in population.now:
-            population.now[PUSHED_REGISTER][own] += far[first : first + len(own)]
+        if PUSHED_DISTANCE_REGISTER in population.now:
+            population.now[PUSHED_DISTANCE_REGISTER][own] += far[first : first + len(own)]
         first += len(own)
 
 

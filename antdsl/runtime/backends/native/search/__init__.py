@@ -22,16 +22,26 @@ from antdsl.machine_code.number_kinds import BOOL, F32, I8, I32, I64, LANE_COUNT
 from antdsl.plan import ir
 from antdsl.plan.traverse import collect_required_nodes
 from antdsl.runtime.backends.block_compiler import BlockInstruction
-from antdsl.runtime.backends.native.accumulators import RunningReduction
+from antdsl.runtime.backends.native.accumulators import LaneReduction
 from antdsl.runtime.backends.native.address_layout import LANE_TYPE_BY_KIND
-from antdsl.runtime.backends.native.block_writer import BlockWriter, FunctionWriter, NeighbourSearch
-from antdsl.runtime.backends.native.float4 import quadruple_address
-from antdsl.runtime.backends.native.reduction_loops import PairValues, accumulate_pairs, find_own_values, find_reduction_sets
-from antdsl.runtime.backends.native.search.cell_rows import SEARCH_SLACK_FACTOR, CellRows, append_numbers
+from antdsl.runtime.backends.native.block_writer import BlockWriter, FunctionWriter, NeighbourSearchPlan
+from antdsl.runtime.backends.native.float4 import emit_quadruple_address
+from antdsl.runtime.backends.native.reduction_loops import (
+    PairValueCache,
+    emit_pair_accumulation,
+    find_own_values,
+    find_reduction_sets,
+)
+from antdsl.runtime.backends.native.search.cell_rows import SEARCH_SLACK_FACTOR, CellRowReader, emit_append_numbers
 from antdsl.runtime.backends.native.search.dense_neighbours import write_dense_search
-from antdsl.runtime.backends.native.search.search_pairs import OPERAND_STRIDE_BYTES, POSITION_REGISTERS, SearchCode, measure_pairs
+from antdsl.runtime.backends.native.search.search_pairs import (
+    OPERAND_STRIDE_BYTES,
+    POSITION_REGISTERS,
+    SearchCodePlan,
+    emit_pair_measurements,
+)
 from antdsl.runtime.backends.native.stage_schedule import list_reduction_operands
-from antdsl.runtime.sensing.pairs import count_nearest
+from antdsl.runtime.sensing.pairs import find_needed_nearest_count
 from antdsl.runtime.world import AXES
 
 # Candidates of one agent that are gone through here, so that the cap leaves out none
@@ -54,40 +64,40 @@ class ReductionGroup:
     operand_area: Number
     result_area: Number
     answered_mask: Number
-    search: SearchCode
+    search: SearchCodePlan
 
 
 def emit_neighbour_reduction(b: BlockWriter, instruction: BlockInstruction) -> None:
     """Emit a reduction over neighbours, together with all others that the same search can compute."""
-    e, group = b.builder, _make_group(b, instruction)
+    e, group = b.builder, _make_reduction_group(b, instruction)
     shared = any(each.scope is not instruction.scope for each in group.instructions)
     mask = b.mask[-1]
     if not shared:
-        _call_search(b, group, e.mask_to_i8(mask))
+        _emit_search_call(b, group, e.mask_to_i8(mask))
     else:
         answered_mask = e.load(group.answered_mask, I8)
         missing = e.mask_to_i8(mask) & ~answered_mask
         with e.write_if(missing != 0):
-            _call_search(b, group, missing)
+            _emit_search_call(b, group, missing)
             e.store_number(group.answered_mask, answered_mask | missing)
     for k, each in enumerate(group.instructions):
         if each.scope is instruction.scope and not any(each.slot in names for names in e.known):
             kind = LANE_TYPE_BY_KIND[group.search.nodes[k].kind]
-            b.record_slot_value(each.slot, _load_from_area(e, group.result_area, k, kind))
+            b.record_slot_value(each.slot, _emit_area_load(e, group.result_area, k, kind))
     for chosen, k in group.search.overflow_slots.items():
         if any(each.scope is instruction.scope and each.subject.args[0] is chosen for each in group.instructions):  # type: ignore[union-attr]
-            with e.write_if(e.any_lane(_load_from_area(e, group.result_area, k, BOOL) & mask)):
-                e.store_number(b.array_address("counts"), e.make_constant(1, I64, 1))
+            with e.write_if(e.any_lane(_emit_area_load(e, group.result_area, k, BOOL) & mask)):
+                e.store_number(b.emit_array_address("counts"), e.make_constant(1, I64, 1))
 
 
-def _load_from_area(e: LaneBuilder, area: Number, k: int, kind: str) -> Lanes:
+def _emit_area_load(e: LaneBuilder, area: Number, k: int, kind: str) -> Lanes:
     """Return operand or result `k` of a search, loaded from the memory at `area`."""
     return e.convert(
         e.load(e.emit_offset_address(area, OPERAND_STRIDE_BYTES * k), I8 if kind == BOOL else kind, LANE_COUNT), kind
     )
 
 
-def _make_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
+def _make_reduction_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
     """Return a group that consists of the reduction `first` and all others that the same search can compute."""
     if first in b.groups:
         known_group: ReductionGroup = b.groups[first]
@@ -96,7 +106,7 @@ def _make_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
     number = len(b.code.searches)
     name = f"near.{b.species}.{b.compiler.name}.{number}"
     nodes = [each.subject for each in together if isinstance(each.subject, ir.PlanNode)]
-    near = SearchCode(name, number, nodes[0].args[0].attrs[0], nodes)
+    near = SearchCodePlan(name, number, nodes[0].args[0].attrs[0], nodes)
     operands = 0
     for instruction in together:
         operands += len(list_reduction_operands(instruction)) + 4
@@ -110,7 +120,7 @@ def _make_group(b: BlockWriter, first: BlockInstruction) -> ReductionGroup:
     return group
 
 
-def _call_search(b: BlockWriter, group: ReductionGroup, requesting: Lanes) -> None:
+def _emit_search_call(b: BlockWriter, group: ReductionGroup, requesting: Lanes) -> None:
     """Emit code that stores the operands and calls the search for the `requesting` agents among the eight.
 
     The first call of this function also writes the functions of the search."""
@@ -145,25 +155,25 @@ def _call_search(b: BlockWriter, group: ReductionGroup, requesting: Lanes) -> No
             value_indices,
         )
         plan = b.code.species
-        stops = [chosen for chosen in near.radius_slots if count_nearest(plan, chosen) is None]
+        stops = [chosen for chosen in near.radius_slots if find_needed_nearest_count(plan, chosen) is None]
         near.overflow_slots = {chosen: len(near.nodes) + k for k, chosen in enumerate(stops)}
         read = collect_required_nodes(arg for node in near.nodes for arg in node.args[1:])
         names = sorted(
             {each.attrs[0] for each in read if each.op == "other" and each.kind is ir.ValueKind.F32} - {*POSITION_REGISTERS}
         )
         near.extra_registers = [" ".join(names[k : k + 4]) for k in range(0, len(names), 4)]
-        b.code.searches.append(NeighbourSearch(near.other_species, list(near.radius_slots), near.extra_registers))
+        b.code.searches.append(NeighbourSearchPlan(near.other_species, list(near.radius_slots), near.extra_registers))
     for k, value in enumerate(values):
         e.store_number(e.emit_offset_address(group.operand_area, OPERAND_STRIDE_BYTES * k), e.broadcast(e.to_stored_form(value)))
     if fresh:
-        _write_functions(b, near)
+        _write_search_functions(b, near)
     e.emit_void("call", b.table, b.row, requesting, group.operand_area, group.result_area, x=f"@{near.name}")
 
 
 # --- eight agents in SIMD lanes --------------------------------------------------------------------------------------
 
 
-def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
+def _write_search_functions(b: BlockWriter, search_code: SearchCodePlan) -> None:
     """Write both functions of a search: one for eight agents, and one for a single agent with very many neighbours."""
     w = FunctionWriter(b.module, b.layout)
     e = w.builder
@@ -176,30 +186,32 @@ def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
     asks = e.mask_from_i8(bits)
 
     def load_own_value(k: int) -> Lanes:
-        return _load_from_area(e, own, k, search_code.operand_kinds[k])
+        return _emit_area_load(e, own, k, search_code.operand_kinds[k])
 
-    place = [e.load_lanes(w.array_address("start", f"position.{axis}"), row, F32) for axis in AXES]
+    place = [e.load_lanes(w.emit_array_address("start", f"position.{axis}"), row, F32) for axis in AXES]
     radius = {chosen: load_own_value(k) for chosen, k in search_code.radius_slots.items()}
-    search = CellRows(w, search_code.number, place, list(radius.values()), asks)
-    search.store_max_radius()
+    search = CellRowReader(w, search_code.number, place, list(radius.values()), asks)
+    search.emit_max_radius_store()
     heading = (
-        [e.load_lanes(w.array_address("start", f"heading.{axis}"), row, F32) for axis in AXES] if search_code.view_slots else []
+        [e.load_lanes(w.emit_array_address("start", f"heading.{axis}"), row, F32) for axis in AXES]
+        if search_code.view_slots
+        else []
     )
-    set_test = _CandidateTest(
+    set_test = _RadiusTest(
         e, radius, {chosen: load_own_value(k) for chosen, k in search_code.view_slots.items()}, search, heading
     )
     itself = (
-        e.load_lanes(w.array_address("grid", search_code.number, "at"), row, I32)
+        e.load_lanes(w.emit_array_address("grid", search_code.number, "at"), row, I32)
         if search_code.other_species == b.species
         else None
     )
-    buffer, number, over = _list_candidates(w, search_code, search, asks, set_test, itself)
-    sums = [RunningReduction(e, node, needs_two_words=False) for node in search_code.nodes]
+    buffer, number, over = _emit_candidate_lists(w, search_code, search, asks, set_test, itself)
+    sums = [LaneReduction(e, node, needs_two_words=False) for node in search_code.nodes]
     for each in sums:
         each.allocate_values()
     with e.write_loop(e.convert(e.emit_lane_maximum(number), I64)) as k:
         is_listed = e.convert(k, I32) < number
-        pair = measure_pairs(w, search_code, _read_lists(e, buffer, k), place, is_listed)
+        pair = emit_pair_measurements(w, search_code, _emit_candidate_list_reads(e, buffer, k), place, is_listed)
 
         def test_radius(set_node: ir.PlanNode) -> Lanes:
             reached = pair.is_present & (pair.distance <= radius[set_node])
@@ -209,10 +221,12 @@ def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
                 reached = reached & (ahead >= load_own_value(search_code.view_slots[set_node]) * pair.distance)
             return reached
 
-        pairs = PairValues(w, lambda node: load_own_value(search_code.operand_slots[node]), pair.load_value_of_other, b.senses)
+        pairs = PairValueCache(
+            w, lambda node: load_own_value(search_code.operand_slots[node]), pair.emit_value_of_other, b.senses
+        )
         for each, node in zip(sums, search_code.nodes, strict=True):
             reached = e.get_or_make(("near", node.args[0]), lambda set_node=node.args[0]: test_radius(set_node))  # type: ignore[misc]
-            accumulate_pairs(each, node, pairs, reached, pair.ids)
+            emit_pair_accumulation(each, node, pairs, reached, pair.emit_ids)
     fits = asks & ~over
     for result, each in enumerate(sums):
         stored = e.to_stored_form(each.emit_result())
@@ -227,13 +241,13 @@ def _write_functions(b: BlockWriter, search_code: SearchCode) -> None:
     e.end(search_code.name, (w.table, row, bits, own, out))
 
 
-def _read_lists(e: LaneBuilder, buffer: Lanes, k: Lanes) -> Lanes:
+def _emit_candidate_list_reads(e: LaneBuilder, buffer: Lanes, k: Lanes) -> Lanes:
     """Return element `k` of each of the eight agents' lists, i32."""
     first = e.address(buffer, k, I32)
     return e.combine_lanes(e.load(e.emit_offset_address(first, 4 * _LIST_STRIDE * lane), I32) for lane in range(LANE_COUNT))
 
 
-class _CandidateTest:
+class _RadiusTest:
     """A fast test of whether a candidate may be in any set of a search.
 
     It compares squared distances with a tolerance, so candidates that are too far away or out of view need no square root. The
@@ -244,7 +258,7 @@ class _CandidateTest:
         e: LaneBuilder,
         radius: Mapping[ir.PlanNode, Lanes],
         view: Mapping[ir.PlanNode, Lanes],
-        search: CellRows,
+        search: CellRowReader,
         heading: list[Lanes],
     ) -> None:
         self.builder, self._stack = e, search.stack
@@ -296,19 +310,19 @@ class _CandidateTest:
         return test_distance
 
 
-def _list_candidates(
+def _emit_candidate_lists(
     w: FunctionWriter,
-    search_code: SearchCode,
-    search: CellRows,
+    search_code: SearchCodePlan,
+    search: CellRowReader,
     requesting: Lanes,
-    set_test: _CandidateTest,
+    set_test: _RadiusTest,
     own_row: Lanes | None,
 ) -> tuple[Lanes, Lanes, Lanes]:
     """List, for each of eight agents, the candidates that may belong to any set.
 
     Return the address of the lists, their lengths, and a mask of the agents with more candidates than a list can hold."""
     e = w.builder
-    buffer = w.array_address("candidates")
+    buffer = w.emit_array_address("candidates")
     candidate_count, match_count, number, own_place = (e.allocate_slot(I32, LANE_COUNT) for _ in range(4))
     begins, ends = (e.allocate(_ROWS_PER_LOOKUP, format_llvm_type(I32, LANE_COUNT)) for _ in range(2))
     total, numbers = e.allocate_slot(I64), e.allocate_slot(I32, LANE_COUNT)
@@ -316,8 +330,8 @@ def _list_candidates(
         e.store_number(slot, e.make_constant(0, I32))
     if own_row is not None:
         e.store_number(own_place, own_row)
-    columns = [w.array_address("grid", search_code.number, axis) for axis in AXES]
-    fours = [w.array_address("grid", search_code.number, each) for each in ("places", *search_code.extra_registers)]
+    columns = [w.emit_array_address("grid", search_code.number, axis) for axis in AXES]
+    fours = [w.emit_array_address("grid", search_code.number, each) for each in ("places", *search_code.extra_registers)]
 
     def write_lane(lane: Lanes, rows: Lanes) -> None:
         """List the candidates of the agent in one lane. `rows`: the rows of cells to search."""
@@ -336,21 +350,21 @@ def _list_candidates(
                 at = start + k
                 for each in fours:  # needed when the list is traversed: eight entries are in at most three cache lines
                     for offset in (0, _CACHE_LINE_BYTES, LANE_COUNT * 16 - 4):
-                        e.prefetch(e.emit_offset_address(quadruple_address(e, each, at), offset))
+                        e.prefetch(e.emit_offset_address(emit_quadruple_address(e, each, at), offset))
                 now = e.load(numbers, I32, LANE_COUNT)
                 e.store_number(numbers, now + LANE_COUNT)
                 inside = test([e.load_lanes(column, at, F32) for column in columns]) & (now < last)
                 if mine is not None:
                     inside = inside & (now != mine)
-                append_numbers(e, own, total, now, inside)
+                emit_append_numbers(e, own, total, now, inside)
         e.store_number(so_far, e.convert(e.load(total, I64), I32))
 
-    every = search.count_rows()
+    every = search.emit_row_count()
     with e.write_loop(every, _ROWS_PER_LOOKUP) as first:
         rows = e.op("smin", I64, every - first, e.make_constant(_ROWS_PER_LOOKUP, I64, 1))
         e.store_number(number, e.make_constant(0, I32))
         with e.write_loop(rows) as row:
-            begin, count = search.read_next_row()
+            begin, count = search.emit_next_row_read()
             sums = e.load(candidate_count, I32, LANE_COUNT) + count
             e.store_number(candidate_count, sums)
             count = e.select_lanes(sums <= MAX_LISTED_CANDIDATES, count, e.make_constant(0, I32))

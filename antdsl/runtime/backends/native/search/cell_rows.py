@@ -13,12 +13,12 @@ from antdsl.runtime.backends.native.block_writer import FunctionWriter
 RADIUS_SLACK_FACTOR, SEARCH_SLACK_FACTOR = 1.0 + 1e-6, 1.0 + 1e-5  # as in `senses.neighbours`
 
 
-class SearchCells:
+class CellGridLanes:
     """The cell grid of a search, as lane values that each function loads once."""
 
     def __init__(self, w: FunctionWriter, number: int) -> None:
         e = w.builder
-        floats, integers = w.array_address("grid", number, "floats"), w.array_address("grid", number, "whole")
+        floats, integers = w.emit_array_address("grid", number, "floats"), w.emit_array_address("grid", number, "whole")
 
         def load_grid_value(base: Lanes, k: int, kind: str) -> Lanes:
             return e.load_scalar(base, k, kind)
@@ -33,7 +33,7 @@ class SearchCells:
         self.is_flat = e.broadcast(load_grid_value(integers, 5, I64) == 1)
         self.count = load_grid_value(integers, 6, I64)
 
-    def find_cell_range(self, axis: int, q: Lanes, half: Lanes) -> tuple[Lanes, Lanes]:
+    def emit_cell_range(self, axis: int, q: Lanes, half: Lanes) -> tuple[Lanes, Lanes]:
         """Return the first and the last cell (i32) along an axis that the interval [`q` - `half`, `q` + `half`] intersects.
 
         If it intersects none, the last cell number is less than the first."""
@@ -43,12 +43,12 @@ class SearchCells:
         last = e.emit_clamp((q + half - self.low[axis]) * self.inverse_width[axis], e.make_constant(-1.0, F64), most - 1.0)
         return e.to_int32(np.floor(first)), e.to_int32(np.floor(last))
 
-    def find_row_range(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, is_within: Lanes) -> tuple[Lanes, Lanes]:
+    def emit_row_range(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, is_within: Lanes) -> tuple[Lanes, Lanes]:
         """Return the index of the first agent in a row of cells, and the number of agents in the row (i32).
 
         The row is at cells `z` and `y`, from cell `first` to cell `last`. Both results are 0 where `is_within` is false."""
         w, e = self.writer, self.writer.builder
-        starts, keys = w.array_address("grid", self.number, "starts"), w.array_address("grid", self.number, "keys")
+        starts, keys = w.emit_array_address("grid", self.number, "starts"), w.emit_array_address("grid", self.number, "keys")
         begin, end = e.allocate_slot(I32, LANE_COUNT), e.allocate_slot(I32, LANE_COUNT)
         none = e.make_constant(0, I32)
         many = e.op("is_null", BOOL, starts)
@@ -60,13 +60,13 @@ class SearchCells:
         with e.write_if(many):
             wide = [e.convert(each, I64) for each in (z, y, first, last)]
             line = (wide[0] * self.cell_counts[1] + wide[1]) * self.cell_counts[0]
-            name = self._bisection_function()
+            name = self._get_bisection_function()
             for slot, key in ((begin, line + wide[2]), (end, line + wide[3] + 1)):
                 e.store_number(slot, e.convert(e.call_function(name, I64, keys, self.count, key), I32))
         start = e.load(begin, I32, LANE_COUNT)
         return start, e.select_lanes(is_within, e.load(end, I32, LANE_COUNT) - start, none)
 
-    def _bisection_function(self) -> str:
+    def _get_bisection_function(self) -> str:
         """Return the name of a function that finds by bisection, for each of eight keys, how many sorted keys are less (i64)."""
         name = "grid.before"
         if name in self.writer.module.functions:
@@ -91,12 +91,12 @@ class SearchCells:
         return name
 
 
-class CellRows:
+class CellRowReader:
     """The rows of cells around each of eight agents, within the agent's greatest radius."""
 
     def __init__(self, w: FunctionWriter, number: int, place: list[Lanes], radii: list[Lanes], requesting: Lanes) -> None:
         e = self.builder = w.builder
-        self.cells = cells = SearchCells(w, number)
+        self.cells = cells = CellGridLanes(w, number)
         widest = radii[0]
         for each in radii[1:]:
             widest = e.apply_function(np.fmax, widest, each)
@@ -115,21 +115,21 @@ class CellRows:
         r = e.select_lanes(usable, e.convert(widest, F64), e.make_constant(0.0, F64)) * RADIUS_SLACK_FACTOR + (
             largest * 1e-14 + 1e-18
         )
-        self.fast_first, self.fast_last = cells.find_cell_range(0, along[0], r)
-        self.middle_first, self.middle_last = cells.find_cell_range(1, along[1], r)
-        c0, c1 = cells.find_cell_range(2, along[2], r)
+        self.fast_first, self.fast_last = cells.emit_cell_range(0, along[0], r)
+        self.middle_first, self.middle_last = cells.emit_cell_range(1, along[1], r)
+        c0, c1 = cells.emit_cell_range(2, along[2], r)
         sheet = cells.is_flat & (np.abs(along[2] - cells.low[2]) <= cells.width[2])
         self.slow_first, self.slow_last = (e.select_lanes(sheet, e.make_constant(0, I32), c) for c in (c0, c1))
 
-    def store_max_radius(self) -> None:
+    def emit_max_radius_store(self) -> None:
         """Emit code that stores the greatest requested radius. The cell size of the next step depends on it."""
         w = self.cells.writer
-        e, place = self.builder, w.array_address("grid", self.cells.number, "widest")
+        e, place = self.builder, w.emit_array_address("grid", self.cells.number, "widest")
         widest = e.select_lanes(self.is_usable & np.isfinite(self.max_radius), self.max_radius, e.make_constant(0.0, F32))
         e.store_lanes(place, 0, e.apply_function(np.fmax, e.load_lanes(place, 0, F32), widest))
 
-    def count_rows(self) -> Lanes:
-        """Return how many rows `read_next_row` returns in total (i64), and restart it at the first row."""
+    def emit_row_count(self) -> Lanes:
+        """Return how many rows `emit_next_row_read` returns in total (i64), and restart it at the first row."""
         e, nothing = self.builder, self.builder.make_constant(0, I32)
         self._slow_offset, self._middle_offset = e.allocate_slot(I32), e.allocate_slot(I32)
         for slot in (self._slow_offset, self._middle_offset):
@@ -140,7 +140,7 @@ class CellRows:
         )
         return e.convert(depth * self._middle_row_count, I64)
 
-    def read_next_row(self) -> tuple[Lanes, Lanes]:
+    def emit_next_row_read(self) -> tuple[Lanes, Lanes]:
         """Return the next row of cells: the index of its first agent, and its number of agents (i32)."""
         e = self.builder
         depth, tall = e.load(self._slow_offset, I32), e.load(self._middle_offset, I32)
@@ -150,10 +150,10 @@ class CellRows:
         e.store_number(self._middle_offset, e.select_lanes(over, 0, next_one))
         e.store_number(self._slow_offset, depth + e.convert(over, I32))
         within = self.is_usable & (cy <= self.middle_last) & (cz <= self.slow_last) & (self.fast_first <= self.fast_last)
-        return self.cells.find_row_range(cz, cy, self.fast_first, self.fast_last, within)
+        return self.cells.emit_row_range(cz, cy, self.fast_first, self.fast_last, within)
 
 
-def append_numbers(e: LaneBuilder, buffer: Lanes, total: Number, numbers: Lanes, is_inside: Lanes) -> None:
+def emit_append_numbers(e: LaneBuilder, buffer: Lanes, total: Number, numbers: Lanes, is_inside: Lanes) -> None:
     """Emit code that appends to `buffer` those of eight `numbers` (i32) for which `is_inside` holds. `total`: the length of the
     buffer. All eight numbers are written, but the length grows only by the selected ones, so later calls overwrite the others.
     This avoids a branch that is hard to predict."""

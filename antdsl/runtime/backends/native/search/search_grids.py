@@ -20,16 +20,16 @@ _BOX_MARGIN_SHARE = 1 / 32  # margin of a box around a crowd, as a share of the 
 _MIN_FILLED_SHARE = 0.8  # a crowd that fills less of its box gets new cells
 _MAX_AGENTS_IN_ONE_CELL = 128  # for fewer agents, cells do not reduce the candidates
 _UNUSED_STEPS_BEFORE_RELEASE = 16  # steps after which the arrays of an unused cell size are released
-_MAX_COARSER_QUARTERS = 2  # quarters of an octave: searching cells wider by this costs less than sorting again
+_MAX_COARSENING_STEPS = 2  # quarters of an octave: searching cells wider by this costs less than sorting again
 _MAX_CELLS_PER_AGENT = 4  # with more cells per agent, wider cells cost less
-_UNBOUNDED_WIDTH = 1e300  # mm: width of a single cell for all positions
+_INFINITE_BOX_WIDTH = 1e300  # mm: width of a single cell for all positions
 
 Arrays = Mapping[str, NDArray[Any] | None]
 RegisterGroups = Sequence[tuple[str, list[NDArray[np.float32]]]]  # groups of up to four registers, with their names
 BoxCorners = tuple[list[float], list[float]]
 
 
-class _CrowdBox:
+class _CrowdBoundingBox:
     """A box slightly larger than a crowd. The cells of several steps fill this box.
 
     The cells are used while the crowd stays inside the box and fills most of it. They are replaced after some steps in any case,
@@ -55,7 +55,7 @@ class _CrowdGrid(CellOrder):
     def __init__(self, count: int, threads: int) -> None:
         super().__init__(count, threads)
         self.last_used_step = 0  # the last step in which a search read it
-        self.box: _CrowdBox | None = None  # the box of the cells
+        self.box: _CrowdBoundingBox | None = None  # the box of the cells
         self._sorted_in_step: dict[str, int] = {}  # by register names: the step in which they were sorted
 
     def sort_registers(self, registers: RegisterGroups, step: int) -> None:
@@ -97,7 +97,7 @@ class SearchGrids:
 
         `extra_registers`: registers that the search needs in the order of the cells."""
         size = float(ceil(4 * log2(radius))) if len(other) > _MAX_AGENTS_IN_ONE_CELL and radius < inf else inf
-        for wider in range(_MAX_COARSER_QUARTERS + 1):
+        for wider in range(_MAX_COARSENING_STEPS + 1):
             grid = self._grids_of_step.get((other.name, size + wider))
             if grid is not None:
                 break
@@ -119,15 +119,15 @@ class SearchGrids:
             corners = self._corners[other.name] = find_bounding_box((x, y, z))
         shape = crowd.shape
         if shape is None or crowd.box is None or not crowd.box.is_suitable(corners, self._step):
-            crowd.box = _CrowdBox(corners, self._step + _BOX_LIFETIME_STEPS)
+            crowd.box = _CrowdBoundingBox(corners, self._step + _BOX_LIFETIME_STEPS)
             shape = self._choose_shape(other, (x, y, z), crowd.box, size)
         crowd.sort(shape, (x, y, z))
         return crowd
 
-    def _choose_shape(self, other: Population, positions: Positions, box: _CrowdBox, size: float) -> GridShape:
+    def _choose_shape(self, other: Population, positions: Positions, box: _CrowdBoundingBox, size: float) -> GridShape:
         """Return the shape of the cells for a crowd in a box. A crowd of very few agents gets a single cell."""
         if size == inf:
-            return GridShape((0, 1, 2), box.low, [0.0] * 3, [_UNBOUNDED_WIDTH] * 3, [1] * 3)
+            return GridShape((0, 1, 2), box.low, [0.0] * 3, [_INFINITE_BOX_WIDTH] * 3, [1] * 3)
         shape = GridShape.from_bounds(box.low, box.high, 2.0 ** (size / 4))
         if self._needs_one_layer(other, positions, shape):
             shape = shape.flatten_to_one_layer()

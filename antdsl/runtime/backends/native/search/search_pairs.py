@@ -11,7 +11,7 @@ from antdsl.machine_code.number_kinds import I32, I64, LANE_COUNT
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.address_layout import LANE_TYPE_BY_KIND
 from antdsl.runtime.backends.native.block_writer import FunctionWriter
-from antdsl.runtime.backends.native.float4 import load_quadruples, quadruple_address
+from antdsl.runtime.backends.native.float4 import emit_quadruple_address, emit_quadruple_loads
 from antdsl.runtime.world import AXES
 
 POSITION_REGISTERS = tuple(f"position.{axis}" for axis in AXES)
@@ -19,7 +19,7 @@ OPERAND_STRIDE_BYTES = 64  # bytes from one operand or result of a search to the
 
 
 @dataclass(slots=True, eq=False)
-class SearchCode:
+class SearchCodePlan:
     """A search over the neighbours of one species: its reductions `nodes`, and the indices of operands and results.
 
     `radius_slots`, `view_slots`: by set, the index of the operand with the radius, or the field of view. `operand_slots`: the
@@ -50,7 +50,7 @@ class NeighbourLanes:
     `positions`: x, y, z of the others (mm)."""
 
     writer: FunctionWriter
-    search: SearchCode
+    search: SearchCodePlan
     is_present: Lanes
     grid_indices: Lanes
     rows: Lanes
@@ -60,60 +60,62 @@ class NeighbourLanes:
     dz: Lanes
     distance: Lanes
 
-    def ids(self) -> Lanes:
+    def emit_ids(self) -> Lanes:
         """Return the ids of the others."""
 
         def gather_ids() -> Lanes:
             return self.writer.builder.gather(
-                self.writer.array_address("other", self.search.other_species, "unsorted ids"), self._extract_rows(), I64
+                self.writer.emit_array_address("other", self.search.other_species, "unsorted ids"),
+                self._emit_rows_from_indices(),
+                I64,
             )
 
         found: Lanes = self.writer.builder.get_or_make(("ids", self.rows.name), gather_ids)
         return found
 
-    def load_value_of_other(self, node: ir.PlanNode) -> Lanes:
+    def emit_value_of_other(self, node: ir.PlanNode) -> Lanes:
         """Return the value of a leaf node that depends on the other agent, for the eight pairs."""
         named = {"pair.x": self.dx, "pair.y": self.dy, "pair.z": self.dz, "pair.distance": self.distance}
         if node.op in named:
             return named[node.op]
         if node.op == "other.id":
-            return self.ids()
+            return self.emit_ids()
         if node.attrs[0] in POSITION_REGISTERS:
             return self.positions[POSITION_REGISTERS.index(node.attrs[0])]
         for names in self.search.extra_registers:
             if node.attrs[0] in names.split():
-                return self._load_register_group(names)[names.split().index(node.attrs[0])]
+                return self._emit_register_group_load(names)[names.split().index(node.attrs[0])]
         return self.writer.builder.gather(
-            self.writer.array_address("other", self.search.other_species, node.attrs[0]),
-            self._extract_rows(),
+            self.writer.emit_array_address("other", self.search.other_species, node.attrs[0]),
+            self._emit_rows_from_indices(),
             LANE_TYPE_BY_KIND[node.kind],
         )
 
-    def _load_register_group(self, names: str) -> list[Lanes]:
-        e, base = self.writer.builder, self.writer.array_address("grid", self.search.number, names)
-        registers: list[Lanes] = e.get_or_make((names, self.rows.name), lambda: load_quadruples(e, base, self.grid_indices))
+    def _emit_register_group_load(self, names: str) -> list[Lanes]:
+        e, base = self.writer.builder, self.writer.emit_array_address("grid", self.search.number, names)
+        registers: list[Lanes] = e.get_or_make((names, self.rows.name), lambda: emit_quadruple_loads(e, base, self.grid_indices))
         return registers
 
-    def _extract_rows(self) -> Lanes:
+    def _emit_rows_from_indices(self) -> Lanes:
         """Return the rows of the others, loaded one by one.
 
         Each row is used as a separate address. Extracting these from a SIMD register would be slower."""
-        e, positions = self.writer.builder, self.writer.array_address("grid", self.search.number, "places")
+        e, positions = self.writer.builder, self.writer.emit_array_address("grid", self.search.number, "places")
 
         def extract_lanes() -> Lanes:
-            fours = (quadruple_address(e, positions, e.extract_lane(self.grid_indices, lane)) for lane in range(LANE_COUNT))
+            fours = (emit_quadruple_address(e, positions, e.extract_lane(self.grid_indices, lane)) for lane in range(LANE_COUNT))
             return e.combine_lanes(e.load(e.emit_offset_address(four, 12), I32) for four in fours)
 
         row_lanes: Lanes = e.get_or_make(("rows", self.rows.name), extract_lanes)
         return row_lanes
 
 
-def measure_pairs(
-    w: FunctionWriter, search_code: SearchCode, grid_indices: Lanes, place: list[Lanes], is_present: Lanes
+def emit_pair_measurements(
+    w: FunctionWriter, search_code: SearchCodePlan, grid_indices: Lanes, place: list[Lanes], is_present: Lanes
 ) -> NeighbourLanes:
     """Return the pairs of requesting agents at positions `place` and others with indices `grid_indices`."""
     e = w.builder
-    *others, rows = load_quadruples(e, w.array_address("grid", search_code.number, "places"), grid_indices)
+    *others, rows = emit_quadruple_loads(e, w.emit_array_address("grid", search_code.number, "places"), grid_indices)
     dx, dy, dz = (other - own for other, own in zip(others, place, strict=True))
     return NeighbourLanes(
         w,
