@@ -188,7 +188,7 @@ class _DocumentReader:
         return self.make_error("too-large", f"values are nested more than {limits.MAX_YAML_DEPTH} levels deep", span)
 
     def report_odd_blank(self, match: re.Match[str]) -> None:
-        """Report the first character that looks like a blank but is another character."""
+        """Report the first character that looks like a blank but is a different character, such as a non-breaking space."""
         import unicodedata
 
         character = match[0]
@@ -239,15 +239,16 @@ class _DocumentReader:
         return self.make_error("scene-syntax", f"cannot read the scene here: {words}", place, help, *labels)
 
     def find_call_help(self, position: int) -> str | None:
-        """Return what to write instead of the call at a position, such as `all(ant, within: 9 mm)`. Return None if there is no
-        call."""
+        """Return advice on what to write instead of the call at a position, such as `all(ant, within: 9 mm)`. Return None if
+        there is no call at the position."""
         line = self.source.text[max(0, position - _MAX_QUOTED_LINE_CHARACTERS) : position + _MAX_QUOTED_LINE_CHARACTERS]
         calls = _CALL_PATTERN.finditer(line)
         at = min(position, _MAX_QUOTED_LINE_CHARACTERS)
         return next((suggest_flow_mapping(call[0]) for call in calls if call.start() <= at < call.end()), None)
 
     def explain_problem(self, problem: Any, start: int) -> Diagnostic | None:
-        """Return a message that is more precise than YAML's own, or None. `start`: the offset of the error."""
+        """Return an error message that is more precise than YAML's own message, or None if there is none. `start`: the offset of
+        the error."""
         if str(getattr(problem, "context", "")).startswith("while parsing a flow"):
             return None
         start_mark = getattr(problem, "context_mark", None)
@@ -320,7 +321,8 @@ class _DocumentReader:
         return root
 
     def report_call_with_comma(self, open_node: _UnfinishedNode) -> None:
-        """Report a comma in parentheses that ends a value of `{…}` or `[…]`, as in `{kill: all(ant, within: 9 mm)}`."""
+        """Report a comma inside the parentheses of a call, where it ends a value of `{…}` or `[…]`, as in `{kill: all(ant,
+        within: 9 mm)}`."""
         for item in open_node.items:
             if not isinstance(item, ScalarNode) or item.is_quoted or item.text.count("(") <= item.text.count(")"):
                 continue
@@ -334,7 +336,7 @@ class _DocumentReader:
             raise _DocumentError
 
     def finish_node(self, open_node: _UnfinishedNode, end: int) -> DocumentNode:
-        """Return the node of a mapping or sequence that has been read completely. `end`: the offset of its end."""
+        """Return the finished node of a mapping or sequence that has been read completely. `end`: the offset at which it ends."""
         text = self.source.text
         while end > open_node.start + 1 and text[end - 1 : end].isspace():
             end -= 1

@@ -70,7 +70,8 @@ def replace_field_settings(program: Program, scene: Scene, values: Mapping[str, 
 
 
 def replace_field_setting(field: Field, setting_name: str, value: Expr) -> Field:
-    """Return a field with a new value for one setting. A new setting for fading replaces all earlier settings for fading."""
+    """Return a field with a new value for one of its settings. If the setting is about fading, it replaces all settings about
+    fading."""
     values: dict[str, Any] = dict.fromkeys(DECAY_SETTING_NAMES) if setting_name in DECAY_SETTING_NAMES else {}
     return replace(field, **{**values, setting_name: value})
 

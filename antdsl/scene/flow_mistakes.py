@@ -14,7 +14,8 @@ _MAX_CALL_CHARACTERS = 1000
 
 
 def find_closing_parenthesis(text: str, start: int, end: int) -> int | None:
-    """Return the index after the parenthesis that closes the first one after `start`, or None if a brace ends before it."""
+    """Return the index after the parenthesis that matches the first opening one after `start`. Return None if a brace ends the
+    value before it."""
     depth = 0
     for position in range(start, min(end, start + _MAX_CALL_CHARACTERS)):
         character = text[position]
@@ -27,8 +28,8 @@ def find_closing_parenthesis(text: str, start: int, end: int) -> int | None:
 
 
 def suggest_flow_mapping(call: str) -> str:
-    """Return what to write instead of a call such as `all(ant, within: 9 mm)`: a selector if one fits, else the call in
-    quotes."""
+    """Return advice on what to write instead of a call such as `all(ant, within: 9 mm)`. It is a selector if one fits, otherwise
+    the call in quotes."""
     quote = "'" if '"' in call else '"'
     return suggest_selector(call) or f"put it in quotes: `{quote}{call}{quote}`"
 
@@ -58,8 +59,8 @@ def explain_joined_entry(text: str) -> tuple[str, str] | None:
 
 
 def explain_key_without_value(text: str, previous: tuple[str, str] | None) -> tuple[str, str]:
-    """Return the message and the advice for an entry of `{…}` that has no value. `previous`: the key and the value of the entry
-    before it."""
+    """Return the message and the advice for an entry of `{…}` without a value. `previous`: the key and the value of the
+    preceding entry, or None."""
     joined = explain_joined_entry(text)
     if joined is not None:
         return joined

@@ -35,8 +35,8 @@ class _IndentedLine:
 
 @dataclass(slots=True)
 class _IndentLevel:
-    """A level of indentation: its indent, whether its lines are list items, its last line, and the rest of the text of that
-    line."""
+    """One level of indentation in a block. `is_list`: whether its lines are list items. `line`: its last line; `text`: the rest
+    of this line."""
 
     indent: int
     is_list: bool
@@ -46,16 +46,17 @@ class _IndentLevel:
 
 @dataclass(slots=True)
 class _MisindentedLine:
-    """A line with an indent that matches no level, and the nearest level."""
+    """A line with an indent that matches no level of indentation. `level`: the level with the nearest indent."""
 
     line: _IndentedLine
     level: _IndentLevel
 
 
 def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
-    """Return the error about the first line with a wrong indent, or None. Lines after the offset `stop` are ignored.
+    """Return the error about the first line with a wrong indent, or None if all are right. Lines after the offset `stop` are
+    ignored.
 
-    If a shift of the previous line solves the problem, the error is about that line."""
+    If shifting the previous line would solve the problem, the error is about the previous line."""
     odd = _find_misindented_line(source.text, stop)
     if odd is None:
         return None
@@ -103,7 +104,8 @@ def _find_misindented_line(text: str, stop: int | None = None) -> _MisindentedLi
 
 
 def _enter_line(levels: list[_IndentLevel], line: _IndentedLine) -> bool:
-    """Add a line to the levels. Return whether its last key has no value, which means that a block may follow."""
+    """Add a line to the levels of indentation. Return whether the last key of the line has no value, because then a block may
+    follow."""
     indent, text = line.indent, line.text
     while True:
         dash = text == "-" or text.startswith("- ")
@@ -148,7 +150,7 @@ def _shift_line(text: str, line: _IndentedLine, shift: int, *, only_line: bool =
 
 
 def _find_block_end(text: str, line: _IndentedLine) -> int:
-    """Return the end of the block that consists of a line and the following lines with a larger indent."""
+    """Return the offset at which a block ends. The block consists of a line and all following lines with a larger indent."""
     last = _find_line_end(text, line.start)
     while last < len(text):
         stop = _find_line_end(text, last + 1)
@@ -211,9 +213,11 @@ def _strip_comment(line: str, depth: int, quote: str) -> tuple[str, int, str]:
 
 
 def explain_missing_colon(source: Source, start: int) -> Diagnostic | None:
-    """Return the error about a line without a colon between key and value, such as `fps 24`. Return None if there is none.
+    """Return the error about a line without a colon between key and value, such as `fps 24`. Return None if there is no such
+    line.
 
-    YAML joins such a line with the next line. `start`: an offset; its line and the line above are examined."""
+    YAML joins such a line with the next one. `start`: the offset of YAML's own error. Its line and the line above are examined.
+    """
     line, _ = source.find_line_column(start)
     for number in (line, line - 1):
         text = source.line_text(number)

@@ -77,9 +77,10 @@ def _read_parent(
 
 
 def _merge_mappings(child: MappingNode, parent: MappingNode, excluded_keys: frozenset[str] = frozenset()) -> MappingNode:
-    """Return two mappings merged key by key. Values that are not mappings are taken from `child` if it has them.
+    """Return two mappings merged key by key. Where both have a key and its values are not both mappings, the value of `child` is
+    used.
 
-    Keys in `excluded_keys` are not merged."""
+    Values of keys in `excluded_keys` are never merged, only replaced."""
     entries: dict[str, DocumentNode] = {key: value for key, value in parent.entries.items() if key not in excluded_keys}
     keys: dict[str, Span] = {key: span for key, span in parent.keys.items() if key not in excluded_keys}
     for key, value in child.entries.items():

@@ -49,7 +49,7 @@ _UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here", "-selector", "-region", "-e
 class Scene:
     """A scene with typed values, as in the source. It has not been checked against a program.
 
-    `added_notes`: how many notes at its end come from elsewhere than its files."""
+    `added_notes`: how many of its last notes are not from its files but were added by the caller."""
 
     model: SceneModel
     document: MappingNode
@@ -74,8 +74,8 @@ class Scene:
     def compute_digest(self) -> str:
         """Return a digest of everything in the scene's files that affects results.
 
-        It excludes the output, and cameras that no level of detail uses. For cameras that agents sense, use `hash_camera`. It
-        also excludes the last frame and `until`, so that a cache can be continued past its end."""
+        The digest excludes the output, and cameras that no level of detail uses. For cameras that agents sense, use
+        `hash_camera`. The digest also excludes the last frame and `until`, so that a cache can be continued past its end."""
         without = {"output", "frames", "until", "extends", "cameras"} | ({"camera"} if self.model.lod is None else set())
         relevant_keys = sorted(set(type(self.model).model_fields) - without)
         values = [(name, getattr(self.model, name)) for name in relevant_keys if name not in ("crowd", "notes")]
@@ -149,8 +149,9 @@ _KEYS_WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "cam
 
 
 def _find_lines_at_wrong_level(document: MappingNode) -> dict[PathKey, Diagnostic]:
-    """Return errors about lines at the left edge that belong below an earlier key, which has no value. They are stored by key.
-    The earlier key and the keys of all of these lines have the same error, about the first line."""
+    """Return errors about lines at the left edge that should be indented below an earlier key without a value.
+
+    Each error is about the first of these lines. It is stored under the earlier key and under the key of each of these lines."""
     from antdsl.scene.scene_model import SceneModel
 
     known = {field.alias or name for name, field in SceneModel.model_fields.items()}
@@ -174,10 +175,10 @@ def _find_lines_at_wrong_level(document: MappingNode) -> dict[PathKey, Diagnosti
 
 
 def drop_cascading_errors(errors: list[Any]) -> list[Any]:
-    """Return the errors without those that only follow from a misspelled key.
+    """Return the errors, without consequential errors of a misspelled key.
 
-    A misspelled key is unknown, and the intended key is missing. In a mapping that allows any key, the value of the misspelled
-    key has the wrong type."""
+    pydantic reports a misspelled key twice: as an unknown key, and as a missing key with the right name. Where any key is
+    allowed, it instead reports a wrong type for the value."""
     missing = {tuple(error["loc"]) for error in errors if error["type"] == "missing"}
     errors_by_path: dict[tuple[PathKey, ...], Any] = {}
     meant: set[tuple[PathKey, ...]] = set()
@@ -198,8 +199,8 @@ def drop_cascading_errors(errors: list[Any]) -> list[Any]:
 def report_model_error(
     report: Report, document: MappingNode, error: Any, models: Mapping[str, type[ScenePart]] | None = None
 ) -> None:
-    """Add a pydantic error to a report, at its location in the text. `models`: further models, by the last word of the path to
-    their keys."""
+    """Add a pydantic error to a report, at its location in the text. `models`: further models. The key of a model is the last
+    word of the paths that lead to it."""
     kind, path = error["type"], tuple(error["loc"])
     if kind == "extra_forbidden":
         _report_unknown_key(report, document, path, error.get("meant"), models or {})
@@ -286,7 +287,8 @@ def _format_path(path: tuple[PathKey, ...]) -> str:
 
 
 def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, type[ScenePart]]) -> list[str]:
-    """Return the keys that are allowed by the model at a path."""
+    """Return the keys that the model at a path allows. `further_models`: models in addition to the scene's, by the last word of
+    the path."""
     from antdsl.scene import scene_model
     from antdsl.scene.camera_models import CAMERA_MODEL_BY_TYPE_TAG, CameraKey
     from antdsl.scene.crowds.casting_model import RANDOM_VALUE_MODELS

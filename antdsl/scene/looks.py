@@ -71,8 +71,8 @@ def compute_drawn_radius(radius: float, remaining_share: float) -> float:
 
 
 def find_kind_by_name(mesh: str) -> str | None:
-    """Return the kind of surface that has one of its words in the name of a mesh, or None. The first such kind in the table is
-    used."""
+    """Return the kind of surface that fits the name of a mesh, because the name contains one of the kind's words. If several
+    kinds fit, return the first one in the table. Return None if no kind fits."""
     name = mesh.lower()
     return next((kind for kind, row in SURFACE_KINDS.items() if any(word in name for word in row.words)), None)
 

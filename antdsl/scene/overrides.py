@@ -35,7 +35,7 @@ def read_overrides(scene: Scene, program: Program, params: Mapping[str, str], re
 
 
 def apply_field_changes(program: Program, changes: Iterable[SpecChange]) -> Program:
-    """Return the program with the field settings that a spec changes."""
+    """Return the program after a spec has changed some settings of its fields."""
     fields = dict(program.fields)
     for change in changes:
         name, _, word = change.name.partition(".")

@@ -46,7 +46,8 @@ class PathRefused(Exception):
 def record_requested_paths() -> Iterator[RequestedPaths]:
     """Record all files that are requested through this module within the context, in order, whether they exist or not.
 
-    The result maps each path to the root below which no link is followed. The root is None for a file that the user named."""
+    The result maps each path to the root that contains it. Below the root, no link is followed. The root is None for a file that
+    the user named."""
     sought_files: RequestedPaths = {}
     token = _requested_paths.set(sought_files)
     try:
@@ -159,10 +160,8 @@ def read_user_file(path: Path, max_bytes: int) -> bytes:
 
 
 def reopen_file(path: Path, root: Path | None) -> int:
-    """Return a file descriptor of a regular file that was requested before, to check whether it has changed. The caller closes
-    it.
-
-    Below `root`, no link is followed. Raises OSError if the file cannot be opened."""
+    """Open a regular file again to check whether it has changed since the first request. Return the file descriptor, which the
+    caller must close."""
     if root is None:
         return open_regular_file(path)
     try:
@@ -172,8 +171,8 @@ def reopen_file(path: Path, root: Path | None) -> int:
 
 
 def record_request(path: Path, root: Path | None) -> None:
-    """Record a request for a file if `record_requested_paths` is active. Code that has a cached result for the file calls this
-    too."""
+    """Record a request for a file while `record_requested_paths` is active. A caller that uses a cached result instead of the
+    file must call this, too."""
     sought_files = _requested_paths.get()
     if sought_files is not None:
         sought_files[path] = root
@@ -310,8 +309,8 @@ def _list_names_below(root: Path, parts: tuple[str, ...], display_path: str) -> 
 
 
 def _check_exact_name(folder: int, component: str, display_path: str) -> None:
-    """Raise PathRefused for a name that differs in case from the file's real name. Only a case-insensitive file system would
-    find it."""
+    """Raise PathRefused for a name that differs in case from the file's real name. A case-insensitive file system would open the
+    file, but another system would not."""
     if _is_exact_name(folder, component):
         return
     names = os.listdir(folder)
@@ -324,10 +323,10 @@ def _check_exact_name(folder: int, component: str, display_path: str) -> None:
 
 
 def _is_exact_name(folder: int, component: str) -> bool:
-    """Return whether a file is known to have exactly this name. The folder is not listed, because it may contain thousands of
-    files.
+    """Return whether a file certainly has exactly this name. False means that there is no such file, or that the same name in
+    another case exists too.
 
-    False also means that this is uncertain: the file does not exist, or the name also exists in another case."""
+    The folder is not listed, because it may contain thousands of files."""
     other = "".join(c.swapcase() if c.isascii() else c for c in component)
     if other == component:
         return False

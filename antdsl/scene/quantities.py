@@ -32,7 +32,7 @@ class Quantity:
     """A number with a dimension.
 
     `number`: the value in base units (mm, s, g, rad) is `number` · (mm per scene unit) ** `length_exponent` · dt ** `step`.
-    `unit`: the unit as in the source. States contain a hash of the text of notes, which includes the names of these fields."""
+    `unit`: the unit as in the source. The names of these fields must not change, because state hashes include notes as text."""
 
     number: float
     dim: Dimension

@@ -50,7 +50,7 @@ class SceneThingKind:
             _check_scale(entry, value)
 
     def check_item_keys(self, entry: WorldEntryCheck, value: forms.UsdThing) -> None:
-        """Report keys of a thing from a USD file that are allowed only for items."""
+        """Report keys that only items may have, on a thing from a USD file that is not items."""
         for key in ("each", "kind", "turn", *self.forbidden_picture_keys):
             if key in value.model_fields_set:
                 users = "what is seen" if key in self.forbidden_picture_keys else "items"
@@ -207,8 +207,8 @@ def _list_target_names(entry: WorldEntryCheck, lines_only: bool) -> list[str]:
 
 
 def find_painted_surface(scene: Scene, surfaces: list[str], thing: forms.PaintedThing) -> str | None:
-    """Return the surface that has the painted values in its own file. Return None if there is no such surface, or more than
-    one."""
+    """Return the surface for which a thing is painted, because the file of the thing is also the file of the surface. Return
+    None unless there is exactly one."""
     meshes = {n: scene.model.world.get(n) for n in surfaces}
     own = [n for n, m in meshes.items() if thing.painted in (getattr(m, "mesh", None), getattr(m, "usd", None))]
     return own[0] if len(own) == 1 else None

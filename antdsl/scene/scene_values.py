@@ -26,15 +26,15 @@ def is_scene_value(name: str) -> bool:
 
 
 def select_params(values: Mapping[str, str]) -> dict[str, str]:
-    """Return the values that are not keys of a scene."""
+    """Return those values that are values of params, not of keys of the scene."""
     return {name: text for name, text in values.items() if not is_scene_value(name)}
 
 
 def replace_entries(document: MappingNode, values: Mapping[str, str], report: Report) -> MappingNode | None:
     """Return the tree of a scene with new values for some keys. Return None after errors, which are added to the report.
 
-    `values`: texts as in a scene, by key names joined with `.`. A crowd line is identified by its `name`, its species or its
-    number from 0. Names of params are ignored."""
+    `values`: the new values as text. Their keys are the scene keys on the path, joined with `.`. A crowd line is identified by
+    its `name`, its species or its index. Names of params are ignored."""
     for name, text in values.items():
         if is_scene_value(name):
             source, findings = decode_source(f"value: {text}".encode("utf-8", "replace"), f"<{name}>", "a value")
@@ -48,7 +48,8 @@ def replace_entries(document: MappingNode, values: Mapping[str, str], report: Re
 
 
 def _replace_entry(node: MappingNode, path: list[str], name: str, value: DocumentNode, report: Report) -> MappingNode:
-    """Return a mapping with a new value at a path of keys below it."""
+    """Return a copy of a mapping in which the value at a path of keys is replaced. `path`: the keys, relative to the mapping.
+    `name`: the complete name, for messages."""
     key, *rest = path
     if not rest:
         span: Span = node.keys.get(key, node.span)

@@ -76,12 +76,12 @@ class FlowTarget:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpreadFlowData:
-    """A flow around a target that decreases with the distance.
+    """A flow around a target. It becomes weaker with the distance from the target.
 
     `direction`: along the target (a line), towards it, or away from it.
     `radius`: the distance in mm beyond which the flow is 0; None for no limit.
-    `gather`: if above 0, a flow along a line also leads towards the line. It is the ratio of the part towards the line to the
-    part along it, at the radius.
+    `gather`: if above 0, a flow along a line also leads towards the line. At the radius, this is the ratio of the component
+    towards the line to the component along the line.
     `cell`: the distance between sample points (mm); None for a fraction of the radius.
     `surfaces`: the surfaces with the flow; empty for all."""
 
@@ -136,7 +136,8 @@ FlowData = PaintedValues | SpreadFlowData | BorderFlowData | SolvedFlowData
 class ItemData:
     """One item. `attributes`: in base units; absent attributes have the declared default. `look`: the material in pictures.
 
-    `power`: the strength of a lamp; None for other items. `colour`: of the lamp's light (display values); None for warm white."""
+    `power`: the strength of a lamp; None for other items. `colour`: the colour of the lamp's light, as display values; None for
+    warm white."""
 
     name: str
     position: PointMm
@@ -178,7 +179,7 @@ class BodyCapsuleData:
 
 @dataclass(frozen=True, slots=True)
 class GaitData:
-    """A gait in body lengths and seconds, with the fields of `bodies.agents.legs.Gait`. `phases`: the phase of each leg."""
+    """A gait, in body lengths and seconds. It has the fields of `bodies.agents.legs.Gait`. `phases`: the phase of each leg."""
 
     speed: float
     stride: float
@@ -189,7 +190,7 @@ class GaitData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LegsData:
-    """The L legs of a body in its standing pose, in body lengths.
+    """The L legs of a body in its standing pose. All lengths are in body lengths.
 
     Axes: x along the heading, y up from the ground, z to the side (x × y). `foot` float64[L, 3]: the foot joints. `hip`
     float64[L, 3]: the start of each leg. `length` float64[L]: the distance from hip to foot joint for a straight leg.
@@ -213,7 +214,7 @@ class FieldStartData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraData:
-    """A camera over the written frames, with one row per frame, or a single row for a static camera.
+    """A camera during the written frames. Each array has one row per frame, or a single row for a static camera.
 
     Positions are in mm, directions in the scene's axes.
     `focal`: the focal length in mm for a sensor with the width `SENSOR_WIDTH_MM`; 0 stands for `DEFAULT_FOCAL_MM`.
@@ -231,7 +232,7 @@ class CameraData:
         return len(self.at) > 1
 
     def find_row(self, frame: int) -> int:
-        """Return the row index for a frame of the scene."""
+        """Return the row index for a frame of the scene. For earlier or later frames, this is the first or the last row."""
         return min(max(frame - self.first, 0), len(self.at) - 1)
 
 
@@ -260,9 +261,9 @@ class WorldSetting:
     `first_frame`: the number of the first simulated frame.
     `motion`: the motion of meshes, items and curves.
     `cameras`: the cameras that do not depend on agents, by name.
-    `uses_rays`: whether agents find meshes by two rays per step instead of walking over triangles.
-    `orient`: how bodies stand: perpendicular to the smooth `normal` of the ground, to the last two directions of motion
-    (`turns`), or to the directions to two `probes`.
+    `uses_rays`: whether agents find the ground by two rays per step instead of walking from triangle to triangle.
+    `orient`: what the up direction of bodies is perpendicular to: the ground with its smooth `normal`, the last two directions
+    of motion (`turns`), or the directions to two `probes`.
     `deviations`: the largest distance (mm) between the triangles of height surfaces and bilinear patches.
     `contacts`: how bodies are separated.
     `body_weights`: for species with several bodies, the weight of each body.

@@ -36,7 +36,7 @@ Look = Annotated[str, BeforeValidator(parse_one_of(*LOOK_WORDS))]  # keys for th
 
 
 class ThingModel(ScenePart):
-    """A form in which a scene can define a thing of the world, such as by a mesh file. Its first field is the required key that
+    """One form of defining a thing of the world in a scene, such as by a mesh file. The first field is the required key that
     identifies the form.
 
     `names_file`: whether the value of this key is the path of a file with the thing."""
@@ -140,7 +140,7 @@ class UsdThing(ThingModel):
 
     @property
     def prim_path(self) -> str:
-        """Return the path of the prim. It is `/`, the complete file, if the scene names none."""
+        """Return the path of the prim. If the scene names no prim, the path is `/`, which stands for the complete file."""
         return "/" if self.prim is None else self.prim
 
 
@@ -293,7 +293,7 @@ class LampThing(ThingModel):
 
 
 def convert_rotation(thing: PlacedThing) -> tuple[float, float, float]:
-    """Return the rotation of a thing in radians, about x, then y, then z."""
+    """Return the rotation of a thing as angles about x, y and z in radians, which are applied in this order."""
     x, y, z = (angle.number for angle in thing.rotate) if thing.rotate else (0.0, 0.0, 0.0)
     return x, y, z
 

@@ -85,7 +85,8 @@ def parse_any_quantity(value: Any) -> Quantity:
 
 
 def _limit_quantity(quantity: Quantity, largest: float, unit: str = "") -> Quantity:
-    """Return the quantity unchanged. Raises an error if it is larger than `largest`."""
+    """Return the quantity unchanged. Raises an error if its number is larger than `largest`. `unit`: the unit of `largest`, for
+    the message."""
     if abs(quantity.number) > largest:
         raise make_value_error(
             f"{describe_value(quantity.text)} is too large", f"write a number from {-largest:g} to {largest:g}{unit}"
@@ -218,8 +219,8 @@ _OTHER_RANGE_PATTERN = re.compile(r"\[?\s*(-?[0-9]{1,9})\s*(?:-|–|—|…|\.{3
 
 
 def parse_frame_range(text: str) -> FrameRange:
-    """Return the frames that a text stands for: a range such as `1001..1720`, or a single frame. Raises QuantityError with the
-    reason."""
+    """Return the frames that a text stands for. The text is a range such as `1001..1720`, or a single frame. Raises
+    QuantityError with the reason."""
     try:
         first, last = parse_integer_range(text)
     except QuantityError:
@@ -251,7 +252,7 @@ def _check_path(value: Any) -> str:
 
 
 def parse_word_or_file(*words: str) -> Callable[[Any], str]:
-    """Return a parser that accepts one of `words`, or the path of a file, which contains a dot or a slash."""
+    """Return a parser that accepts one of `words` or the path of a file. A text with a dot or a slash counts as a path."""
 
     def read_word_or_file(value: Any) -> str:
         text = require_text(value, "a word, or the path of a file,")

@@ -47,7 +47,8 @@ def report_unknown_name(
 ) -> None:
     """Report a name that is not in `known_names`.
 
-    `path`: the location of the name. `key`: whether the name is the last key of the path; if not, it is the value at the path."""
+    `kind`: the start of the message. `path`: the location of the name. `key`: whether the name is the last key of the path
+    rather than the value at the path."""
     names = sorted(known_names)
     name = str(path[-1]) if key else scene.find_span(*path).text.strip("\"'")
     near = find_nearest_name(name, names)
@@ -104,7 +105,9 @@ def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dimensio
 def check_attribute_value(
     scene: Scene, report: Report, value: Quantity, attribute: AttributeDecl, *path: PathKey, deviation: float = 0.0
 ) -> bool:
-    """Return whether an attribute may have the value `value` minus `deviation` (both in base units). If not, report an error."""
+    """Return whether an attribute may have a value. If not, report an error.
+
+    `deviation`: subtracted from `value` before the test, in base units."""
     if not check_dimension(scene, report, value, attribute.type.dimension, attribute.name, *path):
         return False
     help = explain_range(attribute.name, value.to_base_units(scene.model.unit_mm, float(1 / scene.model.fps)) - deviation)

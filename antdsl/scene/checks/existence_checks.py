@@ -46,7 +46,8 @@ def check_body_files(scene: Scene, program: Program, report: Report) -> None:
 
 
 def find_body_span(scene: Scene, number: int, text: str) -> Span:
-    """Return the location of a body's name in a crowd line. It is the key in a mapping of bodies, or else the value of `body`.
+    """Return the location of a body's name in a crowd line. If the line has a mapping of bodies, this is a key of the mapping,
+    otherwise the value of `body`.
 
     `number`: the index of the line. `text`: the name of the body."""
     if isinstance(scene.model.crowd[number].body, dict):
@@ -115,9 +116,10 @@ def _has_lamp(thing: Any) -> bool:
 
 
 def check_spec_scenes(program: Program | None, grants: Mapping[str, Path] | None = None) -> Report:
-    """Report scenes that specs name but that do not exist. Each scene is reported once, with all of its locations.
+    """Report scenes that do not exist although specs name them. Each missing scene is reported once, with all locations that
+    name it.
 
-    No scene is read."""
+    The scenes themselves are not read."""
     report = Report()
     specs = program.specs if program else ()
     named = (text for spec in specs for text in (spec.scene, spec.reference_run.scene if spec.reference_run else None))

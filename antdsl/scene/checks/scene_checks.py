@@ -180,7 +180,7 @@ def _check_layers(scene: Scene, program: Program, report: Report) -> None:
 
 
 def _check_cameras(scene: Scene, program: Program, report: Report) -> None:
-    """Report camera names that already mean something else for `render --camera`, and cameras with missing files or agents."""
+    """Report cameras with a name that means something else for `render --camera`, and cameras with missing files or agents."""
     for name, camera in scene.model.named_cameras.items():
         path = scene.model.find_camera_path(name)
         if isinstance(camera, UsdCamera):

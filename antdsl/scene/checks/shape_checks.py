@@ -17,10 +17,10 @@ _SHAPE_FIELDS = ("points", "inside", "along", "edge", "volume", "ranks")  # of w
 
 
 def collect_item_declarations(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Return the names that `around` accepts. Each name maps to a pair: the name of the group of items, and the name of one
-    item.
+    """Return the item names that `around` accepts. Each name maps to a pair: the name of the group, and the name of an item in
+    it.
 
-    The name of a group stands for its first item."""
+    The name of a group itself is also accepted and maps to the first item of the group."""
     names: dict[str, tuple[str, str]] = {}
     for name, value in scene.model.world.items():
         if isinstance(value, dict) and value:
@@ -33,7 +33,8 @@ def collect_item_declarations(scene: Scene) -> dict[str, tuple[str, str]]:
 
 
 def check_placement_shapes(scene: Scene, program: Program, report: Report, place: Placement, *path: PathKey) -> None:
-    """Report placement shapes that exclude each other, unknown names in them, and directions that do not fit the shape."""
+    """Report shapes of a placement that exclude each other, unknown names in the shapes, and a `facing` that does not fit the
+    shape."""
     shapes = [name for name in _SHAPE_FIELDS if getattr(place, name) is not None]
     disc = ["around"] if place.around is not None and place.ranks is None else []
     disc += ["radius"] if place.radius is not None and place.along is None and place.edge is None else []
@@ -60,7 +61,7 @@ def check_placement_shapes(scene: Scene, program: Program, report: Report, place
 
 
 def _check_facing(scene: Scene, report: Report, place: Placement, items: dict[str, tuple[str, str]], *path: PathKey) -> None:
-    """Report a `facing` that has no meaning for its placement."""
+    """Report a `facing` that makes no sense for its placement."""
     facing, span = place.facing, scene.find_span(*path, "facing")
     if isinstance(facing, FacingDirection):
         if not any(facing.direction):
@@ -76,6 +77,6 @@ def _check_facing(scene: Scene, report: Report, place: Placement, items: dict[st
 
 
 def _has_placement_centre(place: Placement) -> bool:
-    """Return whether a placement has a centre or a line, so that `facing` may lead outward from it."""
+    """Return whether a placement has a centre or a line from which `facing: out` can lead away."""
     keys = ("around", "radius", "inside", "along", "edge", "volume")
     return any(getattr(place, key) is not None for key in keys)

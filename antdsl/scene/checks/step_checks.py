@@ -40,7 +40,7 @@ def check_avoidance_steps(scene: Scene, program: Program, report: Report) -> Non
 
 
 def find_first_lines(scene: Scene, program: Program) -> Iterator[tuple[int, Species]]:
-    """Yield the number of a species' first crowd line, and the species, for each species in the crowd."""
+    """Yield, for each species in the crowd, the index of its first crowd line and the species."""
     seen: set[str] = set()
     for number, line in enumerate(scene.model.crowd):
         if line.species not in seen and line.species in program.species:
@@ -53,7 +53,8 @@ def check_step_lengths(scene: Scene, program: Program, report: Report) -> None:
     substeps.
 
     The distance per step depends on `fps`, `substeps` and `max_speed`. The body length depends on `size` and on the library's
-    body. Species with other bodies are not checked. Values that depend on more than params and draws are not checked either."""
+    body. Species with other bodies are not checked. Values that depend on anything except params and random draws are not
+    checked either."""
     model = scene.model
     if model.contacts == "off":
         return
@@ -82,8 +83,8 @@ def _format_limit(length: float, scene: Scene) -> str:
 
 
 def compute_typical_value(attribute: AttributeDecl | None, scene: Scene, program: Program) -> float | None:
-    """Return the mean value that an attribute has at birth, in base units. Return None if it depends on more than params and
-    draws."""
+    """Return the mean value that an attribute has at birth, in base units. Return None if the value depends on anything except
+    params and random draws."""
     part: Expr | None = attribute.default if attribute is not None else None
     if isinstance(part, OperationExpr) and part.name in ("uniform", "normal"):
         values = [_find_constant_value(each, scene, program) for each in part.args[:2]]

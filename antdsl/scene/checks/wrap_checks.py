@@ -77,7 +77,8 @@ _Unsupported = tuple[tuple[PathKey, ...], str, str]
 
 
 def _list_unsupported_keys(scene: Scene) -> list[_Unsupported]:
-    """Return the keys of a scene that are not allowed in a periodic world: the path, a description, and what to write instead."""
+    """Return the keys of a scene that are not allowed in a periodic world. Each has its path, a description, and what to write
+    instead."""
     model = scene.model
     findings: list[_Unsupported] = []
     if model.notes:

@@ -32,7 +32,7 @@ def find_species_of_key(key: str) -> str:
 
 
 def find_number_of_key(key: str) -> int:
-    """Return the index of the body with this key among the bodies of its species."""
+    """Return the number at the end of a body key: the index of the body among the bodies of its species."""
     return int(key.partition(_BODY_KEY_SEPARATOR)[2] or 0)
 
 

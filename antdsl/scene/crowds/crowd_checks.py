@@ -15,7 +15,7 @@ from antdsl.scene.load import Scene
 
 
 def count_agents(scene: Scene) -> list[int]:
-    """Return, for each crowd line, the total number of agents that it creates."""
+    """Return, for each crowd line, how many agents it creates in total."""
     model = scene.model
     return [line.count_agents(model.frames.first, model.fps) for line in model.crowd]
 
@@ -85,7 +85,7 @@ def _check_line_name(scene: Scene, program: Program, report: Report, number: int
 
 
 def check_around(scene: Scene, report: Report, around: object, radius: object, *path: PathKey) -> None:
-    """Report an `around` that names no item, or that comes without a `radius`."""
+    """Report an `around` that names no item, or an `around` without a `radius`."""
     if isinstance(around, str) and around not in collect_item_declarations(scene) and not scene.model.has_usd_items:
         report_unknown_name(report, scene, (*path, "around"), "no item is named", collect_item_declarations(scene), key=False)
     if around is not None and radius is None:

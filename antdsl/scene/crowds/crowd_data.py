@@ -21,7 +21,8 @@ MAX_STANDARD_DEVIATIONS = 3  # draws of a normal distribution are at most so man
 
 @dataclass(frozen=True, slots=True)
 class ItemCentre:
-    """An item that is the centre of a placement. The centre moves with the item. `index`: its index in `items`."""
+    """An item that is the centre of a placement. The centre moves with the item. `items`: the name of its group. `index`: its
+    index in the group."""
 
     items: str
     index: int
@@ -29,7 +30,7 @@ class ItemCentre:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VolumeData:
-    """A box or a ball. Agents start at the surface points that are nearest to points inside it.
+    """A box or a ball. Points are drawn inside it, and agents start at the surface points nearest to these.
 
     `low`, `high`: the corners of a box (mm). A ball has a `radius` above 0 (mm) and its centre at `low`."""
 
@@ -40,8 +41,8 @@ class VolumeData:
 
 @dataclass(frozen=True, slots=True)
 class RanksData:
-    """Ranks of agents; the first rank is ahead. `spacing_within`: the distance between neighbours within a rank (mm).
-    `spacing_between`: the distance between ranks (mm)."""
+    """Ranks of agents; the first rank is ahead of the others. `spacing_within`: the distance between neighbours within a rank
+    (mm). `spacing_between`: the distance between ranks (mm)."""
 
     columns: int
     rows: int
@@ -59,11 +60,11 @@ class ClumpsData:
 
 @dataclass(frozen=True, slots=True)
 class FacingData:
-    """The direction along the ground that agents face at the start.
+    """The direction that agents face at the start, along the ground.
 
     `kind`: `out` leads away from the centre or line of the placement, and `in` leads towards it. From an edge, `in` leads into
     the surface. `along` is the direction of a line.
-    `vector`: for the kind `point`, the target (mm); for the kind `direction`, a direction in the scene's axes."""
+    `vector`: for the kind `point`, the point to face (mm); for the kind `direction`, a direction in the scene's axes."""
 
     kind: Literal["out", "in", "along", "point", "direction"]
     vector: PointMm = (0.0, 0.0, 0.0)
@@ -71,15 +72,16 @@ class FacingData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacementData:
-    """The starting positions of a crowd. Of the following, the first one that is set applies.
+    """The starting positions of a crowd. The first of the following fields that is set decides.
 
-    `points` (n, 3): one point per agent, in order; after the last point, they repeat.
+    `points` (n, 3): one point per agent, in order. If there are more agents than points, the points are used again from the
+    start.
     `ranks`: ranks around `disc_centre`.
     `line`: along a curve of the world. `border_surface`: along the open borders of a surface. Both within `radius` of the line.
     `volume`: the surface points nearest to a volume.
     `radius`: a disc of `radius` mm around `disc_centre`, dropped along the scene's up onto the surfaces.
-    `ray_origin`: the first hits of rays from this point in all directions, on the side of the surface that faces the point.
-    If none is set: evenly over the surfaces, or with the density of the map `density`.
+    `ray_origin`: the first hits of rays from this point in all directions, on the side of the surface that faces the point. If
+    none is set: evenly over the surfaces, or with the density of the map `density`.
 
     `centre_item`: the item at the centre.
     `clumps`: agents start in discs around random positions of the placement.
@@ -87,7 +89,8 @@ class PlacementData:
     `surfaces`: the surfaces on which agents start; empty for all.
     `is_by_area`: whether agents start on the front of faces of any orientation. `radius` is then the radius of a ball, and
     `points` move to the nearest surface point.
-    `spacing`: the smallest distance (mm) between centres; inf: as large as the space allows for all lines with equal settings.
+    `spacing`: the smallest distance (mm) between the centres of agents. inf: the largest distance for which all lines with equal
+    settings find space.
     `seed`: the seed for the random positions; None for the setting's seed.
     `headings` (n, 3): the unit vector of the heading at each point; nan for a random heading.
     `values` (n,): by name, the attributes of the agent at each point, in base units; nan for the species' value."""
@@ -156,9 +159,9 @@ class CrowdData:
     `line_index`: the index of the crowd line in the scene, from 0.
     `walk`: a scripted walk. Agents with a walk do not sense or decide.
     `body`: the name of the body; empty for the body that fits the species' name.
-    `worn_layers`: for each displayed part of the body, the layers from which one is drawn at random; "" means no layer.
+    `worn_layers`: for each part of `wear`, the layers of which each agent shows one, drawn at random; "" stands for no layer.
     `name`: the name of the line; empty if it has none.
-    `release`: when agents are created; None: all in the first frame.
+    `release`: when agents are created; None if all are created in the first frame.
     `initial_values`: attributes at birth by name, and the initial states of machines as `MACHINE.state`."""
 
     species: str
@@ -173,8 +176,8 @@ class CrowdData:
     initial_values: Mapping[str, ValueDraw] = field(default_factory=dict)
 
     def count_created(self, frame: int) -> int:
-        """Return how many agents of the line have been created by the end of a frame. The result does not depend on the frame at
-        which the run starts."""
+        """Return how many agents of the line have been created by the end of a frame. Frames before the start of the run also
+        count."""
         if self.release is None:
             return self.count
         frames = frame + 1 - self.release.begin

@@ -213,8 +213,8 @@ class CrowdLine(ScenePart):
 
 
 def collect_body_weights(crowd: Iterable[CrowdLine]) -> dict[str, dict[str, float]]:
-    """Return the bodies of each species with their weights. They come from the first crowd line of the species that names
-    bodies."""
+    """Return, by species, the bodies with their weights. If several crowd lines of a species name bodies, those of the first
+    such line are used."""
     weights: dict[str, dict[str, float]] = {}
     for line in crowd:
         if line.body is not None:

@@ -22,8 +22,8 @@ _NUMBER_BY_BOOL_TEXT = {"true": 1.0, "false": 0.0, "yes": 1.0, "no": 0.0}
 
 
 class _CrowdLineValues(NamedTuple):
-    """A crowd line with its scene, program and species, and the report that receives its errors. `number`: the index of the
-    line."""
+    """A crowd line, with everything that is needed to convert its values. `report`: receives the errors. `number`: the index of
+    the line."""
 
     scene: Scene
     program: Program
@@ -137,7 +137,7 @@ def _convert_mean(
 ) -> tuple[float | None, float | None]:
     """Return the mean and the standard deviation of a normal distribution, in base units. Each is None after an error.
 
-    Draws are cut off at three standard deviations from the mean."""
+    The check assumes that random values farther than three standard deviations from the mean are cut off."""
     model, (mean, deviation) = line.scene.model, pair
     if not check_dimension(line.scene, line.report, deviation, target.type.dimension, target.name, *path, 1):
         return None, None

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class CrowdLineIds:
-    """The ids of a crowd line's agents, including dead ones. `ranges`: pairs of the first id and the number of consecutive
+    """The ids of all agents of a crowd line, including dead agents. `ranges`: pairs of a first id and the number of consecutive
     ids."""
 
     species: str
@@ -23,13 +23,13 @@ class CrowdLineIds:
         return sum(count for _, count in self.ranges)
 
     def list_ids_between(self, first: int = 0, last: int | None = None) -> NDArray[np.int64]:
-        """Return the ids of the agents with the numbers `first` to `last` in the line (both included, from 0). Numbers without
-        an agent are omitted."""
+        """Return the ids of the agents with the positions `first` to `last` in the line. Both are included and counted from 0.
+        Positions without an agent are omitted."""
         ids = [np.empty(0, np.int64), *(np.arange(start, start + count) for start, count in self.ranges)]
         return np.concatenate(ids)[first : None if last is None else last + 1]
 
     def find_positions_in_line(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the number in this line of the agent with each id. It is -1 for agents that do not belong to the line."""
+        """Return the position in this line, counted from 0, of the agent with each id. It is -1 for agents of other lines."""
         numbers, offset = np.full(len(ids), -1, np.int64), 0
         for start, count in self.ranges:
             is_inside = (ids >= start) & (ids < start + count)
@@ -38,7 +38,8 @@ class CrowdLineIds:
         return numbers
 
     def resize(self, count: int, next_id: int) -> CrowdLineIds:
-        """Return this line resized to `count` agents. The first ids remain; ids of added agents are numbered from `next_id`."""
+        """Return this line resized to `count` agents. If it shrinks, the first ids remain. If it grows, new agents get the ids
+        from `next_id` on."""
         ranges, left = [], count
         for start, size in self.ranges:
             ranges.append((start, min(size, left)))

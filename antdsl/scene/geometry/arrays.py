@@ -46,7 +46,8 @@ def read_npz_archive(file: IO[bytes], size: int, names: Container[str] | None = 
 
 
 def _read_members(archive: zipfile.ZipFile, size: int, names: Container[str] | None) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an open archive of `size` bytes. Raises ArrayFileError or an error of `zipfile` with the reason."""
+    """Return the arrays of an open archive of `size` bytes. `names`: the names to read; None for all. Raises ArrayFileError, or
+    an error of `zipfile`."""
     entries = archive.infolist()
     if len(entries) > MAX_ARCHIVE_MEMBERS:
         raise ArrayFileError(f"has {len(entries):,} arrays, more than {MAX_ARCHIVE_MEMBERS:,}")
@@ -67,8 +68,8 @@ def _read_members(archive: zipfile.ZipFile, size: int, names: Container[str] | N
 
 
 def parse_npy(data: bytes, name: str) -> NDArray[Any]:
-    """Return the array in the bytes of an .npy file of version 1. Its shape is compared with the number of bytes before it is
-    read."""
+    """Return the array in the bytes of an .npy file of version 1. Before the array is read, its shape is compared with the
+    number of bytes."""
     if not data.startswith(NPY_MAGIC) or len(data) < 10:
         raise ArrayFileError(f"has an array `{name}` of an unknown kind")
     length = int.from_bytes(data[8:10], "little")
@@ -83,6 +84,6 @@ def parse_npy(data: bytes, name: str) -> NDArray[Any]:
 
 
 def convert_to_float64(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Return a copy as float64, without NumPy's warning for signalling NaNs. Callers check that the values are finite."""
+    """Return a copy as float64. Values may be infinite or nan; NumPy's warning about signalling nans is suppressed."""
     with np.errstate(invalid="ignore"):
         return values.astype(np.float64)

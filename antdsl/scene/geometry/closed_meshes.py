@@ -25,9 +25,9 @@ _WELD_VOXELS_PER_EXTENT = 16.0  # resolution of rounding: corners nearer than a 
 
 
 def round_to_voxels(corners: Floats) -> tuple[Index, int]:
-    """Return triangle corners as integers, and how many integer units a voxel has. `corners` float64[n, 3, 3]: in voxels.
+    """Return triangle corners as integers, and the number of integer units per voxel. `corners` float64[n, 3, 3]: in voxels.
 
-    Corners that round to the same integers coincide."""
+    Corners that are rounded to the same integers count as one point."""
     extent = max(float(np.abs(corners).max()), 1.0)
     # Products of two sides stay below 2**62.
     grain = 1 << min(16, 29 - math.ceil(math.log2(extent)))
@@ -91,10 +91,10 @@ def _find_components(node_count: int, first_nodes: Index, second_nodes: Index) -
 
 
 def _group_edges(corners: Index) -> tuple[Index, Index, Index, Index]:
-    """Return all sides of triangles, sorted by edge, and the edges.
+    """Sort all sides of triangles by the edge to which they belong. Return the sides and the edges as four arrays.
 
-    The result has four arrays. For each side: the index of its triangle, and its direction (1 or -1). For each edge: the index
-    of its first side, and its number of sides."""
+    For each side: the index of its triangle, and its direction along the edge (1 or -1). For each edge: the index of its first
+    side, and its number of sides."""
     points = corners.reshape(-1, 3)
     order = np.lexsort(points.T)
     ranked = points[order]
@@ -149,7 +149,7 @@ def _make_border_edge_table(corners: Floats) -> stored_tables.Tables:
 
 
 def find_edges_with_odd_faces(vertices: Floats, faces: NDArray[np.int32], grain: float) -> tuple[Index, Floats]:
-    """Return the edges that have an odd number of faces (k, 2), as indices of positions, and the positions (p, 3).
+    """Return the edges (k, 2) that have an odd number of faces, and the positions (p, 3) to which their indices refer.
 
     Corners that are nearer to each other than about `grain` share one position."""
     corners = vertices[faces].reshape(-1, 3)

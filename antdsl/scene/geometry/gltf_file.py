@@ -329,7 +329,7 @@ def find_scene_roots(file: GltfDocument) -> list[int]:
 
 
 def find_nodes_below(file: GltfDocument, roots: Iterable[int]) -> list[int]:
-    """Return `roots` and all of their descendants. Parents come before children; children are in the order of the file."""
+    """Return `roots` and all of their descendants. Each node comes after its parent. Children are in the order of the file."""
     nodes, ordered_nodes = file.get_top_list("nodes"), []
     visited: set[int] = set()
     waiting = list(reversed(list(roots)))
@@ -348,7 +348,7 @@ def find_nodes_below(file: GltfDocument, roots: Iterable[int]) -> list[int]:
 def make_primitive_triangles(file: GltfDocument, primitive: dict[str, Any], points: int) -> tuple[NDArray[np.int64], int]:
     """Return the triangles (n, 3) of a primitive with `points` points. The primitive is a list, a strip or a fan of triangles.
 
-    The second result is the number of corners that remain at the end, too few for another triangle."""
+    Also return how many corners are left over at the end, because they are too few for another triangle."""
     corners = file.read_accessor(primitive["indices"], 1)[:, 0].astype(np.int64) if "indices" in primitive else np.arange(points)
     mode = primitive.get("mode", TRIANGLES_PRIMITIVE_MODE)
     if mode == TRIANGLE_STRIP_PRIMITIVE_MODE:

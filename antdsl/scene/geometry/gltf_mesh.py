@@ -37,7 +37,7 @@ _NON_SURFACE_MODES = ("points", "lines", "lines", "lines")
 def read_gltf_mesh(data: bytes, notes: ImportNotes, node_name: str | None, read_sibling: SiblingReader) -> PolygonMesh:
     """Return all meshes of the file's scene as one mesh. Raises MeshError with the reason if this fails.
 
-    `node_name`: read only nodes or meshes with this name, and all nodes below them; None for all.
+    `node_name`: read only nodes with this name or with a mesh of this name, and all nodes below them. None reads everything.
     `read_sibling(path, max_bytes)`: returns the bytes of a file in the same folder."""
     notes.form = "binary glTF" if data[:4] == b"glTF" else "glTF"
     try:

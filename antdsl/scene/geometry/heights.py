@@ -114,7 +114,7 @@ def make_height_surface(heights: Floats, extent: tuple[float, float]) -> tuple[F
 def compute_sampling_deviation(heights: Floats) -> float:
     """Return the largest distance between the triangles and the bilinear surface through the samples.
 
-    It occurs in the middle of a cell. It is a quarter of the cell's twist: the difference between the height sums of its two
-    diagonals."""
+    In each cell, the distance is largest in the middle. There it is a quarter of the difference between the height sums of the
+    cell's two diagonals."""
     twist = heights[:-1, :-1] - heights[:-1, 1:] - heights[1:, :-1] + heights[1:, 1:]
     return float(np.abs(twist).max()) / 4

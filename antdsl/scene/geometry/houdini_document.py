@@ -81,8 +81,10 @@ class _BinaryParser:
         return self._data[start : self._offset]
 
     def _read_length(self) -> int:
-        """Read a length or the number of a token. It is stored as one byte below 0xf1, or as an integer of 2, 4 or 8 bytes after
-        a marker byte."""
+        """Read a non-negative integer, such as the length of a text or the number of a token.
+
+        The file stores it as one byte if it is below 0xf1. Otherwise, a marker byte comes first, then an integer of 2, 4 or 8
+        bytes."""
         first = self.read_byte()
         if first < 0xF1:
             return first
@@ -100,7 +102,8 @@ class _BinaryParser:
         return text
 
     def _skip_definitions(self, token: int) -> int:
-        """Read definitions and removals of tokens, starting with `token`. Return the first token that is neither."""
+        """Read all definitions and removals of tokens, starting with the token `token`. Return the first token that is something
+        else."""
         while token in (_TEXT_DEFINITION_TOKEN, _TEXT_REMOVAL_TOKEN):
             number = self._read_length()
             if token == _TEXT_DEFINITION_TOKEN:
@@ -111,8 +114,8 @@ class _BinaryParser:
         return token
 
     def read_value(self, token: int, depth: int) -> Any:
-        """Return the value that starts with `token`, which has already been read. `depth`: the number of values that
-        enclose it."""
+        """Return the value that starts with `token`. The caller has already read this token. `depth`: how many lists and maps
+        enclose the value."""
         token, start = self._skip_definitions(token), self._offset - 1
         if depth > _MAX_DEPTH:
             raise MeshError(f"has more than {_MAX_DEPTH} nested lists at byte {start:,}", _SAVE_AGAIN_HELP)
@@ -150,7 +153,8 @@ class _BinaryParser:
         return entries
 
     def _read_text_item(self, token: int) -> str:
-        """Return a text that is stored at this position, or to which a token refers."""
+        """Return a text item. It is either stored at the current position, or it is a reference to an earlier text. `token`: the
+        token with which the item begins, which has already been read."""
         if token == _STRING_TOKEN:
             return self._read_text()
         start, number = self._offset - 1, self._read_length()

@@ -44,7 +44,7 @@ def read_houdini(data: bytes, notes: ImportNotes, group: str | None = None) -> P
 
 
 def read_houdini_by_name(data: bytes, notes: ImportNotes) -> dict[str, PolygonMesh]:
-    """Return the polygons of a file by the value of the primitive attribute `name`.
+    """Return the meshes of a file, one for each value of the primitive attribute `name`.
 
     Values without polygons are omitted. For `notes` and errors, see `read_houdini`."""
     document = HoudiniDocument(data)
@@ -80,7 +80,7 @@ class _HoudiniPolygons(NamedTuple):
         )
 
     def reverse_corners(self) -> PolygonMesh:
-        """Return a mesh in which the corner order of each polygon is reversed."""
+        """Return this mesh with the corners of each polygon in reverse order."""
         ends = np.cumsum(self.corner_counts)
         order = np.repeat(2 * ends - self.corner_counts - 1, self.corner_counts) - np.arange(len(self.point_indices))
         return PolygonMesh(self.points, self.corner_counts, self.point_indices[order])
@@ -192,9 +192,10 @@ class _HoudiniGeometry:
 
     @cached_property
     def _primitives(self) -> list[tuple[str, dict[str, Any], int]]:
-        """Return, for each readable primitive, its kind, its fields, and the number of primitives that the fields describe.
+        """Return the readable primitives, each as its kind, its fields and a count. A run of primitives has one entry for all of
+        them, with their number as the count.
 
-        Other primitives are counted in the notes."""
+        Unreadable primitives are counted in the notes."""
         primitives: list[tuple[str, dict[str, Any], int]] = []
         for entry in _to_list(self._parts.get("primitives", []), "`primitives`"):
             if not isinstance(entry, list) or len(entry) != 2:
@@ -220,9 +221,10 @@ class _HoudiniGeometry:
         return primitives
 
     def _read_packed(self, kind: str, fields: dict[str, Any], points: Floats) -> list[_HoudiniPolygons]:
-        """Return the polygons of a packed geometry, or of the part that a fragment names, at the position of its point.
+        """Return the polygons of a packed geometry, moved to its point. If a fragment of the geometry is packed, return only its
+        polygons.
 
-        The list is empty if the geometry is not in the file."""
+        The list is empty if the geometry is not embedded in the file."""
         parameters = _to_map(fields.get("parameters", {}), f"`{kind}`")
         key, vertex = str(parameters.get("embedded")), _to_count(fields.get("vertex", 0))
         if key not in self._embedded or vertex >= len(self._vertex_points) or not 0 <= self._vertex_points[vertex] < len(points):
@@ -248,7 +250,8 @@ def _transform_row_vectors(vectors: Floats, matrix: Floats) -> Floats:
 def _list_corners(kind: str, fields: dict[str, Any], number: int, vertex_count: int) -> tuple[Integers, Integers]:
     """Return the number of corners of each polygon of a primitive, and the vertex of each corner.
 
-    `number`: the number of polygons in a run. `vertex_count`: the number of vertices of the geometry."""
+    `number`: how many polygons the primitive has if it is a run. `vertex_count`: how many vertices the geometry has. Raises
+    MeshError if the counts do not fit."""
     none = np.zeros(0, np.int64)
     if kind == "Poly":
         vertices = _to_integers(fields.get("vertex", []), "`vertex`")
@@ -278,8 +281,9 @@ def _list_corners(kind: str, fields: dict[str, Any], number: int, vertex_count: 
 
 
 def _expand_runs(runs: Integers, max_count: int) -> Integers:
-    """Return the numbers that pairs of a number and its count stand for. Raises MeshError if there are more than `max_count`, or
-    if their sum is larger."""
+    """Return the numbers that a run-length encoding stands for. `runs`: pairs of a number and how often it occurs.
+
+    Raises MeshError if there are more than `max_count` numbers, or if the sum of the numbers is larger."""
     if len(runs) % 2 or (runs < 0).any():
         raise MeshError("has runs of polygons that are not pairs of counts", _CONVERT_HELP)
     sizes, counts = runs[::2].astype(np.float64), runs[1::2].astype(np.float64)
@@ -304,9 +308,11 @@ def _read_tuples(values: dict[str, Any], count: int, subject: str) -> Floats:
 
 
 def _unpack_pages(values: dict[str, Any], count: int, size: int, subject: str) -> Floats:
-    """Return the numbers of an attribute that is stored in pages, float64[count * size]. A page contains several elements.
+    """Return the numbers of an attribute that is stored in pages, float64[count * size]. A page has the values of several
+    elements.
 
-    `packing` lists the sizes of subvectors, and a page has one block for each. A block of a constant page has one element."""
+    `packing` splits each value into subvectors and lists their sizes. A page has one block of numbers for each subvector. If a
+    block is flagged as constant, it stores the numbers of a single element, which all elements of the page share."""
     raw, page = _to_floats(values.get("rawpagedata", []), subject), _to_count(values.get("pagesize", 0))
     widths = _to_integers(values.get("packing", [size]), "`packing`").tolist()
     if page < 1 or min(widths, default=0) < 1 or sum(widths) != size:
@@ -328,7 +334,7 @@ def _unpack_pages(values: dict[str, Any], count: int, size: int, subject: str) -
 
 
 def _get_long_or_short_key(fields: dict[str, Any], name: str, short_name: str, default: Any) -> Any:
-    """Return the field `name` or, in newer files, the same field under its short name; `default` if both are absent."""
+    """Return the field `name`. Newer files store the same field under its short name. Return `default` if both are absent."""
     return fields.get(name, fields.get(short_name, default))
 
 
@@ -349,7 +355,7 @@ def _to_list(value: Any, subject: str) -> list[Any]:
 
 
 def _to_printable(value: Any) -> str:
-    """Return the first characters of a value for a message. Characters that cannot be printed are removed."""
+    """Return the beginning of a value as text for a message. Characters that cannot be printed are removed."""
     return replace_unprintable(str(value)[:40])
 
 

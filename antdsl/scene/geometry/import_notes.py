@@ -18,12 +18,12 @@ class SkippedElement:
 
 @dataclass(slots=True)
 class ImportNotes:
-    """What a reader noted about one mesh file.
+    """What a reader has noted while it read a mesh file.
 
     `cut_polygons`: the number of polygons with more than three corners.
     `concave_polygons`: how many of these have a corner that points inward.
     `crossing_polygons`: the number of polygons that cross or cover themselves.
-    `crossing_face`: the index of the first of these."""
+    `crossing_face`: the index of the first polygon that crosses or covers itself."""
 
     form: str = ""
     vertices: int = 0
@@ -35,7 +35,8 @@ class ImportNotes:
     skipped_elements: dict[str, SkippedElement] = field(default_factory=dict)
 
     def count_skipped(self, description: str, count: int = 1, line: int | None = None) -> None:
-        """Count further elements that are not read. `description`: the kind of element."""
+        """Count elements of one kind that are not read. `description`: the kind of element. `line`: the line of the first one,
+        if known."""
         if not count:
             return
         if description not in self.skipped_elements:

@@ -41,7 +41,8 @@ def find_faces_with_area(numbers: Ints, a: Floats, b: Floats, c: Floats) -> NDAr
 def has_any_face_with_area(vertices: Floats, faces: Ints, extent: float) -> bool:
     """Return whether any face of a mesh is ground. `extent`: the width of all surfaces together.
 
-    One of the largest faces usually has corners that are far from all others. In this case, most corners need not be numbered."""
+    Usually, one of the largest faces has corners that are far from all other corners, which shows quickly that it is ground.
+    Only if there is no such face, all corners are numbered to find those that coincide."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.where(has_nonzero_area(a, b, c), _compute_lengths(np.cross(b - a, c - a)), 0.0)
     clearance = _ISOLATION_DISTANCE_GRAINS * extent * _JOIN_DISTANCE_SHARE
@@ -100,9 +101,10 @@ def number_connected_components(pairs: NDArray[np.int64], count: int) -> NDArray
 
 
 def _merge_cells(points: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
-    """Return merged cell numbers int64[n] for points in grid cells. `owner`: the owner of each point.
+    """Return merged cell numbers int64[n] for points in grid cells. `owner`: the index of each point's owner. `cell`: the cell
+    of each point.
 
-    Two cells of the same owner get the same number if they contain points nearer to each other than `grain`."""
+    Two cells with the same owner get the same number if points in them are nearer to each other than `grain`."""
     begin = np.unique(cell, return_index=True)[1]
     near = np.stack(find_pairs_within(points[begin], grain), axis=1)
     near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]

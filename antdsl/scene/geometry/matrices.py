@@ -15,7 +15,7 @@ _FULL_TURN = Decimal("6.28318530717958647692528676655900576839433879875021164194
 
 
 def make_identity_transforms(*shape: int) -> Floats:
-    """Return identity transforms (*shape, 3, 4)."""
+    """Return identity transforms, an array (*shape, 3, 4)."""
     transforms = np.zeros((*shape, 3, 4))
     transforms[..., [0, 1, 2], [0, 1, 2]] = 1.0
     return transforms
@@ -103,17 +103,17 @@ def find_invertible(transforms: Floats) -> NDArray[np.bool_]:
 
 
 def apply_transforms(transform: Floats, points: Floats) -> Floats:
-    """Return the points after one transform (3, 4) for all of them, or after a separate transform (n, 3, 4) for each point."""
+    """Return the points after transforms. `transform`: (3, 4) for all points, or (n, 3, 4) with one transform per point."""
     x, y, z = (points[:, axis, None] for axis in range(3))
     result: Floats = ((transform[..., 0] * x + transform[..., 1] * y) + transform[..., 2] * z) + transform[..., 3]
     return result
 
 
 def find_distinct_points(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
-    """Return the distinct points among points (n, 3). Zero and minus zero are equal.
+    """Return the distinct points among points (n, 3), in sorted form. Zero and minus zero are equal.
 
-    The results are the order by x, y and z; a mask of the points that differ from the previous point in this order; and the
-    index of each point's distinct point."""
+    There are three results. The first is the order of the points by x, y and z. The second is a mask in this order, true where a
+    point differs from the previous one. The third is, for each input point, the index of its distinct point."""
     order = np.lexsort(points.T[::-1])
     ranked = points[order]
     new = np.ones(len(points), np.bool_)

@@ -202,9 +202,10 @@ def check_mesh(vertices: Floats, faces: Faces, notes: ImportNotes | None = None)
 
 
 def _find_first_rows(rows: Faces, bound: int) -> NDArray[np.int64]:
-    """Return the index of the first occurrence of each distinct row of three numbers.
+    """Return the index of the first occurrence of each distinct row of three integers.
 
-    `bound`: a number above all numbers in the rows. For speed, each row is combined into one number."""
+    `bound`: a number that is larger than all integers in the rows. It allows combining each row into a single number, which is
+    faster to sort."""
     if bound > 2**21:
         _, first = np.unique(rows, axis=0, return_index=True)
     else:
@@ -261,7 +262,7 @@ def transform_raw_mesh(
     """Return a file's mesh as placed in the scene, in millimetres and the scene's axes. Raises MeshError if a vertex is too far
     out.
 
-    The outside of a mesh remains outside if the transform mirrors."""
+    If the transform mirrors, faces are reversed, so that the outside of the mesh remains its outside."""
     vertices = rotate_points(rotate_up_axis(mesh.vertices * factor, own_up, up), angles) + np.array(position)
     mesh_data = make_size_checked_mesh(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
     if not mesh.vertices.flags.writeable:

@@ -88,8 +88,8 @@ def normalise_text(data: bytes, wavefront: bool = False) -> bytes:
 
 
 def _replace_continuation(end: re.Match[bytes]) -> bytes:
-    """Return the replacement for a backslash at the end of a line, which continues the line. In lines with a name, the backslash
-    is part of the name and is not replaced."""
+    """Return the replacement for a backslash at the end of a line. Such a backslash continues the line, except in lines with a
+    name, where it is part of the name and remains."""
     line = end.string[end.string.rfind(b"\n", 0, end.start()) + 1 : end.start()]
     return end[0] if line.lstrip()[:8].lower().split(None, 1)[:1] in _NAME_KEYWORDS else _CONTINUATION_BYTE
 
@@ -99,7 +99,7 @@ class TextBlock:
     """The lines of a text that contain words.
 
     `line_numbers` int64[L]: the number of each line in the file, from 1.
-    `first_words`, `word_counts` int64[L]: the index of the first word of each line, and its number of words.
+    `first_words`, `word_counts` int64[L]: for each line, the index of its first word, and how many words it has.
     `word_starts`, `word_ends` int64[W]: the start and end offsets of each word in the bytes `data`."""
 
     line_numbers: Integers
@@ -207,7 +207,7 @@ class TextBlock:
 
 
 def read_blocks(text: bytes, number: int = 1) -> Iterator[TextBlock]:
-    """Yield the lines of a text from `normalise_text` in blocks. Raises MeshError for a line that is too long.
+    """Yield blocks of lines of a text that `normalise_text` returned. Raises MeshError for a line that is too long.
 
     `number`: the line number of the first line in the file."""
     at = 0

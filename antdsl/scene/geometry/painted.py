@@ -27,12 +27,11 @@ class PaintError(Exception):
 
 
 def read_painted_values(data: bytes, name: str, attribute: str | tuple[str, ...], width: int) -> Floats:
-    """Return the values of an attribute (n, width), one row per vertex or face. Raises PaintError with the reason if there are
-    none.
+    """Return the values of an attribute (n, width), one row per vertex or face. Raises PaintError if the file has no such
+    values.
 
-    `attribute`: one name, or the names of the three components of a vector.
-    `width`: 1 or 3.
-    One-byte numbers are scaled so that 255 becomes 1. Values that are not finite are an error."""
+    `attribute`: the name of the attribute, or the names of the three components of a vector.
+    `width`: 1 or 3. One-byte numbers are scaled so that 255 becomes 1. Values that are not finite are an error."""
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind not in _READER_BY_SUFFIX:
         raise PaintError("is neither a .ply nor an .npz file", "paint on the vertices of a .ply file, or write an .npz file")

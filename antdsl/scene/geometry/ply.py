@@ -42,7 +42,7 @@ class PlyElement:
     properties: tuple[PlyProperty, ...]
 
     def compute_min_bytes(self) -> int:
-        """Return the smallest number of bytes that one element can have. An empty list has only its length."""
+        """Return the smallest number of bytes that one element can have. A list is counted as empty, with only its length."""
         return sum(np.dtype(p.length_type or p.value_type).itemsize for p in self.properties)
 
 
@@ -87,8 +87,8 @@ def read_header(data: bytes) -> PlyHeader:
 
 
 def _split_header_lines(data: bytes) -> tuple[list[bytes], int]:
-    """Return the lines between `ply` and `end_header`, and the offset of the body. The words `ply` and `end_header` in comments
-    are ignored."""
+    """Return the lines between `ply` and `end_header`, and the offset at which the body begins. If these words occur in
+    comments, they are ignored."""
     head = data[: 64 * limits.KIB]
     at = 3 if head.startswith(b"\xef\xbb\xbf") else 0
     lines: list[bytes] = []

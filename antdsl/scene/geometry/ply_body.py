@@ -108,7 +108,10 @@ def read_columns(data: bytes, header: PlyHeader, element: PlyElement, names: Seq
 def read_elements(
     data: bytes, header: PlyHeader, requested_names: Mapping[int, Collection[str]], notes: ImportNotes
 ) -> dict[int, ColumnByName]:
-    """Return the requested columns, by the `id()` of a header element and the name of a property. Other columns are skipped."""
+    """Return the requested columns of a file. `requested_names`: for the `id()` of an element in the header, the names of its
+    properties.
+
+    The result has the same keys. Other columns are skipped."""
     for element in header.elements:
         names = [p.name for p in element.properties]
         if twice := next((name for k, name in enumerate(names) if name in names[:k]), None):
@@ -250,9 +253,9 @@ class _BinaryBody:
         return found
 
     def _read_first_lengths(self, element: PlyElement) -> dict[str, int] | None:
-        """Return the list lengths of the first element, by property. In most files, all elements have the same lengths.
+        """Return the list lengths of the first element, by property, or None if they cannot be read.
 
-        Return None if the lengths cannot be read."""
+        In most files, all elements have lists of the same lengths."""
         at, lengths = self._offset, {}
         for p in element.properties:
             if p.length_type is not None:
@@ -275,8 +278,8 @@ class _BinaryBody:
         return int(count)
 
     def _read_uneven_lists(self, element: PlyElement, requested_names: Collection[str]) -> ColumnByName:
-        """Return list properties with lengths that differ between elements. First the start of each list is found, then all
-        values are read at once."""
+        """Return list properties that have different lengths in different elements. The starts of all lists are located first;
+        then all values are read at once."""
         data, at, name = self._data, self._offset, format_word(element.name.encode())
         starts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names}
         counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names and p.length_type}
@@ -327,7 +330,8 @@ _STRUCT_CODE_BY_DTYPE = {
 def _make_value_reader(
     order: str, kind: str, count: str | None
 ) -> tuple[int, Callable[[bytes, int], tuple[Any, ...]] | None, int]:
-    """Return the size of a value in bytes, a reader for list lengths, and the size of a list length.
+    """Return three values: the size of a property's value in bytes, a function that reads the length of a list, and the size of
+    this length.
 
     For a property that is not a list, the last two are None and 0. `kind`, `count`: the types of the value and of the length."""
     read = None if count is None else struct.Struct(order + _STRUCT_CODE_BY_DTYPE[count])

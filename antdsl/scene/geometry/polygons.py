@@ -67,9 +67,10 @@ def triangulate_polygons(points: Floats, counts: Integers, indices: Integers) ->
 
 
 def _find_repeated_corners(points: Floats, counts: Integers) -> NDArray[np.bool_]:
-    """Return whether each corner is at the position of the previous corner. The last corner is also compared with the first.
+    """Return whether each corner is at the same position as the previous corner of its polygon. The last corner also counts if
+    it is at the position of the first.
 
-    Only polygons with at least four corners are examined."""
+    The result is false for polygons with fewer than four corners, or with fewer than three corners at different positions."""
     large = counts > 3
     start = np.cumsum(counts) - counts
     begin, end = start[large], start[large] + counts[large] - 1
@@ -120,9 +121,10 @@ def _check_cutting_work(counts: Integers) -> None:
 
 
 def _project_outlines(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return polygons [p, n, 3] as counter-clockwise outlines [p, n, 2], and whether each polygon has an area.
+    """Return polygons [p, n, 3] as counter-clockwise outlines [p, n, 2] in a plane. Also return whether each polygon has an
+    area.
 
-    The polygons are projected along the axis nearest to their normal."""
+    The coordinate axis nearest to the normal of a polygon is dropped."""
     low = rings.min(axis=1, keepdims=True)
     extent = np.maximum((rings.max(axis=1, keepdims=True) - low).max(axis=2, keepdims=True), 1e-300)
     unit = (rings - low) / np.ldexp(1.0, np.frexp(extent)[1])  # a power of two, so that nothing is rounded
@@ -146,8 +148,8 @@ def _project_outlines(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
 def _cut_fan_triangles(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
     """Return polygons [p, n, 3] split into fans of triangles.
 
-    The results are the triangles [p, n - 2, 3]; the corner at the centre of each fan, or -1 if no fan covers the polygon; and
-    whether each polygon crosses itself."""
+    There are three results: the triangles [p, n - 2, 3]; the index of the corner from which each fan spreads, or -1 if no fan
+    covers the polygon; and whether each polygon crosses itself."""
     count = rings.shape[1]
     outline, has_nonzero_area = _project_outlines(rings)
     crossed = ~has_nonzero_area & _find_self_crossing_polygons(rings)
@@ -218,9 +220,9 @@ def _compute_double_areas(grid: Floats, triangles: Integers) -> Floats:
 
 
 def _split_at_corners(triangles: list[list[int]], corners: list[GridCorner]) -> list[list[int]]:
-    """Return triangles that also use the corners on straight sides, which earcut omits.
+    """Return triangles in which sides are split at corners that lie on them. earcut omits corners on straight sides.
 
-    Without them, there would be a gap to a neighbour that uses these corners."""
+    Without the split, there would be a gap to a neighbour that uses these corners."""
     count = len(corners)
     border = {(k, (k + 1) % count) for k in range(count)}
     edges = {(t[k], t[(k + 1) % 3]) for t in triangles for k in range(3)}
@@ -248,9 +250,10 @@ def _split_at_corners(triangles: list[list[int]], corners: list[GridCorner]) -> 
 
 
 def _find_corner_chain(a: int, b: int, needed_edges: dict[int, list[int]], corners: list[GridCorner]) -> list[int]:
-    """Return the corners between `a` and `b` on the straight line from `a` to `b`, if edges in `needed_edges` connect them.
+    """Return the corners that lie between `a` and `b` on the straight line from `a` to `b`, in order along a chain of
+    `needed_edges`.
 
-    The list is empty if these edges leave the line."""
+    The list is empty if no chain of these edges leads to `b` along the line."""
     (ax, ay), (bx, by) = corners[a], corners[b]
     at = a
     chain: list[int] = []
@@ -280,8 +283,8 @@ T = TypeVar("T", bound=np.integer)
 def split_triangle_strips(corners: NDArray[T], restart: int = -1) -> NDArray[T]:
     """Return the triangles (n, 3) of a strip of corners. Every second triangle is reversed, so that all face the same side.
 
-    Triangles with a repeated corner only connect parts of a strip, so they are omitted. `restart`: the value that begins a new
-    strip."""
+    Triangles with a repeated corner are omitted, because they only connect parts of a strip. `restart`: the value that begins a
+    new strip."""
     if len(corners) < 3:
         return np.empty((0, 3), corners.dtype)
     place = np.arange(len(corners))

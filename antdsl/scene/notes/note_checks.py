@@ -124,7 +124,7 @@ class _NoteCheck:
             yield "inside", note.inside
 
     def _find_thing_problems(self, thing: AnySelector, *path: PathKey) -> Iterator[SelectorProblem]:
-        """Yield a problem for each name of a thing of the world, or of agents, that does not exist."""
+        """Yield a problem for each name in `thing` that does not exist. The names are of things of the world or of agents."""
         things = self._list_things(*MESH_GROUPS) | self.names.items | self.names.cameras
         words = "no mesh, item, camera, crowd line or species is named"
         return find_selector_problems(thing, self.names, *self.path, *path, others=things, what=words)
@@ -139,7 +139,7 @@ class _NoteCheck:
             yield ("at" if note.verb == "look" else "look_at", group), target
 
     def _check_things(self) -> None:
-        """Report curves, maps, regions, and the thing of a `part` if they do not exist."""
+        """Report curves, maps and regions that do not exist. Also report the thing of a `part` note if it does not exist."""
         note, curves = self.note, self._list_things("curves")
         bands = [((key, "along"), getattr(region, "along", None)) for key, region in self._iterate_regions()]
         for path, along in ((("along",), getattr(note, "along", None)), *bands):
@@ -200,8 +200,10 @@ class _NoteCheck:
 
 
 def _find_species(selector: AnySelector | None, scene: Scene) -> set[str]:
-    """Return the names of the species that a selector names, directly or by a crowd line. The set is empty if it selects from
-    all species."""
+    """Return the names of the species of which a selector may select agents. The selector names them directly, or by a crowd
+    line.
+
+    The set is empty if agents of all species may be selected."""
     if isinstance(selector, AgentName):
         lines = {line.name: line.species for line in scene.model.crowd}
         return {lines.get(selector.name, selector.name)}

@@ -35,8 +35,8 @@ _NOTE_STATE_COLOUR = (0.6, 0.6, 0.6)
 
 
 def format_event_name(machine: str, state: str) -> str:
-    """Return the name of the event that puts a machine into a state. The name contains `#`, which no name in a program
-    contains."""
+    """Return the name of the event that puts a machine into a state. It contains `#`, so it cannot be the name of anything in a
+    program."""
     return f"note#{machine}.{state}"
 
 
@@ -107,9 +107,10 @@ def _add_change_transitions(species: Species, machine: Machine, notes: Iterable[
 
 
 def _make_machine(species: Species, name: str, displays: Sequence[tuple[str, Span, Statement, float]]) -> Machine:
-    """Return a machine with a state that displays nothing, followed by one state for each of `displays`.
+    """Return a machine that runs statements for notes. Its first state displays nothing. One state for each entry of `displays`
+    follows.
 
-    A display is the name of the state, a location, the statement that the state runs, and the fade time (s)."""
+    An entry consists of the name of the state, a location, the statement that the state runs, and the fade time (s)."""
     first = displays[0][1]
     states = [_make_state(OFF_STATE_NAME, 0, (), first)]
     states += [_make_state(state, k, (line,), span) for k, (state, span, line, _) in enumerate(displays, 1)]

@@ -50,7 +50,7 @@ class Note(ScenePart):
 
     @property
     def selector(self) -> AnySelector:
-        """Return the selector of the note's agents, combined with the conditions in its own selector keys."""
+        """Return the selector of the note's agents: the value after the verb, limited by the conditions in the note's keys."""
         return combine_selector(self.agents, self) if isinstance(self, SelectorKeys) else self.agents
 
     @property
@@ -65,7 +65,7 @@ class Note(ScenePart):
 
     @property
     def looks(self) -> Mapping[str, Target]:
-        """Return what parts of bodies look at, by transform group."""
+        """Return the targets at which parts of bodies look, by transform group."""
         return {}
 
     @property
@@ -368,7 +368,7 @@ GOAL_VERBS = frozenset((ReachNote.verb, PathNote.verb))  # agents may be too far
 
 
 def make_note_tag(verb: str) -> str:
-    """Return the tag by which pydantic selects the model for a verb. It is the last word in the location of an error."""
+    """Return the tag by which pydantic selects the model for a verb. pydantic puts this tag last in the location of an error."""
     return f"{verb}{NOTE_TAG_SUFFIX}"
 
 

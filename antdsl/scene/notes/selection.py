@@ -53,10 +53,10 @@ class SelectableFrame:
     """All data of one frame that selectors read.
 
     `lines`: the ids of the agents in each named crowd line.
-    `item_points` (k, 3): positions in mm, relative to the scene's coordinate origin, by the name of an item and of a group of
-    items.
-    `seed`: for the key `share`, if it has no separate seed. `unit_mm`: the scene's unit of length. `cameras`: by name, in this
-    frame."""
+    `item_points` (k, 3): by the name of an item or of a group of items, positions in mm, relative to the scene's coordinate
+    origin.
+    `seed`: the seed for the key `share` if the selector has no seed. `unit_mm`: the scene's unit of length. `cameras`: by name,
+    in this frame."""
 
     agents: Mapping[str, SelectableAgents]
     lines: Mapping[str, CrowdLineIds] = field(default_factory=dict)
@@ -73,7 +73,7 @@ def select_ids(selector: AnySelector, frame: SelectableFrame) -> dict[str, NDArr
 
 
 def select_rows(selector: AnySelector, frame: SelectableFrame) -> RowMasksBySpecies:
-    """Return, by species, a mask of its rows that is true for the selected agents."""
+    """Return, by species, a mask of the selected agents: bool[n], true for selected rows."""
     if isinstance(selector, AgentName):
         return {name: _find_agents_by_name(selector, name, agents, frame) for name, agents in frame.agents.items()}
     if isinstance(selector, AgentConditions):
@@ -128,8 +128,9 @@ def _select_by_conditions(conditions: AgentConditions, frame: SelectableFrame) -
 def _select_nearest(
     masks: RowMasksBySpecies, frame: SelectableFrame, targets: Floats, sign: float, count: int
 ) -> RowMasksBySpecies:
-    """Return a mask of the `count` selected agents with the smallest product of `sign` and the distance to the targets. Ties are
-    ordered by species and id."""
+    """Return masks of the `count` agents that are nearest to the targets (`sign` 1) or farthest from them (`sign` -1).
+
+    Only agents in `masks` are considered. At equal distances, agents are in the order of species and id."""
     names = sorted(masks)
     rows = {name: np.flatnonzero(masks[name]) for name in names}
     distance = np.concatenate([_measure_nearest(frame.agents[name].position[rows[name]], targets) for name in names])
@@ -144,7 +145,7 @@ def _select_nearest(
 
 
 def _find_in_state(state: str, agents: SelectableAgents) -> NDArray[np.bool_]:
-    """Return for each agent whether it is in a state, named `STATE` or `MACHINE.STATE`, in any of its machines."""
+    """Return for each agent whether any of its machines is in a state. `state`: `STATE` or `MACHINE.STATE`."""
     mask = np.zeros(len(agents.ids), np.bool_)
     for machine, column in agents.states.items():
         numbers = [k for k, name in enumerate(column.names) if state in (name, f"{machine}.{name}")]
@@ -153,10 +154,10 @@ def _find_in_state(state: str, agents: SelectableAgents) -> NDArray[np.bool_]:
 
 
 def _find_targets(conditions: AgentConditions, frame: SelectableFrame) -> tuple[Floats | None, RowMasksBySpecies | None]:
-    """Return the points (k, 3) from which `near` is measured, and a mask of the agents at these points. Each is None if there is
-    none.
+    """Return the points (k, 3) from which `near` is measured. Return None if there is no `near`.
 
-    Agents in this mask do not count as near themselves."""
+    Also return a mask of the agents at these points, or None if the points are not agents. These agents do not count as near
+    themselves."""
     near = conditions.near
     if near is None:
         return None, None
@@ -171,7 +172,7 @@ def _find_targets(conditions: AgentConditions, frame: SelectableFrame) -> tuple[
 
 
 def _measure_nearest(position: Floats, targets: Floats) -> Floats:
-    """Return the distance (mm) from each position to the nearest target. It is inf if there are no targets."""
+    """Return the distance (mm) from each position to the nearest target: inf if there are no targets."""
     from scipy.spatial import cKDTree
 
     if not len(targets) or not len(position):

@@ -40,7 +40,8 @@ _TARGET_FORMS = "write a point, `[0, 0, 0]`, or a name, such as `leaf` or `guard
 
 
 class AgentName(NamedTuple):
-    """Agents of a crowd line or species: all of them, or a range. `first`, `last`: numbers in the line, or ids in the species."""
+    """A name that stands for agents: a crowd line or a species, or a range of its agents. `first`, `last`: the range, as numbers
+    in the line or as ids in the species; None for all agents."""
 
     name: str
     first: int | None = None
@@ -234,7 +235,7 @@ class SelectorKeys(ScenePart):
 
 
 class AgentConditions(SelectorKeys):
-    """The intersection of conditions. `of`: the agents to which they apply; all by default."""
+    """Conditions that must all be met. `of`: the agents to which the conditions apply; all by default."""
 
     of: Selector | None = None
 
@@ -245,7 +246,7 @@ AnySelector = AgentName | tuple[Any, ...] | AgentConditions
 
 
 def combine_selector(selector: AnySelector | None, keys: SelectorKeys) -> AnySelector:
-    """Return the agents of `selector` that also fulfil the conditions in `keys`, the selector keys of a line."""
+    """Return a selector of the agents that `selector` selects and that also meet the conditions in `keys`."""
     if selector is not None and not keys.has_conditions:
         return selector
     values = {name: getattr(keys, name) for name in SelectorKeys.model_fields}
@@ -266,9 +267,9 @@ def needs_frame(selector: AnySelector | None) -> bool:
 class SelectorNames:
     """The names that selectors may use.
 
-    `lines`: the number of agents of each named crowd line. `species`, `items`, `cameras`: by name. `states`: as `STATE` and
-    `MACHINE.STATE`. `late_cameras`: cameras that are placed only when pictures are drawn. Each has the name of the agent that it
-    follows, or an empty text."""
+    `lines`: the number of agents of each named crowd line. `species`, `items`, `cameras`: names. `states`: names as `STATE` and
+    `MACHINE.STATE`. `late_cameras`: by name, cameras that are placed only when pictures are drawn, each with the name of the
+    agent that it follows or ""."""
 
     lines: Mapping[str, int] = field(default_factory=dict)
     species: frozenset[str] = frozenset()
@@ -296,8 +297,8 @@ def find_selector_problems(
     others: frozenset[str] = frozenset(),
     what: str = _NO_AGENTS,
 ) -> Iterator[SelectorProblem]:
-    """Yield the unknown names in a selector or in selector keys. `others`, `what`: as in `find_name_problems`, for a selector
-    that is only a name."""
+    """Yield the unknown names in a selector or in selector keys. `others`, `what`: as in `find_name_problems`. They only apply
+    if the selector is a single name."""
     if isinstance(selector, AgentName):
         yield from find_name_problems(selector, names, path, others, what)
     elif isinstance(selector, tuple):
@@ -327,8 +328,8 @@ def find_selector_problems(
 def find_name_problems(
     name: AgentName, names: SelectorNames, path: tuple[PathKey, ...], others: frozenset[str] = frozenset(), what: str = _NO_AGENTS
 ) -> Iterator[SelectorProblem]:
-    """Yield a problem if a name is neither a name of agents nor in `others`. `what`: the start of the message, before the
-    name."""
+    """Yield a problem if a name is neither a name of agents nor in `others`. `others`: further names that are allowed. `what`:
+    the start of the message, before the name."""
     if name.first is None and name.name in others:
         return
     count = names.lines.get(name.name)

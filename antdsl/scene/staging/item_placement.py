@@ -102,8 +102,10 @@ def check_crowds(staging: SceneStaging, crowds: Sequence[setting_data.CrowdData]
 def is_away_from_surfaces(
     placement: setting_data.PlacementData, things: SceneStaging | setting_data.WorldSetting, up: str
 ) -> bool:
-    """Return whether no surface is above or below the disc in which a crowd starts. For a start by area, test whether no surface
-    reaches into the ball."""
+    """Return whether no surface is above or below the disc in which a crowd starts.
+
+    For a placement by area, return instead whether no surface reaches into the ball in which the crowd starts. Without a disc or
+    surfaces, return False."""
     if placement.disc_centre is None or placement.radius is None:
         return False
     grounds = {**things.surfaces, **{name: solid.mesh for name, solid in things.solids.items()}}
@@ -115,8 +117,8 @@ def is_away_from_surfaces(
 
 @cache_per_mesh
 def _is_in_reach(mesh: setting_data.MeshData, middle: setting_data.PointMm, radius: float, axes: tuple[int, ...]) -> bool:
-    """Return whether a mesh reaches into a ball. `axes`: the axes to consider; if one is missing, the ball is a disc seen along
-    this axis."""
+    """Return whether a mesh reaches into a ball. `axes`: the axes in which distances are measured. If one axis is left out, the
+    ball becomes an infinite cylinder along this axis."""
     faces = _find_near_faces(mesh, middle, axes, radius)
     corners = np.zeros((len(faces), 3, 3))
     corners[:, :, : len(axes)] = (mesh.vertices[:, axes] - np.array(middle)[list(axes)])[faces]
@@ -139,7 +141,7 @@ def _place_usd_items(
 ) -> tuple[setting_data.ItemData, ...] | None:
     """Return points or empties of a USD file as items, or None after an error.
 
-    Radius and attributes come from the file, or else from `each`, or else from the defaults."""
+    The radius and each attribute are taken from the file if it has them, otherwise from `each`, otherwise from the defaults."""
     points = stage_usd_items(staging, name, value)
     if points is None:
         return None
@@ -195,7 +197,8 @@ def to_point_tuple(point: NDArray[np.float64]) -> setting_data.PointMm:
 def _find_near_faces(
     mesh: setting_data.MeshData, point: setting_data.PointMm, axes: Sequence[int], reach: float = 0.0
 ) -> NDArray[np.int32]:
-    """Return the faces (m, 3) with a bounding box that comes within about `reach` of a point. `axes`: the axes to consider."""
+    """Return the faces (m, 3) of which the bounding box comes within about `reach` (mm) of a point. `axes`: the axes along which
+    this is tested."""
     near = np.ones(len(mesh.faces), np.bool_)
     for axis in axes:
         a, b, c = (np.ascontiguousarray(mesh.vertices[:, axis])[mesh.faces[:, k]] for k in range(3))

@@ -22,9 +22,10 @@ T = TypeVar("T")
 
 
 def cache_per_mesh(work: Callable[Concatenate[M, P], T]) -> Callable[Concatenate[M, P], T]:
-    """Return `work` with a cache by mesh and arguments. Callers must not change the results.
+    """Decorate `work`, a function of a mesh and further arguments, with a cache of its results. Callers must not change the
+    results.
 
-    Only results about read-only meshes are stored. Such meshes themselves are cached as well."""
+    Only results for read-only meshes are stored. The cache also holds a reference to each such mesh."""
 
     @lru_cache(maxsize=_MAX_CACHED_MESHES)
     def get_answers(mesh: M) -> dict[Hashable, T]:

@@ -41,7 +41,7 @@ _DEFAULT_WELD_VOXELS = 0.01  # share of a voxel; voxels lose finer detail in any
 
 
 def report_import_losses(staging: SceneStaging, display_name: str, raw: RawMesh, span: Span | None) -> None:
-    """Warn about contents of a mesh file that are missing in the scene."""
+    """Warn about parts of a mesh file that the staged mesh lacks."""
     report, notes = staging.report, raw.notes
     if raw.dropped_faces:
         faces = "face" if raw.dropped_faces == 1 else "faces"
@@ -59,7 +59,7 @@ def report_import_losses(staging: SceneStaging, display_name: str, raw: RawMesh,
 
 
 def check_origin_distances(staging: SceneStaging, setting: setting_data.WorldSetting) -> None:
-    """Warn about meshes that extend so far from the world's origin that float32 positions there are imprecise."""
+    """Warn about meshes that reach very far from the world's origin. float32 positions are imprecise there."""
     origin = compute_world_origin(setting)
     walked = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
     for name, mesh in (walked or setting.obstacles).items():  # agents do not come near obstacles beyond all surfaces
@@ -134,7 +134,7 @@ def _weld_mesh(mesh: setting_data.MeshData, tolerance: float) -> _WeldedMesh | N
 
 
 def _record_welding(staging: SceneStaging, name: str, welding: _WeldedMesh) -> setting_data.MeshData:
-    """Record the changes by welding, and return the welded mesh. Values painted on the remaining faces are retained."""
+    """Record the changes by welding, and return the welded mesh. Painted values are reduced to those of the remaining faces."""
     raw = staging.raw_meshes[name]
     if welding.moved_count:
         staging.weld_counts[name] = staging.weld_counts.get(name, 0) + welding.moved_count
@@ -152,9 +152,9 @@ def _record_welding(staging: SceneStaging, name: str, welding: _WeldedMesh) -> s
 def close_solid(
     staging: SceneStaging, name: str, value: MeshThing | UsdThing, solid: setting_data.SolidData
 ) -> setting_data.SolidData:
-    """Return the solid. Its vertices are welded if it is not closed and the scene has no `weld`.
+    """Return the solid with welded vertices if it is not closed and the scene has no `weld`. Otherwise, return it unchanged.
 
-    Reports an error if the solid still has no inside."""
+    Report an error if the solid still has no inside."""
     display_name, place = find_mesh_location(staging, name)
     if is_flat(solid.mesh.vertices, solid.mesh.faces):
         words, help = f"the solid `{name}` has no volume: `{display_name}` is flat", "give it a thickness, or declare a `surface`"
@@ -189,9 +189,9 @@ def close_solid(
 
 
 def check_live_faces(staging: SceneStaging) -> None:
-    """Report each surface on which no agent could stand, because none of its faces is ground.
+    """Report surfaces on which agents cannot walk, because all of their faces are too small.
 
-    The run time uses the same rule for the ground."""
+    The simulation uses the same rule to decide which faces are ground."""
     if not staging.surfaces:
         return
     used = [mesh.vertices[mesh.faces].reshape(-1, 3) for mesh in staging.surfaces.values()]
@@ -221,7 +221,7 @@ def find_mesh_location(staging: SceneStaging, name: str) -> tuple[str, Span | No
 
 
 def collect_imports(staging: SceneStaging) -> dict[str, MeshImport]:
-    """Return the import report of each mesh, in scene units."""
+    """Return the import report of each mesh, with lengths in scene units."""
     imports, unit = {}, staging.scene.model.unit_mm
     solids = {name: solid.mesh for name, solid in staging.solids.items()}
     for name, mesh in {**staging.surfaces, **staging.obstacles, **solids}.items():
@@ -302,11 +302,11 @@ def is_flat(vertices: Floats, faces: Faces) -> bool:
 class MeshOpenings:
     """The openings of a mesh that is not closed.
 
-    `closing_tolerance`: a tolerance in mm, with one digit, with which welding closes the mesh; 0 if there is none.
+    `closing_tolerance`: a welding distance in mm, with one digit, that closes the mesh; 0 if there is none.
     `width`: the width in mm of the widest gap that this welding closes; 0 if there is none.
-    `hole_count`: the number of connected borders.
+    `hole_count`: the number of separate borders.
     `largest_hole_edges`: the number of edges around the largest hole.
-    `longest_edge`: the length in mm of the longest of these edges."""
+    `longest_edge`: the length in mm of the longest edge around this hole."""
 
     closing_tolerance: float
     width: float
@@ -351,12 +351,12 @@ def measure_openings(vertices: Floats, faces: Faces, tolerance: float) -> MeshOp
 
 
 def round_down_digit(x: float) -> float:
-    """Return x rounded down to one digit, such as 0.1 for 0.17."""
+    """Return x rounded down to one significant digit, such as 0.1 for 0.17."""
     digits, _, power = f"{x:.15e}".partition("e")
     return float(f"{digits[0]}e{power}")
 
 
 def round_up_digit(x: float) -> float:
-    """Return the next number above x that has one digit, such as 0.2 for 0.17 and 0.3 for 0.2."""
+    """Return the smallest number above x that has one significant digit, such as 0.2 for 0.17 and 0.3 for 0.2."""
     digits, _, power = f"{x:.15e}".partition("e")
     return float(f"{int(digits[0]) + 1}e{power}")

@@ -42,7 +42,8 @@ class MeshMotion:
 
     @staticmethod
     def from_transforms(transforms: Floats, count: int) -> MeshMotion:
-        """Return the motion of `count` vertices that all follow the same transforms (frames, 3, 4) from a common space.
+        """Return the motion of `count` vertices that all follow the same transforms. `transforms` (frames, 3, 4): from one
+        common space to each frame.
 
         The first transform must have an inverse."""
         track = compose_transforms(transforms, invert_transforms(transforms[0]))
@@ -105,6 +106,7 @@ class GeometryMotion:
     def find_positions(self, tracks: Floats, frame: int) -> Floats:
         """Return the positions (n, 3) of items or of a curve at a frame of the scene.
 
-        `tracks` (frames, n, 3): their positions, which are constant before the first and after the last frame."""
+        `tracks` (frames, n, 3): the positions at all frames. Before the first and after the last of them, the nearest frame is
+        used."""
         frame_positions: Floats = tracks[min(max(frame - self.first, 0), len(tracks) - 1)]
         return frame_positions

@@ -47,7 +47,8 @@ def fit_surfaces_to_box(staging: SceneStaging) -> None:
 
 
 def _list_gaps(mesh: MeshData, box: PeriodicBox) -> Iterator[tuple[str, float, float]]:
-    """Yield each axis along which a surface does not reach both sides of the box, and both ends of the surface (mm)."""
+    """Yield each axis along which a surface does not reach both sides of the box. With each axis, yield the lower and upper end
+    of the surface (mm)."""
     for axis in box.axes:
         values, slack = mesh.vertices[mesh.faces.ravel(), axis], _TOLERANCE * box.widths[axis]
         low, high = float(values.min(initial=np.inf)), float(values.max(initial=-np.inf))
@@ -56,8 +57,8 @@ def _list_gaps(mesh: MeshData, box: PeriodicBox) -> Iterator[tuple[str, float, f
 
 
 def _find_bounds(mesh: MeshData, box: PeriodicBox) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the low and high corner (3,) of the part of a mesh inside the box. Along axes that do not wrap, they are the ends
-    of the mesh."""
+    """Return the lowest and the highest corner (3,) of the part of a mesh inside the box. Along axes that do not wrap, these are
+    the bounds of the mesh itself."""
     wraps, begin = np.array(box.widths) > 0, np.array(box.low)
     low, high = mesh.vertices[mesh.faces.ravel()].min(axis=0), mesh.vertices[mesh.faces.ravel()].max(axis=0)
     return np.where(wraps, begin, low), np.where(wraps, begin + np.array(box.widths), high)
@@ -99,8 +100,8 @@ def _make_rectangle(mesh: MeshData, box: PeriodicBox) -> MeshData | None:
 
 
 def _find_seam_difference(mesh: MeshData, box: PeriodicBox) -> tuple[str, float] | None:
-    """Return the first axis along which the edges on both sides of the box differ, and how much their heights differ (mm). None
-    if they match."""
+    """Return the first axis along which the surface edges at the two sides of the box differ. Also return the difference of
+    their heights (mm). Return None if all edges match."""
     for axis in box.axes:
         low, high = (_list_side_edges(mesh, axis, box.low[axis] + k * box.widths[axis]) for k in (0, 1))
         low[..., axis] = high[..., axis] = 0.0

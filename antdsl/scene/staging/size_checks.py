@@ -59,7 +59,7 @@ def _check_cells(staging: SceneStaging) -> None:
 def _check_scale(staging: SceneStaging) -> None:
     """Warn about a surface that is hardly larger than its agents, or so large that its unit is probably wrong.
 
-    Also warn about voxels that are too coarse for the agents that walk and dig there."""
+    Also warn about a solid with voxels that are too coarse for the agents that walk on it and dig in it."""
     for line in staging.scene.model.crowd:
         species = staging.program.species.get(line.species)
         size = next((a.default for a in species.attributes if a.name == "size"), None) if species else None
@@ -107,8 +107,10 @@ def report_too_many_parts(
     *path: PathKey,
     labels: tuple[Label, ...] = (),
 ) -> None:
-    """Report an error if `count` parts with an edge of `edge` mm exceed the limit `max_count`. `path`: the location in the
-    scene."""
+    """Report an error if `count` is above `max_count`. `parts`: what is counted, such as voxels. `edge`: the edge length (mm) of
+    a part.
+
+    `path`: the location in the scene."""
     if count > max_count:
         size = f"{count * 8 / limits.GIB:,.0f} GiB" if count * 8 > limits.GIB else f"{count * 8 / limits.MIB:,.0f} MiB"
         message = f"{subject} would need at least {count:,.0f} {parts} of {edge:g} mm (about {size}), more than {max_count:,}"

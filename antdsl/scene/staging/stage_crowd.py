@@ -47,8 +47,8 @@ def stage_crowd(staging: SceneStaging, item_points: PointsByName, number: int) -
 
 
 def _find_single_library_body(weights: Mapping[str, float]) -> str:
-    """Return the name of the crowd line's body if it has one body and this comes from the library. Otherwise return an empty
-    text."""
+    """Return the name of the crowd line's body if the line has exactly one body and the body is from the library. Otherwise
+    return ""."""
     return next((text for text in weights if len(weights) == 1 and text in BODY_WORDS), "")
 
 
@@ -120,7 +120,8 @@ def stage_walk(scene: Scene, walk: ScriptedWalk | None) -> setting_data.Scripted
 
 
 def _read_spacing(scene: Scene, spacing: Quantity | str | None) -> float:
-    """Return the smallest distance (mm) between agents of a crowd line at the start. inf stands for an even distribution."""
+    """Return the smallest distance (mm) between agents of a crowd line at the start. The result inf means that agents are
+    distributed evenly."""
     if isinstance(spacing, str):
         return math.inf
     return convert_length(scene, spacing) or 0.0

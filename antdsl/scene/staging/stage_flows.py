@@ -60,8 +60,8 @@ def stage_flow(staging: SceneStaging, name: str, thing: model.FlowThing | model.
 
 
 def _stage_flow_target(staging: SceneStaging, name: str, key: str, target: model.FlowTargetValue) -> FlowTarget | None:
-    """Return the target of a flow in mm. On failure, report an error and return None. `key`: the key in the scene that names the
-    target."""
+    """Return the target of a flow in mm. On failure, report an error and return None. `key`: the scene key that has the target
+    as its value."""
     scene, items = staging.scene, staging.items
     if not isinstance(target, str):
         return FlowTarget(np.array([model.convert_point(target, scene.model.unit_mm)]), np.zeros(1))
@@ -87,7 +87,7 @@ def _stage_flow_target(staging: SceneStaging, name: str, key: str, target: model
 
 
 def _report_no_target(staging: SceneStaging, name: str, key: str, target: str) -> None:
-    """Report a target that is not an item, unless another message already explains why."""
+    """Report that the target of a flow is not an item. Report nothing if another message already explains why."""
     items = staging.items
     if not staging.report.ok:
         return
@@ -105,9 +105,11 @@ def stage_map(staging: SceneStaging, name: str, thing: model.PaintedThing) -> se
 
 
 def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, width: int) -> setting_data.PaintedValues | None:
-    """Return painted values on the vertices or faces of a surface as it is in the scene, which may have fewer than its file.
+    """Return the values that are painted on a surface, one row per vertex or face of the staged surface. On failure, report an
+    error and return None.
 
-    `width`: 1 for the numbers of a map, 3 for the vectors of a flow. On failure, report an error and return None."""
+    Vertices and faces of the surface's file that staging has removed have no row. `width`: 1 for the numbers of a map, 3 for the
+    vectors of a flow."""
     surfaces = staging.program.list_things_of_kind("surface")
     surface = thing.on or find_painted_surface(staging.scene, surfaces, thing) or surfaces[0]
     raw, mesh = staging.raw_meshes.get(surface), staging.scene.model.world.get(surface)
@@ -141,9 +143,10 @@ def _stage_painted(staging: SceneStaging, name: str, thing: model.PaintedThing, 
 
 
 def _select_used_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[np.float64], bool] | None:
-    """Return the rows for the vertices or faces that are in the scene, and whether they are faces. `rows`: for all in the file.
+    """Return the rows for those vertices or faces of the file that are in the scene. `rows`: one row for each vertex or face of
+    the file.
 
-    Return None if the number of rows matches neither vertices nor faces."""
+    Also return whether the rows are for faces. Return None if the number of rows matches neither vertices nor faces."""
     vertices, faces = raw.file_counts
     if len(rows) == vertices:
         return rows[raw.file_vertex_indices], False

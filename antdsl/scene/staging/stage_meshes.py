@@ -64,7 +64,8 @@ def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing 
 
 
 def _read_static_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tuple[RawMesh, None] | None:
-    """Return the mesh in one file, and None as its motion. Return None instead of both after an error."""
+    """Return the mesh in a file that is the same for all frames, and None as its motion. After an error, return None instead of
+    the pair."""
     data = staging.read_file(value.mesh, limits.MAX_MESH_BYTES, "world", name, "mesh")
     if data is None:
         return None
@@ -81,7 +82,8 @@ def _read_static_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tup
 
 
 def _read_height_mesh(staging: SceneStaging, name: str, value: HeightThing) -> tuple[RawMesh, None] | None:
-    """Return a surface of height samples in mm with y up, and None as its motion. Return None instead of both after an error."""
+    """Return the mesh of a surface of height samples, in mm with y up, and None as its motion. After an error, return None
+    instead of the pair."""
     data = staging.read_file(value.height, limits.MAX_MESH_BYTES, "world", name, "height")
     if data is None:
         return None

@@ -44,7 +44,7 @@ from antdsl.scene.thing_models import UP_VECTORS
 
 @dataclass(slots=True)
 class SceneStaging:
-    """A setting under construction, with its report and a hash of each file that was read."""
+    """A setting under construction. It collects the data of all things, a report, and a hash of each file that was read."""
 
     scene: Scene
     program: Program
@@ -80,9 +80,10 @@ class SceneStaging:
         return data
 
     def make_sibling_reader(self, text: str) -> Callable[[str, int], bytes]:
-        """Return a reader for files to which a file of the scene refers, relative to that file's folder.
+        """Return a function that reads the files to which a file of the scene refers. Their names are relative to the folder of
+        that file.
 
-        The reader raises PathRefused for files outside the allowed folders."""
+        The function raises PathRefused for files outside the allowed folders."""
         root, colon, path = text.rpartition(":")
         folder = posixpath.dirname(path)
 
@@ -129,7 +130,8 @@ _MESH_GROUPS = ("surfaces", "obstacles", "solids")
 
 
 def _stage_things(staging: SceneStaging, *groups: str) -> None:
-    """Stage the things of some groups in the order of the program. Curves and items retain the scene's order, as in caches."""
+    """Stage the things of some groups, in the order of the program. Curves and items are staged in the order of the scene,
+    because caches store them in this order."""
     program, scene = staging.program.world, staging.scene.model.world
     for name in scene if groups[0] in ("curves", "items") else program:
         kind, value = SCENE_KINDS.get(program[name].kind) if name in program else None, scene.get(name)

@@ -39,7 +39,8 @@ def stage_point(
     *path: PathKey,
     key: str = "around",
 ) -> setting_data.PointMm | None:
-    """Return a centre in mm: a point, the position of an item, or the origin if only a radius is given."""
+    """Return a centre in mm. It is a point, the position of an item, or the origin if there is only a radius. Return None
+    without a centre or after an error."""
     if around is None:
         return None if radius is None else (0.0, 0.0, 0.0)
     if not isinstance(around, str):
@@ -52,7 +53,7 @@ def stage_point(
 
 
 def stage_shapes(staging: SceneStaging, item_points: PointsByName, placement: Placement, *path: PathKey) -> dict[str, Any]:
-    """Return the fields of `PlacementData` for the shapes and directions of a placement, by name."""
+    """Return those fields of `PlacementData` that define shapes and directions, by field name."""
     scene, clumps = staging.scene, placement.clumps
     return {
         "ranks": None if placement.ranks is None else _stage_ranks(scene, placement.ranks, int(path[1])),
@@ -70,7 +71,7 @@ def _convert_required_length(scene: Scene, value: Quantity) -> float:
 
 
 def _stage_ranks(scene: Scene, ranks: RankFormation, number: int) -> RanksData:
-    """Return ranks with as many rows as the agents need. `number`: the index of the crowd line."""
+    """Return ranks with as many rows as the agents of a crowd line need. `number`: the index of the crowd line."""
     model = scene.model
     count = model.crowd[number].count_agents(model.frames.first, model.fps)
     across, along = ranks.spacing if isinstance(ranks.spacing, tuple) else (ranks.spacing, ranks.spacing)
@@ -104,7 +105,7 @@ def _stage_facing(staging: SceneStaging, item_points: PointsByName, facing: Faci
 
 
 def _find_centre_item(staging: SceneStaging, around: PointValue | str | None) -> ItemCentre | None:
-    """Return the item that is the centre of a placement, or None if the centre is a point."""
+    """Return the item that is the centre of a placement, or None if the centre is not an item."""
     if not isinstance(around, str):
         return None
     for name, items in staging.items.items():

@@ -48,15 +48,15 @@ T = TypeVar("T")
 
 
 def list_simulated_frames(staging: SceneStaging) -> range:
-    """Return the simulated frames, including the preroll. Meshes are in their rest positions at the first one."""
+    """Return the simulated frames, including the preroll. In the first of these frames, meshes are at rest."""
     model = staging.scene.model
     return range(model.frames.first - model.preroll, model.frames.last + 1)
 
 
 def find_frame_files(staging: SceneStaging, text: str, *path: PathKey) -> list[str] | None:
-    """Return the file for each frame if a path has `####`, else None.
+    """Return the file for each frame if a path contains `####`, else None.
 
-    Frames before the first existing file use the first file, and frames after the last existing file use the last one."""
+    Frames before the first existing file get the first file. Frames after the last existing file get the last file."""
     files = staging.find_sequence(text, *path)
     if files is None:
         return None
@@ -84,7 +84,7 @@ def interpolate_keys(
 ) -> tuple[Floats, Floats] | None:
     """Return the position (frames, 3) in mm and the rotation (frames, 3) in radians at each frame, or None without keys.
 
-    Values that no key defines come from the thing itself: `own_at`, `own_rotation`."""
+    If no key defines a position or a rotation, `own_at` or `own_rotation` of the thing is used."""
     if not keys:
         return None
     at = {f: convert_point(key.at, unit_mm) for f, key in keys.items() if key.at is not None}
@@ -104,7 +104,7 @@ def interpolate_values(keys: Mapping[int, tuple[float, ...]], frames: Sequence[i
 
 
 def _make_key_transforms(staging: SceneStaging, value: PlacedThing | CurveThing, factor: float, own_up: str) -> Floats | None:
-    """Return the transforms (frames, 3, 4) from a file's positions into the scene, or None if the thing has no keys."""
+    """Return the transforms (frames, 3, 4) from points in a file to mm and the scene's axes; None for a thing without keys."""
     model, frames = staging.scene.model, list_simulated_frames(staging)
     placed = interpolate_keys(value.keys, value.at, getattr(value, "rotate", None), frames, model.unit_mm)
     if placed is None:
@@ -180,7 +180,7 @@ def stage_usd_mesh(staging: SceneStaging, name: str, value: UsdThing) -> tuple[R
 def place_motion(
     staging: SceneStaging, value: PlacedThing, raw: RawMesh, file_motion: MeshMotion | None, factor: float, own_up: str
 ) -> tuple[Floats, MeshMotion | None] | None:
-    """Return the vertices at rest and the motion of a mesh that moves in its file, by keys, or both. None if it does not move."""
+    """Return the vertices at rest and the motion of a mesh that moves in its file or by keys. Return None for a static mesh."""
     transforms = _make_key_transforms(staging, value, factor, own_up)
     if file_motion is None and transforms is None:
         return None
@@ -203,7 +203,7 @@ def find_first_rotation(staging: SceneStaging, value: PlacedThing) -> tuple[floa
 
 
 def limit_vector_lengths(vectors: Floats) -> Floats:
-    """Return vectors (n, 3) in which vectors longer than 1 are scaled to length 1."""
+    """Return vectors (n, 3). Vectors longer than 1 are shortened to length 1; others are unchanged."""
     return np.asarray(vectors / np.maximum(np.sqrt((vectors * vectors).sum(axis=1)), 1.0)[:, None])
 
 
@@ -279,7 +279,7 @@ def stage_curve(staging: SceneStaging, name: str, value: CurveThing | UsdThing) 
 
 
 def _apply_transforms_by_frame(transforms: Floats, positions: Floats) -> Floats:
-    """Return positions (frames, k, 3), transformed frame by frame. The shorter input is extended with its last frame."""
+    """Return positions (frames, k, 3), transformed frame by frame. The input with fewer frames repeats its last frame."""
     count = max(len(positions), len(transforms))
     frames = [(min(k, len(transforms) - 1), min(k, len(positions) - 1)) for k in range(count)]
     return np.stack([apply_transforms(transforms[i], positions[j]) for i, j in frames])
@@ -289,8 +289,8 @@ def _apply_transforms_by_frame(transforms: Floats, positions: Floats) -> Floats:
 
 
 def compute_item_positions(staging: SceneStaging, name: str, item: str | None, thing: ItemThing | LampThing) -> Floats:
-    """Return the positions (frames, 3) of an item or lamp in mm, by its keys. There is one frame without keys. `item`: its name
-    below `name`, if the scene has one."""
+    """Return the positions (frames, 3) in mm of an item or lamp. Without keys, there is a single frame. `item`: the name of the
+    item in the group `name`, or None."""
     unit_mm = staging.scene.model.unit_mm
     placed = interpolate_keys(thing.keys, thing.at, None, list_simulated_frames(staging), unit_mm)
     if placed is None:
@@ -305,7 +305,7 @@ def compute_item_positions(staging: SceneStaging, name: str, item: str | None, t
 
 
 def stage_usd_items(staging: SceneStaging, name: str, value: UsdThing) -> UsdPoints | None:
-    """Return the points below a prim, or the empties of a kind, after the scene's transforms."""
+    """Return the points below a prim, or the empties of a kind, with the scene's transforms applied; None after an error."""
     from dataclasses import replace
 
     from antdsl.scene.geometry.usd import read_usd_points

@@ -26,7 +26,8 @@ _OPTIONAL_ATTRIBUTES = ("max_turn", "min_speed")  # agents have these values onl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsdFile:
-    """The points of a USD file. `name`: the name of the file. `span`: the location at which the scene names the file."""
+    """Values that a USD file has for each of its points. `name`: the name of the file. `span`: the location at which the scene
+    names the file."""
 
     staging: SceneStaging
     name: str
@@ -37,8 +38,8 @@ class UsdFile:
 def read_in_base_units(file: UsdFile, key: str, dim: Dimension) -> NDArray[np.float64]:
     """Return the file's values (n,) of an attribute in base units, with nan for points without a value.
 
-    Numbers in the file are in its unit of length, in degrees and in seconds. Words are parsed as numbers with a unit, as in a
-    scene."""
+    In the file, lengths are in its unit of length, angles in degrees and times in seconds. Words are parsed as quantities, as in
+    a scene."""
     points, report = file.points, file.staging.report
     factor = float(points.unit**dim.length * np.radians(1.0) ** dim.angle)
     column: NDArray[np.float64] = points.values.get(key, np.full(len(points.names), np.nan)) * factor

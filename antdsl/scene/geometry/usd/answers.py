@@ -107,10 +107,10 @@ def wrap_usd_errors(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
 
 
 def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
-    """Return the points of all Points prims at or below the stage's prim. If there are none, return one point for each child
-    prim with a position.
+    """Return the points of all Points prims at or below the stage's prim. If there are no Points prims, return one point for
+    each child prim with a position.
 
-    `kind`: return instead all prims below it, at any depth, with this `userProperties:kind`."""
+    `kind`: if set, return instead all prims at any depth below the stage's prim that have this `userProperties:kind`."""
     answer = stage.send_request("usd-points", {"of_kind": kind})
     try:
         positions = answer.require_array("places", "f8", None, None, 3)

@@ -171,7 +171,7 @@ class UsdFileClosure:
             raise UsdError("bad-usd", f"`{name}` cannot be read: {error}", "export it again", "usd") from None
 
     def _find_package_layer(self, layer: LayerLocation, asset: str) -> LayerLocation:
-        """Return the layer in a package that another layer of this package names."""
+        """Return the layer to which another layer of the same package refers."""
         path, inside = layer
         target = posixpath.normpath(posixpath.join(posixpath.dirname(inside), asset))
         parts = self._packages[path]
@@ -183,9 +183,9 @@ class UsdFileClosure:
         return path, target
 
     def _find_file(self, layer: LayerLocation, asset: str) -> LayerLocation:
-        """Copy a file that a layer names, and return the location of the copy.
+        """Copy a file that a layer refers to, and return the location of the copy.
 
-        Raises UsdError for a URL, or for a text that USD would evaluate when it opens the file."""
+        Raises UsdError for a URL, and for a text that USD would evaluate when it opens the file."""
         named = f"`{_shorten_text(asset)}`{_describe_naming_layer(layer)}"
         if "`" in asset or ":SDF_FORMAT_ARGS:" in asset:
             raise UsdError("bad-path", f"{named} is an expression, not a file", "write the path in full", "usd")
@@ -202,7 +202,8 @@ class UsdFileClosure:
         return file_place[0], inner.removesuffix("]")
 
     def _resolve_name(self, path: str, asset: str, asset_path: str) -> str:
-        """Return the name of the file that USD would find for an asset path: relative to the layer, or else to the top layer."""
+        """Return the name of the file that USD would find for an asset path. USD searches relative to the layer first, then
+        relative to the top layer."""
         folders = [os.path.dirname(path)] + ([] if asset.startswith(".") else [os.path.dirname(self._top_path)])
         names = [self._find_scene_name(os.path.normpath(os.path.join(folder, asset))) for folder in folders]
         inside = [name for name in names if name is not None]
@@ -211,8 +212,8 @@ class UsdFileClosure:
         return next((name for name in inside if self._has_file(name)), inside[0])
 
     def _has_file(self, name: str) -> bool:
-        """Return whether a file with this name exists below a root. An unreadable file also counts, because reading it reports
-        the reason."""
+        """Return whether a file with this name exists below a root. The result is also True if it cannot be read; the reader
+        reports the reason later."""
         try:
             return self._roots.measure_file_size(name) >= 0
         except PathRefused as error:
@@ -224,8 +225,8 @@ class UsdFileClosure:
         raise UsdError("bad-path", message, help, "usd")
 
     def _find_scene_name(self, path: str) -> str | None:
-        """Return the name by which a scene would refer to a file, or None for a file outside all roots. Only the path is used,
-        not the disk."""
+        """Return the name by which a scene would refer to a file, or None for a file outside all roots. The result depends only
+        on the path. The disk is not accessed."""
         for name, folder in self._folders.items():
             if path.startswith(folder.rstrip(os.sep) + os.sep):
                 below = Path(path).relative_to(folder).as_posix()
@@ -246,7 +247,7 @@ def _make_refusal_error(refusal: PathRefused, naming_layer: LayerLocation | None
 
 
 def _describe_naming_layer(layer: LayerLocation | None) -> str:
-    """Return words for the layer that names a file. They fit between the file's name and the problem."""
+    """Return words about the layer that names a file. In a message, they follow the file's name and precede the problem."""
     return f", named by {_format_layer_name(layer)}," if layer else ""
 
 
@@ -276,8 +277,8 @@ def read_layers(data: bytes) -> dict[str, bytes]:
 
 
 def _check_end(data: bytes) -> None:
-    """Check the number of members and the size of the directory against the limits, before any member is read. Raises
-    PackageError."""
+    """Check the number of members in a package, and the size of its directory, against the limits. This happens before any
+    member is read. Raises PackageError if a limit is exceeded."""
     place = data.rfind(b"PK\5\6", max(0, len(data) - _END_RECORD_STRUCT.size - 0xFFFF))
     if place < 0 or place + _END_RECORD_STRUCT.size > len(data):
         raise PackageError("is damaged, or not a zip file")

@@ -31,9 +31,7 @@ def format_usd_error(problem: Exception, folder: str) -> str:
 
 
 def clean_usd_text(text: str, folder: str) -> str:
-    """Return a text from USD as one line for a message. The line is the same in each run.
-
-    Paths of copies in `folder` are replaced by the names of the files. Memory addresses are removed."""
+    """Return a text from USD as one line for a message. The line does not change from one run to the next."""
     line = " ".join(text.replace(folder.rstrip(os.sep) + os.sep, "").split())
     line = _SESSION_LAYER_PATTERN.sub("", line)
     line = _MEMORY_ADDRESS_PATTERN.sub("", line)

@@ -54,7 +54,7 @@ class JoinedMesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MeshShape:
-    """A mesh prim with all transforms with which it appears in the scene.
+    """A mesh prim, with the transforms of all of its copies in the scene.
 
     `points`: its vertices at the first frame. `is_deformed`: whether the vertices move relative to the prim."""
 
@@ -156,8 +156,8 @@ def _make_triangles(
 
 
 def _join_shapes(shapes: list[_MeshShape]) -> tuple[Floats, Faces]:
-    """Return the vertices and faces of every copy of every shape at the first frame. The outside of a mirrored shape remains
-    outside."""
+    """Return the vertices and faces of every copy of every shape at the first frame. The faces of mirrored copies are reversed,
+    so that their outside remains outside."""
     vertices, faces, vertex_count = [], [], 0
     for shape in shapes:
         transforms, count = shape.placed_mesh.transforms[:, 0], len(shape.points)
@@ -172,7 +172,7 @@ def _join_shapes(shapes: list[_MeshShape]) -> tuple[Floats, Faces]:
 def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray[Any]] | None:
     """Return the arrays of a `MeshMotion`, or None if nothing moves. Each moving copy of a shape has one track.
 
-    Each vertex of a copy moves separately if its points deform, or if the first transform of the copy has no inverse."""
+    The vertices of a copy move individually if the mesh deforms, or if the first transform of the copy has no inverse."""
     frames = len(stage.times)
     if not any(shape.is_deformed or shape.placed_mesh.transforms.shape[1] > 1 for shape in shapes):
         return None
@@ -213,7 +213,7 @@ def _make_moves(stage: OpenStage, shapes: list[_MeshShape]) -> dict[str, NDArray
 
 
 def _find_separate_copies(shape: _MeshShape) -> NDArray[np.bool_]:
-    """Return, for each copy of a shape, whether its vertices move separately."""
+    """Return, for each copy of a shape, whether its vertices move individually rather than all with one transform."""
     transforms = shape.placed_mesh.transforms
     if shape.is_deformed:
         return np.ones(len(transforms), np.bool_)
@@ -238,8 +238,8 @@ def _compute_separate_offsets(stage: OpenStage, shape: _MeshShape, is_separate: 
 
 
 def _read_values(stage: OpenStage, shape: _MeshShape, name: str) -> Floats:
-    """Return the values of a primvar on the points of a shape, for each copy. Vectors rotate with the mesh and retain their
-    length."""
+    """Return the values of a primvar at the points of a shape, for one copy after the other. Vectors are rotated with their copy
+    and retain their length."""
     prim = shape.placed_mesh.prim
     primvar = import_pxr_module("UsdGeom").PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():

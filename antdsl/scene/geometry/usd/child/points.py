@@ -19,10 +19,10 @@ _MAX_LISTED_KINDS = 12
 
 
 def read_point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
-    """Return the points of all Points prims at or below the stage's prim. If there are none, return one point for each child
-    prim with a position.
+    """Return the points of all Points prims at or below the stage's prim. If there are no Points prims, return one point for
+    each child prim with a position.
 
-    `kind`: if set, return instead all prims below it, at any depth, with this text as `userProperties:kind`."""
+    `kind`: if set, return instead all prims at any depth below the stage's prim that have this `userProperties:kind`."""
     geom = import_pxr_module("UsdGeom")
     clouds = [prim for prim in stage.find_visible_prims(stage.prim) if prim.IsA(geom.Points)] if kind is None else []
     empties = [] if clouds else _find_placed_children(stage) if kind is None else _find_prims_of_kind(stage, kind)

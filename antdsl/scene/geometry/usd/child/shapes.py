@@ -30,16 +30,18 @@ class PlacedUsdMesh:
 
 @dataclass(slots=True)
 class PlacedMeshCounter:
-    """Counter of the mesh copies that point instancers create below `path`. The counts of nested instancers are multiplied.
+    """Counter of the mesh copies that point instancers below `path` would create. For nested instancers, the counts are
+    multiplied.
 
-    Copies are counted before they are made, so that a limit can be checked."""
+    It counts before any copy is made, so that a limit can be enforced."""
 
     path: str
     instances: int = 0
     meshes: int = 0
 
     def add_instances(self, count: int) -> None:
-        """Add the instances of one instancer, for all copies of this instancer. Raises UsdError if the limit is exceeded."""
+        """Count `count` further instances of an instancer, including those in all copies of it. Raises UsdError if the limit is
+        exceeded."""
         self.instances += count
         self._check_limit(self.instances, "instances")
 
@@ -81,7 +83,8 @@ def list_unread_types(stage: OpenStage) -> list[str]:
 def _find_placed_instances(
     stage: OpenStage, prim: Any, transforms: Floats, count: PlacedMeshCounter, depth: int
 ) -> Iterator[PlacedUsdMesh]:
-    """Yield the meshes that a point instancer creates. `transforms`: from the instancer's space to the scene."""
+    """Return help text that explains why a prim has no readable meshes. There may be none, or they are invisible, or they have
+    another purpose."""
     if depth > _MAX_NESTED_INSTANCERS:
         raise UsdError(
             "too-large", f"`{prim.GetPath()}` has point instancers nested more than {_MAX_NESTED_INSTANCERS} levels deep"
@@ -195,8 +198,8 @@ def _compute_relative_transforms(stage: OpenStage, prim: Any, root: Any) -> Floa
 
 
 def check_motion_bytes(size: int, noun: str) -> None:
-    """Raise UsdError if motion of `size` bytes exceeds the limit. Otherwise, raise the memory limit of the process
-    accordingly."""
+    """Raise UsdError if motion of `size` bytes exceeds the limit. Otherwise, raise the memory limit of the process, so that the
+    motion fits."""
     if size > limits.MAX_MOTION_BYTES:
         words = (
             f"the frames of {noun} would take {size / limits.GIB:.1f} GiB, more than {limits.MAX_MOTION_BYTES / limits.GIB:.0f}"
