@@ -29,9 +29,9 @@ _MAX_LISTED_LOCATIONS = 12  # locations listed in one finding
 
 @dataclass(slots=True)
 class _UnreadLines:
-    """The lines of one source that could not be parsed: their line numbers and their first words.
+    """The lines of one source that could not be parsed. `lines`: their line numbers. `first_words`: their first words.
 
-    `suppressed_codes`: the codes of findings to drop, because one of these lines probably declares the missing name."""
+    `suppressed_codes`: the codes of findings that are dropped, because one of these lines probably declares the missing name."""
 
     lines: set[int] = field(default_factory=set)
     first_words: set[str] = field(default_factory=set)
@@ -39,8 +39,8 @@ class _UnreadLines:
 
 
 def drop_cascading_errors(report: Report, skipped_spans: Iterable[Span]) -> Report:
-    """Return the report without findings that unparsed text or misspelt names have caused. `skipped_spans`: the spans that the
-    parser skipped and reported."""
+    """Return the report without findings that are only consequences of unparsed text or misspelt names. `skipped_spans`: the
+    spans that the parser skipped and reported."""
     doubts: dict[Source, _UnreadLines] = {}
     for span in skipped_spans:
         _add_unread_lines(doubts.setdefault(span.source, _UnreadLines()), span)
@@ -52,8 +52,8 @@ def drop_cascading_errors(report: Report, skipped_spans: Iterable[Span]) -> Repo
 
 
 def add_all_locations(report: Report, repeated_spans: Mapping[Span, Sequence[Span]]) -> Report:
-    """Return the report with labels for all spans of a finding, not only for the first. `repeated_spans`: by the first span of a
-    finding, all of its spans."""
+    """Return the report with labels for all spans of each finding, not only for the first span. `repeated_spans`: all spans of a
+    finding, by its first span."""
     return Report(
         [
             replace(d, labels=_make_labels_of_all_spans(d, repeated_spans)) if d.span in repeated_spans else d
@@ -63,8 +63,8 @@ def add_all_locations(report: Report, repeated_spans: Mapping[Span, Sequence[Spa
 
 
 def merge_repeated_findings(report: Report) -> Report:
-    """Return the report with one finding in place of several findings that have the same message and file. It has labels for all
-    spans."""
+    """Return the report in which findings with the same message in the same file are merged into one, with labels for all
+    locations."""
     groups: dict[tuple[str, str, str], list[Diagnostic]] = {}
     for each in report.diagnostics:
         groups.setdefault((each.code, each.message, each.span.source.path if each.span else ""), []).append(each)
@@ -79,15 +79,15 @@ def merge_repeated_findings(report: Report) -> Report:
 
 
 def _make_labels_of_all_spans(diagnostic: Diagnostic, repeated_spans: Mapping[Span, Sequence[Span]]) -> tuple[Label, ...]:
-    """Return the labels of a diagnostic. For a missing name, there is also one label for each other span of the name."""
+    """Return the labels of a diagnostic. A finding about a missing name also gets a label for each repetition of the name."""
     spans = repeated_spans[diagnostic.span] if diagnostic.code in _MISSING_NAME_CODES and diagnostic.span else []
     others = [each for each in spans if each != diagnostic.span]
     return (*diagnostic.labels, *_make_labels_of_repetitions(others))
 
 
 def _make_labels_of_repetitions(others: Sequence[Span]) -> list[Label]:
-    """Return labels for the other spans of a finding. If there are more than `_MAX_LISTED_LOCATIONS`, the last label gives the
-    number of the rest."""
+    """Return labels for the other spans of a finding. There are at most `_MAX_LISTED_LOCATIONS`. If there are more spans, the
+    last label says how many are left."""
     left = len(others) - _MAX_LISTED_LOCATIONS
     labels = [Label(span, "and here") for span in others[:_MAX_LISTED_LOCATIONS]]
     if left > 0:
@@ -96,7 +96,7 @@ def _make_labels_of_repetitions(others: Sequence[Span]) -> list[Label]:
 
 
 def _is_misspelt_declaration(diagnostic: Diagnostic, duplicate_names: set[tuple[Source, str]]) -> bool:
-    """Return whether a missing name is probably explained by a duplicate declaration.
+    """Return whether a missing name is probably due to a duplicate declaration.
 
     If two declarations of one kind have the same name, one of them was probably meant to have the missing name."""
     if diagnostic.span is None or diagnostic.code not in _MISSING_NAME_CODES:
@@ -109,7 +109,7 @@ def _is_misspelt_declaration(diagnostic: Diagnostic, duplicate_names: set[tuple[
 
 
 def _add_unread_lines(unread_lines: _UnreadLines, span: Span) -> None:
-    """Add the lines of a skipped span to `unread_lines`."""
+    """Add to `unread_lines` all lines of a span that the parser skipped."""
     first = span.source.find_line_column(span.start)[0]
     last = span.source.find_line_column(max(span.start, span.end - 1))[0]
     nameless_start = _NAMELESS_DECLARATION_PATTERN.fullmatch(
@@ -132,7 +132,7 @@ def _add_unread_lines(unread_lines: _UnreadLines, span: Span) -> None:
 def _is_cascading_error(
     diagnostic: Diagnostic, unread_by_source: dict[Source, _UnreadLines], suggestions: set[tuple[Source, str | None]]
 ) -> bool:
-    """Return whether a finding follows from an unparsed line or from a misspelling that is already reported."""
+    """Return whether a finding is only a consequence of an unparsed line, or of a misspelling that is already reported."""
     if diagnostic.span is None:
         return False
     if diagnostic.code in _MISSING_PART_CODES and (word := _FIRST_WORD_PATTERN.search(diagnostic.help or "")):

@@ -111,8 +111,8 @@ def _restrict_to_state(species: model.Species, machine: model.Machine, state: mo
 
 
 def _convert_to_file_spans(loader: FileLoader, report: Report, skipped_spans: Sequence[Span]) -> tuple[Report, list[Span]]:
-    """Return the report and the skipped spans with all locations relative to complete files. Locations in separately parsed
-    parts are converted."""
+    """Return the report and the skipped spans with locations in complete files. Some parts of a file were parsed separately, so
+    their locations are converted."""
     files = {part: file.node for file in loader.known.values() for part in file.node.parts}
     if not files:
         return report, list(skipped_spans)
@@ -124,9 +124,9 @@ def _convert_to_file_spans(loader: FileLoader, report: Report, skipped_spans: Se
 
 
 def _make_key_of_outside_declarations(declarations: Declarations, loader: FileLoader) -> Hashable:
-    """Return a key for the declarations in other parts of the program that the check of one part reads.
+    """Return a key for the declarations in other parts of the program that the check of one part uses.
 
-    Two checks with equal keys see the same declarations of other parts. The types of attributes are not in the key."""
+    If the keys of two checks are equal, these declarations are equal too, except for the types of attributes."""
     things = [(t.name, t.kind, tuple((a.name, a.type) for a in t.attributes)) for t in declarations.things.values()]
     machines = [
         (s.name, s.edition, s.node is None, tuple((m.name, *m.states) for m in s.machines.values()))
@@ -193,7 +193,7 @@ def _check_spec_names(declarations: Declarations, file: FileNames) -> None:
 
 
 def _find_used_modules(names: Sequence[FileNames]) -> list[FileNames]:
-    """Return the names of each file that is used by its path, without duplicates."""
+    """Return the files that other files use by path, each once."""
     modules: dict[int, FileNames] = {}
     stack = list(names)
     while stack:
@@ -205,8 +205,8 @@ def _find_used_modules(names: Sequence[FileNames]) -> list[FileNames]:
 
 
 def _check_behaviours(declarations: Declarations, names: Sequence[FileNames]) -> None:
-    """Check the behaviours in the program's own files, even those that no code calls. Library behaviours are checked when they
-    are called."""
+    """Check the behaviours in the program's own files, including behaviours that nothing calls. Library behaviours are checked
+    when they are called."""
     for file in names:
         for info in file.own_behaviours.values():
             check_behaviour(declarations, info)

@@ -24,8 +24,7 @@ _TAKE_COST = UseCost(40, "takes {thing}")
 class CostEntry:
     """One use of a sense, field or draw.
 
-    `kind`: "senses", "fields" or "draws". `description`: a text about the use and its count per step, from its row in the
-    tables.
+    `kind`: "senses", "fields" or "draws". `description`: a text about the use, with how often it occurs per step.
     `weight`: the total weight; one addition has the weight 1."""
 
     kind: str  # senses, fields or draws
@@ -45,7 +44,7 @@ class StateCost:
 
     @property
     def weight(self) -> float:
-        """Return the total weight of the uses and of the operations on numbers."""
+        """Return the total weight of the state: that of all uses, plus that of the operations on numbers."""
         return self.operation_count + sum(use.weight for use in self.cost_entries)
 
 
@@ -70,8 +69,8 @@ def estimate_costs(program: model.Program, species: model.Species) -> list[State
 
 
 def _collect_step_parts(species: model.Species, machine: model.Machine, state: model.State) -> object:
-    """Return the parts of the program that an agent in the state computes in each step. Enter and exit actions are omitted,
-    because they run only once."""
+    """Return the parts of the program that an agent in the state evaluates in every step. Enter and exit actions are omitted,
+    because they are evaluated only once."""
     still = (
         species.rest.push
         if species.rest is not None and state.index in species.rest.resting_states.get(machine.name, ())
@@ -154,7 +153,8 @@ def _make_entry(cost: UseCost, thing: str, args: tuple[model.Expr | None, ...] =
 
 
 def _format_argument(expr: model.Expr | None) -> str:
-    """Return the source text of an argument. For a parameter of a behaviour, this is the text in the call of the behaviour."""
+    """Return the source text of an argument. If the argument is a parameter of a behaviour, return the text with which the
+    behaviour was called."""
     while isinstance(expr, model.BindingRef) and expr.binding.role == "argument" and expr.binding.value is not None:
         expr = expr.binding.value
     return " ".join(expr.span.text.split()) if expr is not None else "any distance"

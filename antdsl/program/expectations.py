@@ -26,8 +26,8 @@ class AggregateExpr(Expr):
 
 @expression_class
 class StartValue(Expr):
-    """The value that a number had at the start: in the first frame of the spec or, for a number of an agent, in the agent's
-    first frame."""
+    """The value that a number had at its start. For a number of an agent, this is the agent's first frame, otherwise the first
+    frame of the spec."""
 
     value: Expr
 
@@ -87,8 +87,8 @@ class MotionMeasure(Expr):
 
 @expression_class
 class ExpectationReading:
-    """A value in a condition that the message reports if the condition fails. `unit`: a unit from the source, or a default
-    one."""
+    """A value in a condition, which the message reports if the condition fails. `unit`: the unit in which the value is
+    displayed."""
 
     expr: Expr
     unit: str
@@ -110,10 +110,10 @@ class Expectation:
     - `kind`: always, never, eventually, finally, sooner, within, for or until.
     - `block_number`: the number of the `each` block that contains it, from 1; 0 outside of such blocks.
     - `species`: the species with agents that are judged one by one; None for the complete run.
-    - `is_at_end`: whether it uses a measure that is known only at the end of the run.
+    - `is_at_end`: whether the expectation uses a measure that is known only at the end of the run.
     - `hold_time`: how long the condition must have held before it counts.
-    - `start_condition`: the time starts again whenever this condition becomes true.
-    - `goal`: of a `goal` line, which is judged like a `finally` line."""
+    - `start_condition`: whenever this condition becomes true, the time starts again.
+    - `goal`: the goal, if the expectation is from a `goal` line. Such a line is judged like a `finally` line."""
 
     kind: str
     block_number: int  # 0: the spec itself; from 1: the `each` blocks in order

@@ -19,9 +19,9 @@ _PartKey = tuple[tuple[Any, ...], int]  # the inputs of a part, and the number o
 
 
 def get_or_compute_part(declarations: Declarations, key: tuple[Any, ...], compute: Callable[[], T]) -> T:
-    """Return the cached result of an earlier check or, if there is none, the result of `compute`.
+    """Return the cached result of an earlier check. If there is none, compute it.
 
-    `key`: all inputs of `compute`, except `declarations.outside`."""
+    `key`: all inputs of `compute`, except the declarations that `outside_number` stands for."""
     return (
         compute()
         if declarations.memo is None
@@ -30,11 +30,11 @@ def get_or_compute_part(declarations: Declarations, key: tuple[Any, ...], comput
 
 
 def update_outside_number(declarations: Declarations, outside: Hashable) -> int:
-    """Set `declarations.outside` to a number that identifies the value `outside`, and return it. Equal values have equal
+    """Set `declarations.outside_number` to a number that identifies the value `outside`, and return it. Equal values have equal
     numbers.
 
-    `outside`: all declarations in other parts that a part can use. It may be large, so the keys of parts contain only its
-    number."""
+    `outside`: the declarations elsewhere in the program that a part can use. It may be large, so the keys of parts contain only
+    its number."""
     declarations.outside_number = 0 if declarations.memo is None else declarations.memo.assign_number(outside)
     return declarations.outside_number
 
@@ -59,8 +59,8 @@ class _CachedPart:
 class _UnknownNames(dict[tuple[str, ...], list[Span]]):
     """The spans of all unknown names that were reported, by kind and name.
 
-    `has_omitted_finding`: whether a finding about a part was omitted because an earlier one has the same cause. The result of
-    such a part must not be cached."""
+    `has_omitted_finding`: whether a finding about a part was omitted because an earlier finding has the same cause. In this
+    case, the result for the part must not be cached."""
 
     has_omitted_finding = False
 
@@ -83,7 +83,8 @@ class CheckResultCache:
         self.given = 0
 
     def assign_number(self, value: Hashable) -> int:
-        """Return a number for a value. Equal values get the same number while the value, or a part that used it, is cached."""
+        """Return a number for a value. Equal values get the same number as long as the cache contains the value, or a part that
+        used it."""
         if value not in self.number_by_value:
             self.given += 1
             self.number_by_value[value] = self.given
@@ -134,7 +135,7 @@ class CheckResultCache:
         return result
 
     def mark_results_used(self, kinds: Collection[Hashable]) -> None:
-        """Mark all results of some kinds as used, because this check skipped the parts. The kind is the first element of a
+        """Mark all results of some kinds as used although this check skipped their parts. The kind is the first element of a
         key."""
         self.used_keys |= {key for key in self.known if key[0][0] in kinds}
 

@@ -57,9 +57,9 @@ class FaceLine:
 @expression_class
 class Assign:
     """An assignment. `op` is `=`, `+=` or `-=`.
-    - `per_second`: whether the added value is a rate, to be multiplied by dt. This is so in the body of a state.
-    - `pair_agent`: for a pair value, the other agent. `other_agents`, `element`: for a pair value, the set of other agents, and
-      the name for one of them."""
+    - `per_second`: whether the added value is a rate, which is multiplied by dt. In the body of a state, it is.
+    - `pair_agent`: for a pair value of one other agent, this agent. `other_agents`, `element`: for the pair values of a set of
+      other agents, this set, and the name for one of its agents."""
 
     attribute: str
     op: str
@@ -73,11 +73,11 @@ class Assign:
 
 @expression_class
 class EffectRequest:
-    """A request to `target`. `op`: the row of `antdsl.program.tables.effects` that defines the request.
+    """A request to the thing `target`. `op`: the row of `antdsl.program.tables.effects` that defines the request.
     - `args`: the values of the row's `numbers`, in order; None if absent.
     - `result_attribute`: the agent's attribute to which the result is added.
-    - `per_second`: whether the first of `args` is a rate, to be multiplied by dt.
-    - `draw_key`: the site of its random numbers."""
+    - `per_second`: whether the first of `args` is a rate, which is multiplied by dt.
+    - `draw_key`: the key of its random numbers."""
 
     op: str
     target: str
@@ -90,8 +90,8 @@ class EffectRequest:
 
 @expression_class
 class Give:
-    """A line that gives an amount to an item. `amount`: None gives all. `receiver` has type ITEM, or ITEMS for the nearest
-    item."""
+    """A line that gives an amount to an item. `amount`: None to give all. `receiver`: an expression of type ITEM, or of type
+    ITEMS for the nearest item."""
 
     attribute: str
     amount: Expr | None
@@ -121,7 +121,7 @@ class Play:
 
 @expression_class
 class Wear:
-    """A line that shows the geometry layer `layer` of the body, in addition to other geometry, while the agent is in the state.
+    """A line that shows a layer of the body's geometry, in addition to other geometry, while the agent is in the state.
 
     `condition`: only agents that fulfil it show the layer (None: all)."""
 
@@ -132,7 +132,7 @@ class Wear:
 
 @expression_class
 class Channel:
-    """A line that sets a channel of the body while the agent is in the state. It overrides the clips."""
+    """A line that sets a channel of the body while the agent is in the state. The channel's value overrides the clips."""
 
     channel: str
     value: Expr
@@ -157,8 +157,9 @@ Statement = Steer | FaceLine | Assign | EffectRequest | Give | Play | Wear | Cha
 
 @expression_class
 class Take:
-    """A part of a transition that takes an amount from `source`, of type ITEM, or FIELD for the cell below the agent's feet.
-    - `amount`: None takes all.
+    """A `take` in a transition: takes an amount from `source`. The source has type ITEM, or type FIELD for the cell below the
+    agent's feet.
+    - `amount`: None to take all.
     - `attribute`: the agent's attribute that receives the amount. If None, an amount from a field disappears."""
 
     attribute: str | None
@@ -172,10 +173,10 @@ FROM_ANY_KEY = "from any"  # in the keys of these transitions; not a valid state
 
 @expression_class
 class Transition:
-    """A transition, which happens if all of its conditions hold.
+    """A transition. It happens in a step if all of the following conditions hold.
     - `condition`: None: always true.
     - `delay`: the shortest time in the state before it can happen; None: no limit.
-    - `hold_time`: how long `condition` must have held; None: no time."""
+    - `hold_time`: how long `condition` must have been true; None: one step is enough."""
 
     key: str  # forager.main.search->approach#1
     is_interrupt: bool
@@ -296,8 +297,8 @@ class LayerStack:
 class RestingPush:
     """The push of agents that stand still, because none of their current states steers.
 
-    `resting_states`: by machine name, the indices of the states that do not steer. It contains only machines with at least one
-    state that steers. An agent requests `push` if it is in such a state in all of these machines."""
+    `resting_states`: by machine name, the indices of the states that do not steer. Machines that never steer are not included.
+    An agent requests `push` if the current state in each of these machines is one that does not steer."""
 
     resting_states: dict[str, tuple[int, ...]]
     push: Expr
@@ -354,7 +355,7 @@ class WorldThing:
 
 @expression_class
 class Field:
-    """A field. Settings that are absent in the text are None.
+    """A field with its settings. A setting that is absent in the text is None.
 
     - `cell`: the cell size. `keeps`: the factor per step. `limit`: the largest value of a cell.
     - `combine`: how a deposit changes the value of a cell: "add" or "max".

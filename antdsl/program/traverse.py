@@ -54,7 +54,7 @@ _NODE_FIELDS: dict[type, tuple[str, ...]] = {}
 
 
 def iterate_nodes(root: object) -> Iterator[tuple[object, int]]:
-    """Yield every node of a syntax tree and its depth below `root`, in text order."""
+    """Yield every node of a syntax tree in text order, each with its depth below `root`."""
     stack: list[tuple[object, int]] = [(root, 0)]
     while stack:
         part, depth = stack.pop()

@@ -52,8 +52,8 @@ class StateConstant(Expr):
 class ClipTest(Expr):
     """A test of the clip that a machine plays.
 
-    It is true if the clip passed the mark `mark` in the last step. If `mark` is "", it is true if the clip has played to its
-    end."""
+    If `mark` is a name, the test is true if the clip passed this mark in the last step. If `mark` is "", the test is true if the
+    clip has played to its end."""
 
     machine: str
     mark: str
@@ -68,7 +68,8 @@ class ParamRef(Expr):
 
 @expression_class
 class AttributeRef(Expr):
-    """An attribute of `owner` (an agent, item, hit or set element) or, if `owner` is None, of the agent itself.
+    """An attribute of `owner`, which is an agent, item, hit or set element. If `owner` is None, it is an attribute of the agent
+    that evaluates the expression.
 
     - Built-in names of agents: position, velocity, heading, up, speed, id, age, group, size, mass, radius, clearance, max_speed,
       max_force, max_turn and response.
@@ -83,15 +84,15 @@ class AttributeRef(Expr):
 
 @expression_class
 class Binding:
-    """A named value. `role` is one of the following.
+    """A named value. The meaning of `value` and `next_value` depends on `role`:
 
     - `let`, `argument`: `value` is the value.
     - `keep`: `value` is the first value, and `next_value` the value for the next step.
-    - `latch`: `value` switches it on, and `next_value` switches it off.
+    - `latch`: `value` is the condition that switches it on, and `next_value` the condition that switches it off.
     - `element`: the current element of a set.
 
-    `key`: the stable identity of a memory, such as `forager.main.search.wander#1.bearing`. `is_snapshot`: whether it is a `let`
-    of a species, which reads the agent's state at the start of the step."""
+    `key`: the stable identity of a memory, such as `forager.main.search.wander#1.bearing`. `is_snapshot`: whether the value is a
+    `let` of a species. Such a value uses the agent's state at the start of the step."""
 
     name: str
     role: str
@@ -165,8 +166,8 @@ class ReduceExpr(Expr):
 
 @expression_class
 class InlinedBehaviour(Expr):
-    """A behaviour call, expanded for the types of its arguments. `arguments` are evaluated first, then `body` (lets and keeps),
-    then `result`."""
+    """A behaviour call, expanded for the types of its arguments. `arguments` are evaluated first, then the lets and keeps in
+    `body`, then `result`."""
 
     behaviour_name: str
     key: str

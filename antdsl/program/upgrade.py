@@ -45,7 +45,8 @@ def upgrade_source(source: Source, edition: int) -> tuple[Source | None, Report]
 
 
 def _iterate_default_lines(source: Source, species: nodes.Species, previous_edition: int, edition: int) -> Iterator[Insertion]:
-    """Yield insertions with the lines that set the defaults of the previous edition.
+    """Yield insertions that set the defaults of the previous edition explicitly, so that a species behaves the same in the new
+    edition.
 
     Defaults that are equal in both editions, and settings that the species already has, are omitted."""
     properties = [member for member in species.members if isinstance(member, nodes.AnimalProperty)]

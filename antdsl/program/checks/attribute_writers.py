@@ -29,8 +29,8 @@ def check_writers(context: CheckContext, report: Report) -> None:
 
 
 def _iterate_written_attributes(machine: Machine) -> Iterator[tuple[str, Span, bool]]:
-    """Yield the name of each attribute that a machine writes, with the span, and whether the line sets the attribute (True) or
-    adds to it."""
+    """Yield each attribute that a machine writes, as its name, the span of the line, and whether the line sets the attribute.
+    False means that the line adds to it."""
     for state in machine.states:
         blocks = [state.body, state.enter, state.exit, *(change.actions for change in state.transitions)]
         for block in blocks:

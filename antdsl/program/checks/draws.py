@@ -73,7 +73,7 @@ def _check_steering(species: Species, has_library: bool, report: Report) -> None
 
 
 def _find_step_draws(root: Expr, draws_by_attribute: dict[str, list[OperationExpr]]) -> list[OperationExpr]:
-    """Return the draws that are repeated in every step and have a sum per second that depends on the frame rate.
+    """Return the draws that are repeated in every step, if the spread of their sum per second depends on the frame rate.
 
     Draws that are scaled by `dt`, and draws inside sets, are omitted. `draws_by_attribute`: for each attribute, the draws that a
     state assigns to it."""
@@ -103,8 +103,8 @@ def _find_step_draws(root: Expr, draws_by_attribute: dict[str, list[OperationExp
 def _format_jitter(draw: OperationExpr) -> str | None:
     """Return the call of `jitter` that replaces the draw of an angle, such as `jitter(73.5 deg)` for `normal(0 deg, 15 deg)`.
 
-    Returns None unless the draw is `normal` or `uniform` about 0. At 24 frames per second, the call has the same spread after
-    one second as the draws."""
+    Returns None unless the draw is `normal` or `uniform` around 0. After one second at 24 frames per second, `jitter` has spread
+    as far as the draws."""
     if draw.name not in ("uniform", "normal") or len(draw.args) < 2:
         return None
     first, second = draw.args[:2]
@@ -119,7 +119,7 @@ def _format_jitter(draw: OperationExpr) -> str | None:
 
 
 def _check_condition(test: Expr, report: Report) -> None:
-    """Report comparisons in a condition that draw a new random number in every step."""
+    """Report each comparison in a condition that uses a new random draw in every step."""
     within = [part for part in _iterate_reachable_parts(test, ("and", "or", "not")) if isinstance(part, OperationExpr)]
     if any(part.name == "event" for part in within):
         return  # an event lasts one step
@@ -144,8 +144,8 @@ def _has_draw(part: OperationExpr) -> bool:
 
 
 def _iterate_reachable_parts(root: Expr, entered_operations: Collection[str]) -> Iterator[Expr]:
-    """Yield an expression and its parts. The walk descends into the operations in `entered_operations`, and follows each named
-    value once. It does not descend into other operations or sets."""
+    """Yield an expression and the expressions that it contains. The search enters only operations in `entered_operations`, and
+    no sets. Each named value is entered once."""
     stack: list[Expr] = [root]
     named: set[int] = set()
     while stack:
@@ -161,8 +161,8 @@ def _iterate_reachable_parts(root: Expr, entered_operations: Collection[str]) ->
 
 
 def _format_chance_rate(part: OperationExpr) -> str | None:
-    """Return a `chance` per second that replaces a comparison such as `uniform(0, 1) < 0.1`. Return None for other
-    comparisons."""
+    """Return source text with a `chance` per second that replaces a comparison such as `uniform(0, 1) < 0.1`. Return None for
+    other comparisons."""
     left, right = part.args
     assert left is not None and right is not None
     name = part.name

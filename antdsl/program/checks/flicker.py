@@ -62,7 +62,8 @@ def _check_pair(
 
 
 def _has_minimum_time(state: State, change: Transition) -> bool:
-    """Return whether a transition cannot happen in every step, because it has a waiting time or a `take` that may fail."""
+    """Return whether a transition is prevented from happening in every step, because it has a waiting time, or a `take` that may
+    fail."""
     return (
         change.delay is not None
         or change.hold_time is not None
@@ -72,7 +73,8 @@ def _has_minimum_time(state: State, change: Transition) -> bool:
 
 
 def _can_both_hold(reader: ConditionReader, first: Expr, second: Expr) -> bool:
-    """Return whether both conditions compare the same value with constants, and some value satisfies both."""
+    """Return whether two conditions can be true at the same time. Both must compare the same value with constants; otherwise the
+    result is False."""
     try:
         cases = [reader.read_cases(first), reader.read_cases(second)]
     except UNREADABLE_CONDITION_ERRORS:
@@ -84,7 +86,7 @@ def _can_both_hold(reader: ConditionReader, first: Expr, second: Expr) -> bool:
 
 
 def _affects_test(machine: Machine, transition: tuple[State, Transition], test: Expr) -> bool:
-    """Return whether a transition changes a value that `test`, the condition of the opposite transition, reads.
+    """Return whether a transition changes a value that `test` reads. `test`: the condition of the opposite transition.
 
     The time in the state is such a value, because each transition resets it."""
     state, change = transition

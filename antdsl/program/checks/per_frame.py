@@ -61,8 +61,8 @@ def _check_lines(state: State, report: Report) -> None:
 def _check_added_amount(
     line: Assign | EffectRequest | Give, amount: Expr, attribute: str, per_second: bool, line_start: str, report: Report
 ) -> None:
-    """Report an amount that a state adds in each step if it is not per second. The language multiplies amounts per second by
-    `dt`."""
+    """Report an amount that a state adds in each step although it is not an amount per second. The language multiplies amounts
+    per second by `dt`."""
     if not per_second or is_rate(amount, attribute):
         return
     single_amount = (
@@ -80,8 +80,8 @@ def _is_dt(expr: Expr | None) -> bool:
 
 
 def _check_assignment(line: Assign, has_other_change: bool, report: Report) -> None:
-    """Report an assignment if its effect depends on the frame rate. `has_other_change`: whether another line of the state adds
-    to the attribute."""
+    """Report an assignment with an effect that depends on the frame rate. `has_other_change`: whether another line of the state
+    adds to the attribute."""
     name, value = line.attribute, line.value
     makers = find_rate_dependent_operations(value, name, has_other_change)
     if not makers:
@@ -125,7 +125,8 @@ def _check_memory(memory: Binding, next_value: Expr, report: Report) -> None:
 
 
 def _format_added_rate(value: Expr, own_name: str) -> str:
-    """Return text that adds a rate instead of a fixed amount: `+= 24 /s` if `value` is `x + 1` and `own_name` is `x`.
+    """Return source text that adds a rate instead of a fixed amount. If `value` is `x + 1` and `own_name` is `x`, the text is
+    `+= 24 /s`.
 
     For `x + gain - 0.1`, it is `+= (gain - 0.1) * 24 /s`. The text is empty for values of other forms."""
     if not isinstance(value, OperationExpr) or value.name not in ("add", "sub"):
@@ -149,8 +150,8 @@ def _format_added_rate(value: Expr, own_name: str) -> str:
 
 
 def _format_rate_free(op: Expr, update_target: UpdateTarget) -> str:
-    """Return the text of an operation that has the same effect per second at any step length. It is empty if the source does not
-    determine such an operation."""
+    """Return the text of an operation that has the same effect per second for all step lengths and can replace `op`. The text is
+    empty if the source does not determine such an operation."""
     if not isinstance(op, OperationExpr) or len(op.args) < 2 or op.args[0] is None or op.args[1] is None:
         return ""
     left, right = op.args[:2]
@@ -173,8 +174,8 @@ def _format_rate_free(op: Expr, update_target: UpdateTarget) -> str:
 
 
 def _is_scaled_by_dt(op: Expr, own_name: str) -> bool:
-    """Return whether the operation multiplies the attribute `own_name` by `dt`, as in `x * dt`. In a short step, the result is
-    near 0."""
+    """Return whether an operation multiplies the attribute `own_name` by `dt`, as in `x * dt`. Such a product is near 0 in a
+    short step."""
     return (
         isinstance(op, OperationExpr)
         and op.name == "mul"
@@ -183,8 +184,8 @@ def _is_scaled_by_dt(op: Expr, own_name: str) -> bool:
 
 
 def _format_decaying_value(target: Expr, factor: Expr, power: int) -> str:
-    """Return the text of `target` times a decay factor. The decay factor replaces `factor ** power` per step. The text is empty
-    if there is no such factor."""
+    """Return the text of `target` times a decay factor. The decay factor depends on `dt` and replaces `factor ** power` per
+    step. The text is empty if there is no such factor."""
     part = _format_decay_factor(factor, power)
     return f"{target.span.text} * {part}" if part else ""
 
@@ -207,8 +208,8 @@ def _format_mix(op: OperationExpr, update_target: UpdateTarget) -> str:
 
 
 def _format_decay_factor(factor: Expr, power: int) -> str:
-    """Return a text such as `exp(-dt / 0.4 s)`, which replaces the constant `factor ** power` per step. It is empty if the
-    factor is not a positive number without a unit."""
+    """Return a text such as `exp(-dt / 0.4 s)`. It replaces the constant `factor ** power` per step. It is empty if the factor
+    is not a positive number without a unit."""
     known = find_constant(factor)
     if known is None or known.unit_power or known.number <= 0 or known.number == 1 or known.type.dimension != Dimension():
         return ""
@@ -221,7 +222,8 @@ def _format_exponential(rate: float) -> str:
 
 
 def _convert_to_per_second(text: str) -> str:
-    """Return the text of an amount per second for the text of an amount per step: `24 /s` for `1`, `48 mm/s` for `2 mm`."""
+    """Return the text of an amount per second that is equal to an amount per step at the assumed frame rate. `24 /s` replaces
+    `1`, and `48 mm/s` replaces `2 mm`."""
     literal = QUANTITY_PATTERN.fullmatch(text)
     if literal is not None and "/" not in text:
         return f"{float(literal[1]) * ASSUMED_FPS:.6g} {literal[2] or ''}/s"

@@ -47,8 +47,10 @@ def _iterate_files(files: Sequence[FileNames]) -> Iterator[FileNames]:
 def _suggest_quantity_without_steps(
     node: nodes.Quantity, power: float, parent: nodes.Setting | nodes.AnimalProperty | None
 ) -> tuple[Fix | None, str]:
-    """Return a fix that removes the unit `step` from a quantity, and its help text. The fix is None if there is no
-    replacement."""
+    """Return a fix that replaces a quantity with the unit `step` by one that does not depend on the step, and its help text. The
+    fix is None if there is no replacement.
+
+    `power`: the exponent of the unit `step`. `parent`: the setting that contains the quantity."""
     if isinstance(parent, nodes.Setting) and parent.name.text == "keeps":
         share = node.value * (0.01 if "%" in node.unit else 1.0)
         if not 0 < share < 1:

@@ -29,8 +29,8 @@ def check_reachability(context: CheckContext, report: Report) -> None:
 
 
 def _find_reachable_states(machine: Machine) -> set[int]:
-    """Return the indices of the states that can be reached from the start state. `previous` leads only to states that were
-    active earlier."""
+    """Return the indices of the states that can be reached from the start state. The target `previous` does not make further
+    states reachable."""
     reached: set[int] = set()
     stack = [machine.start]
     while stack:
@@ -85,9 +85,9 @@ def _report_shadowed(reader: ConditionReader, change: Transition, first: Transit
 
 
 def _is_shadowing(reader: ConditionReader, first: Transition, change: Transition) -> bool:
-    """Return whether transition `first` is chosen whenever the later transition `change` could be chosen.
+    """Return whether the earlier transition `first` always happens instead of the later transition `change`.
 
-    This is also so if `first` has a `take`, because no other transition is tried in a step in which the take fails."""
+    This is also so if `first` has a `take`. In a step in which the take fails, no other transition is tried."""
     if not _is_wait_shorter(first.delay, change.delay) or not _is_wait_shorter(first.hold_time, change.hold_time):
         return False
     if change.condition is not None and is_always_false(reader, change.condition):
@@ -96,7 +96,7 @@ def _is_shadowing(reader: ConditionReader, first: Transition, change: Transition
 
 
 def _is_wait_shorter(first: Expr | None, other: Expr | None) -> bool:
-    """Return whether the waiting time `first` has always elapsed when the waiting time `other` has elapsed."""
+    """Compare two waiting times. Return whether `first` has elapsed in every case in which `other` has elapsed."""
     if first is None:
         return True
     a, b = find_constant(first), (find_constant(other) if other is not None else None)

@@ -98,8 +98,8 @@ def check_unused_memory(context: CheckContext, report: Report) -> None:
 
 
 def _iterate_field_users(program: Program) -> Iterator[object]:
-    """Yield every part of a program that can name a field. Each state is a separate part, because an edit mostly changes one
-    state."""
+    """Yield the parts of a program in which fields can be named. Each state is a separate part, because an edit usually changes
+    only one state."""
     for species in program.species.values():
         yield from (state for machine in species.machines for state in machine.states)
         yield (*species.attributes, *species.lets, *species.latches, *species.handlers, species.layers)
@@ -147,7 +147,7 @@ def check_events(context: CheckContext, report: Report) -> None:
 
 
 def _report_unhandled_event(context: CheckContext, event: str, span: Span, report: Report) -> None:
-    """Report each species that receives the event `event` but neither handles it nor tests for it."""
+    """Report each species that receives an event although it neither handles the event nor tests for it."""
     for name in context.declarations.species:
         if context.is_used("told", f"{event} {name}") and not context.is_used("heard", f"{event} {name}"):
             advice = f"write `on {event} {{ … }}` in `species {name}`, or test for it there: `when {event} -> …`"

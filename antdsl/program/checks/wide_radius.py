@@ -56,15 +56,15 @@ def check_wide_radius(context: CheckContext, report: Report) -> None:
 
 
 def _is_radius_search(part: SetExpr, is_nearest_only: bool) -> bool:
-    """Return whether a set examines all agents within a radius. A search for only the nearest agent does not count, because it
-    is faster."""
+    """Return whether a set examines all agents within a radius. `is_nearest_only`: whether only the nearest agent is searched
+    for. Such a search does not count, because it is faster."""
     if part.source == "neighbours":
         return True
     return part.source == "all" and part.element.type.kind is TypeKind.AGENT and not (is_nearest_only and part.condition is None)
 
 
 def _follow_names(expr: Expr) -> list[Expr]:
-    """Return an expression and, if it is a name, the chain of expressions for which the name stands."""
+    """Return an expression. If it is a name, also return the expression that the name stands for, and so on to the last one."""
     exprs = [expr]
     while isinstance(expr, BindingRef) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
         expr = expr.binding.value
@@ -73,7 +73,7 @@ def _follow_names(expr: Expr) -> list[Expr]:
 
 
 def _find_constant_radius(expr: Expr, params: Mapping[str, Param]) -> Constant | None:
-    """Return the constant value of a radius, or None if it is not constant. For a param, this is its default."""
+    """Return the constant value of a radius, or None if it is not constant. The value of a param is its default."""
     last = _follow_names(expr)[-1]
     return find_constant(params[last.name].default if isinstance(last, ParamRef) and last.name in params else last)
 

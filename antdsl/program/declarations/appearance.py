@@ -92,7 +92,8 @@ def check_duplicates(scope: NameScope, node: nodes.State) -> None:
 
 
 def _report_misplaced_line(scope: NameScope, line: nodes.VerbLine, block: StatementContext) -> bool:
-    """Return whether a line is in an action although it is only allowed in a state's body. If so, report an error."""
+    """Return whether a line is at the wrong place: in an action, although it is only allowed in a state's body. If so, report an
+    error."""
     if not block.is_state_body:
         form = f"{line.verb} {line.name.text if line.name is not None else ''}"
         advice = f"write `{' '.join(line.span.text.split())}` as a line of the state itself"

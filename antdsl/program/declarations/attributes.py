@@ -120,7 +120,7 @@ def _check_speeds(
 
 
 def get_default_text(name: str, species: SpeciesNames) -> str | None:
-    """Return the default of the setting `name` of a species, as text of the language, or None if it has no default."""
+    """Return the default of a species' setting as text in the language. Return None if the setting has no default."""
     if species.has_standing_bodies and name in STANDING_DEFAULTS:
         return STANDING_DEFAULTS[name]
     row = DEFAULT_BY_SETTING.get(name)
@@ -128,7 +128,7 @@ def get_default_text(name: str, species: SpeciesNames) -> str | None:
 
 
 def has_default_without_register(name: str, species: SpeciesNames) -> bool:
-    """Return whether an attribute has its default even in species that have no register for it."""
+    """Return whether an attribute has a default that applies even in species without a register for the attribute."""
     return name in OPTIONAL_ATTRIBUTES and not (species.has_standing_bodies and name in STANDING_DEFAULTS)
 
 
@@ -195,9 +195,9 @@ def _is_settable(scope: NameScope, member: nodes.AnimalProperty) -> bool:
 
 
 def _suggest_place(word: str) -> str | None:
-    """Return where in a program a line that begins with `word` must be. `word`: a word of the language, such as a sense.
+    """Return advice about where a word may be used in a program. Return None if `word` is not a word of the language.
 
-    Such words cannot be attribute names."""
+    Such words, such as the names of senses, cannot be attribute names."""
     if word in SENSE_REPLACEMENTS:
         return f"write the sense where its value is needed: {SENSE_REPLACEMENTS[word].replace('X', 'food')}"
     if word in BUILTINS_BY_NAME or word in REDUCER_HELP:

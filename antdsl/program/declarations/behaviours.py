@@ -188,7 +188,7 @@ def resolve_declared_type(scope: NameScope, written_type: nodes.TypeName) -> Val
 
 
 def _check_body(scope: NameScope, info: BehaviourInfo) -> tuple[list[Binding], Expr]:
-    """Return the lets and keeps of a behaviour in text order, and the expression of its result."""
+    """Return the lets and keeps of a behaviour in text order, and the expression for the behaviour's result."""
     bindings: list[Binding] = []
     local = dict(scope.local_names)
     for line in info.node.body:
@@ -317,8 +317,8 @@ def _is_allowed(scope: NameScope, info: BehaviourInfo, node: nodes.Call) -> bool
 
 
 def _check_call(scope: NameScope, info: BehaviourInfo, node: nodes.Call, argument_nodes: Mapping[str, nodes.Expr]) -> Expr:
-    """Check the arguments of a call inside a behaviour that is checked without its callers. Return an expression with the type
-    of the result.
+    """Check the arguments of a call inside a behaviour. This check is independent of callers of the behaviour. Return an
+    expression with the type of the result.
 
     The body of the called behaviour is checked separately."""
     quiet = scope.with_changes(report=Report())

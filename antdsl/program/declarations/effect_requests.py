@@ -63,7 +63,7 @@ def check_request(scope: NameScope, line: nodes.VerbLine, block: StatementContex
 
 
 def find_argument_type(arg: ArgumentRow) -> ValueType:
-    """Return the type of an argument. For `added T` and `own U`, it is the type T or U."""
+    """Return the type of an argument. For the type words `added T` and `own U`, this is the type T or U."""
     first, _, rest = arg.type.partition(" ")
     if first == "own" and (unit := find_unit_measure(rest)) is not None:
         return ValueType(TypeKind.NUMBER, unit.dim)
@@ -96,7 +96,7 @@ def _type_argument(
     block: StatementContext,
     form: str,
 ) -> Expr | None:
-    """Return the typed value of an argument. Return None if the argument is absent, and BAD after an error."""
+    """Return the typed value of an argument of a line. Return None if the argument is absent, and BAD after an error."""
     node = written_arguments.get(arg.name)
     if node is None:
         return None if arg.default is None else parse_default_values(scope, arg.default, line.span)[0]
@@ -198,7 +198,7 @@ def _is_declared(scope: NameScope, row: EffectRow, name: nodes.Name | None) -> b
 def _has_max_combination(field: nodes.FieldDecl) -> bool:
     """Return whether a field has `combine max`.
 
-    Such a field does not add deposits up. In a state's body, a line may therefore deposit an amount, the minimum for the agent's
-    cell, instead of a rate."""
+    Such a field does not add up deposits. Therefore a line in a state's body may deposit an amount instead of a rate. The
+    agent's cell then has at least this amount."""
     said = [s.value for s in field.settings if s.name.text == "combine"]
     return any(isinstance(each, nodes.NameRef) and each.name.text == "max" for each in said)

@@ -22,7 +22,8 @@ from antdsl.syntax.words import FIELD_VALUE_WORDS, WORD_SETTING_VALUES
 
 
 def declare_fields(declarations: Declarations, names: FileNames) -> list[nodes.FieldDecl]:
-    """Add a file's fields to the declarations and return them. If two files declare the same field, the texts must be equal."""
+    """Add a file's fields to the declarations and return them. If another file declares the same field, its text must be equal;
+    otherwise report an error."""
     added: list[nodes.FieldDecl] = []
     for item in names.node.items:
         if not isinstance(item, nodes.FieldDecl):

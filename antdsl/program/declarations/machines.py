@@ -58,7 +58,7 @@ def check_machine(scope: NameScope, names: MachineNames, members: Sequence[objec
 def _check_from_any_transitions(
     scope: NameScope, names: MachineNames, changes: Sequence[nodes.Change]
 ) -> list[tuple[nodes.Change, model.Transition | None]]:
-    """Return each `from any` transition as a pair of its syntax node and its checked form. The checked form is None after an
+    """Return the `from any` transitions. Each is a pair of its syntax node and the checked transition, which is None after an
     error."""
     scope = scope.with_changes(keys=StableKeys(f"{names.key}.{model.FROM_ANY_KEY}"))
     return [(node, _check_from_any_transition(scope, names, node)) for node in changes]
@@ -213,9 +213,9 @@ def _check_transition(scope: NameScope, names: MachineNames, node: nodes.Change,
 
 
 def _type_delay(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
-    """Return the typed time of `after T`. This must be the complete condition of the transition.
+    """Return the typed time of `after T`. The time must be the complete condition of the transition.
 
-    In `after 1 s and meal`, the parser reads the time as one part of a larger condition, which is an error."""
+    In `after 1 s and meal`, the parser reads the time as the first operand of `and`, which is an error."""
     time = _find_leftmost(node)
     if node is None or time is None or time is node:
         return _type_duration(scope, node, "`after`")
@@ -227,9 +227,9 @@ def _type_delay(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
 
 
 def _type_hold_time(scope: NameScope, node: nodes.Expr | None) -> Expr | None:
-    """Return the typed time of `held T`, which must be at the end of the condition.
+    """Return the typed time of `held T`. It must be at the end of the condition.
 
-    In `meal held 1 s and scent > 1`, it is in the middle, which is an error."""
+    In `meal held 1 s and scent > 1`, the time is in the middle, which is an error."""
     time = _find_leftmost(node)
     if node is None or time is None or time is node:
         return _type_duration(scope, node, "`held`")
@@ -252,7 +252,8 @@ def _format_target(target: nodes.Target) -> str:
 
 
 def _find_target_index(scope: NameScope, names: MachineNames, target: nodes.Target) -> int | None:
-    """Return the index of the state to which a transition leads. Return None for `previous` and `choose`, and after an error."""
+    """Return the index of the state to which a transition leads. Return None if the target is `previous` or `choose`, and after
+    an error."""
     if target.name is None or target.is_previous:
         return None
     return _find_state_index(scope, names, target.name)

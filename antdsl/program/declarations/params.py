@@ -85,9 +85,9 @@ def _type_constant(scope: NameScope, node: nodes.Expr, subject: str) -> Constant
 def _unify_types(
     scope: NameScope, node: nodes.Declaration, param_numbers: list[_WrittenParamNumber]
 ) -> list[_WrittenParamNumber]:
-    """Return the value, the lower end and the upper end with one common type.
+    """Return the three numbers of a param (value, lower end and upper end) with one common type.
 
-    A number of another type is reported and converted to the type of the other two."""
+    If one has a different type from the other two, it is reported and converted."""
     types = [each.constant.type for each in param_numbers]
     if types[0] == types[1] == types[2]:
         _check_order(scope, node, param_numbers)
@@ -119,8 +119,8 @@ def _convert_to_type_of(const: Constant, reference: Constant) -> Constant:
 def _report_differing_type(
     scope: NameScope, param_numbers: Sequence[_WrittenParamNumber], odd_index: int, expected_type: ValueType, subject: str
 ) -> None:
-    """Report that the type of the number at `odd_index` differs from that of the other two. `param_numbers`: value, lower end
-    and upper end."""
+    """Report that the number at `odd_index` has a different type from the other two. `param_numbers`: value, lower end and upper
+    end."""
     node, type = param_numbers[odd_index].node, param_numbers[odd_index].constant.type
     if (type.kind, expected_type.kind) != (TypeKind.NUMBER, TypeKind.NUMBER):
         report_mismatch(scope.report, node, type, expected_type, subject)
@@ -136,8 +136,8 @@ def _report_differing_type(
 def _suggest_number(param_numbers: Sequence[_WrittenParamNumber], odd_index: int) -> str | None:
     """Return the text that replaces the number at `odd_index`, so that value, lower end and upper end have one type.
 
-    The text is the same number with another unit, or else the nearer of the other two numbers. The result is None if neither
-    fits."""
+    The text is the same number with another unit. If no unit fits, it is the one of the other two numbers that is nearer. The
+    result is None if neither is possible."""
     others = [each for each in param_numbers if each is not param_numbers[odd_index]]
 
     def is_consistent_with(const: Constant) -> bool:
@@ -153,8 +153,9 @@ def _suggest_number(param_numbers: Sequence[_WrittenParamNumber], odd_index: int
 
 
 def _compute_values_by_unit(node: nodes.Expr, others: Sequence[_WrittenParamNumber]) -> dict[str, Constant]:
-    """Return, by unit, the constant that the number in `node` would be with this unit. The units are those of the other numbers,
-    and all units with the same dimensions."""
+    """Return, for each unit, the constant that the number in `node` would be with this unit.
+
+    The units are those of the numbers in `others`, and all other units of the same dimension."""
     if not isinstance(node, (nodes.Number, nodes.Quantity)):
         return {}
     type = others[0].constant.type
@@ -173,8 +174,8 @@ def _get_number_text(node: nodes.Expr) -> str:
 
 
 def _is_consistent(consts: Sequence[Constant]) -> bool:
-    """Return whether a value and both ends of its range have one type and are in order. If the order depends on the scene,
-    return True."""
+    """Return whether a value and both ends of its range have the same type and are in order. If their order depends on the
+    scene, it counts as correct."""
     value, low, high = consts
     if not value.type == low.type == high.type:
         return False
@@ -184,7 +185,7 @@ def _is_consistent(consts: Sequence[Constant]) -> bool:
 def _report_missing_units(
     scope: NameScope, param_numbers: Sequence[_WrittenParamNumber], unit_numbers: Sequence[_WrittenParamNumber]
 ) -> None:
-    """Report numbers without a unit. One fix adds the unit to all of them."""
+    """Report numbers of a param that lack a unit. A single fix adds the unit to all of them."""
     bare = [each for each in param_numbers if each.is_unitless]
     unit = _find_common_unit(param_numbers, unit_numbers)
     if unit is None:
@@ -207,8 +208,10 @@ def _format_missing_units(unitless_numbers: Sequence[_WrittenParamNumber], unit_
 
 
 def _find_common_unit(param_numbers: Sequence[_WrittenParamNumber], unit_numbers: Sequence[_WrittenParamNumber]) -> str | None:
-    """Return a unit that makes the numbers without a unit match the others. It is a unit in the source, or another unit of the
-    same dimension."""
+    """Return a unit that makes the three numbers of a param consistent when it is added to those without a unit. Return None if
+    there is none.
+
+    Units in the source are tried first, then other units of the same dimension. `unit_numbers`: the numbers with a unit."""
     by_unit = [_compute_values_by_unit(each.node, unit_numbers) for each in param_numbers]
     for unit in next(constants for each, constants in zip(param_numbers, by_unit, strict=True) if each.is_unitless):
         if _is_consistent(
@@ -285,8 +288,8 @@ def _format_order_advice(end: _WrittenParamNumber, low: _WrittenParamNumber) -> 
 
 
 def _suggest_within_limits(param_numbers: Sequence[_WrittenParamNumber]) -> str | None:
-    """Return the value with the unit of the range's ends, to replace a wrong unit. Return None if this value is outside the
-    range."""
+    """Return the text of a param's value in which a wrong unit is replaced by the unit of the range's ends. Return None if the
+    new value would be outside the range."""
     value, low, high = param_numbers
     units = {each.unit for each in (low, high)} - {""}
     node = value.node

@@ -14,11 +14,12 @@ HALT_LIBRARY, HALT_BEHAVIOUR = "steering", "halt"
 
 
 def find_resting_push(scope: NameScope, machines: Sequence[model.Machine], name: nodes.Name) -> model.RestingPush | None:
-    """Return the push for agents in states that do not steer. Return None if a machine steers in all of its states, or if no
+    """Return the push for agents in states that do not steer. Return None if some machine steers in all of its states, or if no
     machine steers at all.
 
-    A machine that never steers, such as one for moods, is ignored. An agent stands still only if none of the other machines
-    steers in its current state. `name`: the name of the species, used as the location of the implicit call."""
+    Machines that never steer, such as a machine for moods, are ignored. An agent stands still only if the current states of all
+    other machines do not steer.
+    `name`: the name of the species, used as the location of the implicit call."""
     silent: dict[str, tuple[int, ...]] = {}
     for machine in machines:
         quiet = tuple(state.index for state in machine.states if not is_steering(state))
@@ -34,5 +35,5 @@ def find_resting_push(scope: NameScope, machines: Sequence[model.Machine], name:
 
 
 def is_steering(state: model.State) -> bool:
-    """Return whether a state declares how its agents move. A zero push counts as steering."""
+    """Return whether a state has a statement about how its agents move. A push of zero also counts."""
     return any(isinstance(line, model.Steer) for line in state.body)

@@ -44,8 +44,8 @@ _PURE_LET_REASON = "a `let` only names a value"
 
 @dataclass(slots=True)
 class PartlyCheckedSpecies:
-    """A species of which only the names, params and attributes are checked, so that other species can refer to them.
-    `complete_species` adds the other members."""
+    """A species of which only the names, params and attributes have been checked. Other species can refer to these.
+    `complete_species` checks and adds the rest."""
 
     names: SpeciesNames
     node: nodes.Species
@@ -254,8 +254,8 @@ def _check_handlers(scope: NameScope, handler_nodes: tuple[nodes.On, ...]) -> li
 
 
 def _check_handler(scope: NameScope, node: nodes.On, keys_by_event: dict[str, StableKeys]) -> model.Handler:
-    """Check a handler. `keys_by_event`: for each event, the keys that earlier handlers used, so that two handlers never share
-    random draws."""
+    """Check a handler. `keys_by_event`: for each event, the generator of keys that its earlier handlers also used. So two
+    handlers never share random draws."""
     names, event = scope.species, node.event.text
     assert names is not None
     keys = keys_by_event.setdefault(event, StableKeys(f"{names.name}.on.{event}"))
@@ -353,8 +353,8 @@ def _check_layers(scope: NameScope, node: nodes.Species) -> model.LayerStack:
 
 
 def _check_layer(scope: NameScope, node: nodes.Layer, word_counts: dict[str, int]) -> model.Layer:
-    """Check a layer. Its key is its first word, such as `separate`. The key of a second layer with the same word is
-    `separate#2`."""
+    """Return the checked layer. Its key is its first word, such as `separate`. The second layer with the same first word has the
+    key `separate#2`."""
     text = " ".join(node.push.span.text.split())
     steered = isinstance(node.push, nodes.NameRef) and node.push.name.text == "state" and not node.is_face_line
     word = _find_layer_word(node.push)

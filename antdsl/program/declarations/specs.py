@@ -141,7 +141,7 @@ def _read_share(work: _SpecCheck, line: nodes.SpecLine, node: nodes.Expr | None)
 
 
 def _check_reference_run(work: _SpecCheck, line: nodes.SpecLine) -> ComparisonRun:
-    """Return the reference run that an `against` block describes, with the changes from its `set` lines."""
+    """Return the reference run that an `against` block describes. Its `set` lines are the changes of this run."""
     report, scene = work.declarations.report, line.target
     if isinstance(scene, nodes.Text) and not scene.text.endswith((".yaml", ".yml")):
         message = f"`{scene.text}` is not the name of a scene"
@@ -222,8 +222,8 @@ def _add_change(work: _SpecCheck, line: nodes.SpecLine) -> None:
 
 
 def _bind_target(scope: NameScope, target: nodes.Expr | nodes.Text, owner: str, value: str) -> None:
-    """Record the declarations of the two names in `forager.smell` or `trail.half_life`. `owner` and `value`: the kinds of the
-    first and the second name."""
+    """Record to which declarations the two names in `forager.smell` or `trail.half_life` refer. `owner` and `value`: the kinds
+    of the first and the second name."""
     if isinstance(target, nodes.Member) and isinstance(target.owner, nodes.NameRef):
         name, word = target.owner.name.text, target.name.text
         scope.record_name_use(target.owner.span, owner, name)
@@ -286,7 +286,8 @@ def _add_expectation(work: _SpecCheck, line: nodes.SpecLine, species: str | None
 
 
 def _add_goal(work: _SpecCheck, line: nodes.SpecLine) -> None:
-    """Add a goal as an expectation about the last frame. It is met if value and target differ by at most the tolerance."""
+    """Add a goal as an expectation about the last frame. The expectation is met if value and target differ by at most the
+    tolerance."""
     report, node, tolerance = work.declarations.report, line.condition, _read_share(work, line, line.time)
     if not isinstance(node, nodes.Binary) or node.op != "==" or line.held is not None:
         span = line.span if node is None else node.span
@@ -316,7 +317,7 @@ def _make_absolute(expr: Expr) -> Expr:
 
 
 def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
-    """Return whether a line may have `held` or `sooner`. If not, report an error."""
+    """Return whether `held` or `sooner` is allowed in a line. If not, report an error."""
     report = work.declarations.report
     if line.held is not None and line.kind in ("always", "for"):
         words = f"`{line.kind}` with `held` fails in the first frame, where nothing has held yet"
@@ -331,8 +332,8 @@ def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
 
 
 def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, expr: Expr, at_end: bool) -> bool:
-    """Return whether the condition of a line can be judged. If not, report an error. `at_end`: whether the condition uses a
-    measure that is known only at the end of the run."""
+    """Return whether the condition of a line can be judged at all. If not, report an error. `at_end`: whether the condition uses
+    a measure that is known only at the end of the run."""
     report, text = work.declarations.report, quote_source(expr.span)
     if species is None and expr.rate > ChangeRate.STEP:
         names = [name for name, each in work.declarations.species.items() if each.node is not None] or ["walker"]
@@ -358,9 +359,9 @@ def is_free_of_draws(report: Report, expr: Expr, place: str) -> bool:
 
 
 def _list_readings(expr: Expr, node: nodes.Expr) -> Iterator[ExpectationReading]:
-    """Yield the values that the message of a failed expectation reports, in text order.
+    """Yield the values to report if an expectation fails, in text order.
 
-    These are both sides of each comparison, and the other values in the condition."""
+    They are both sides of each comparison, and all other values in the condition."""
     units = [part.unit for part, _ in iterate_nodes(node) if isinstance(part, nodes.Quantity)]
     stack: list[Expr] = [expr]
     while stack:

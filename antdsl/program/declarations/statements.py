@@ -23,7 +23,7 @@ from antdsl.syntax import nodes
 
 
 def check_statements(scope: NameScope, lines: Iterable[object], block: StatementContext) -> tuple[model.Statement, ...]:
-    """Return the checked statements of a block in text order. Statements with errors are omitted."""
+    """Return the checked statements of a block in text order, without statements that have errors."""
     scope = scope.with_changes(is_evaluated_once=not block.is_state_body)
     checked_statements: list[model.Statement] = []
     assigned: dict[str, Span] = {}
@@ -184,9 +184,9 @@ def _check_give(scope: NameScope, line: nodes.Give, block: StatementContext) -> 
 
 
 def check_take(scope: NameScope, line: nodes.Take) -> model.Take | None:
-    """Check `take 1 load from meal` or `take all load from grass`, which is part of a transition.
+    """Check a `take`, which is part of a transition, such as `take 1 load from meal` or `take all load from grass`.
 
-    All agents that claim the same amount compete for it."""
+    All agents that claim from the same item or cell in a step compete for its amount."""
     source = scope.type_expression(line.source, ValueType(TypeKind.PLACE)) if isinstance(line.source, nodes.NameRef) else None
     if source is None or source.type.kind is not TypeKind.FIELD:
         source = type_point(scope, line.source, "`from`")

@@ -36,7 +36,8 @@ def make_outer_scope(declarations: Declarations, names: FileNames, path: str) ->
 
 
 def declare_world(declarations: Declarations, names: FileNames) -> None:
-    """Add the `world` of a file to the declarations. Two files may declare the same thing only if both declarations agree."""
+    """Add the `world` of a file to the declarations. If two files declare the same thing, report an error unless both
+    declarations agree."""
     for item in names.node.items:
         if isinstance(item, nodes.World):
             for thing in item.items:

@@ -21,7 +21,7 @@ NameKey = tuple[str, ...]
 class NameUse(NamedTuple):
     """One use of a name, and the declaration to which it refers.
 
-    `declaration`: a key or, for a name that is visible only in a part of the text, such as `n` in `sum(n in …)`, the span of the
+    `declaration`: a key. If a name is visible only in a part of the text, like `n` in `sum(n in …)`, it is the span of the
     declaration. In `take 1 load from meal`, the name `load` has two uses."""
 
     span: Span

@@ -53,8 +53,8 @@ LIBRARY_NAMES = ("steering",)
 
 
 def make_module_key(using_file: nodes.File, path: str) -> str:
-    """Return the key of a file that another file uses by its path. The key is the path relative to the other file, in the form
-    of `Source.path`."""
+    """Return the key of a file that another file uses by path. It is the path, resolved from the folder of `using_file`, in the
+    form of `Source.path`."""
     return posixpath.normpath(posixpath.join(posixpath.dirname(using_file.source.path.replace("\\", "/")), path))
 
 
@@ -84,7 +84,8 @@ class FileLoader:
         return names
 
     def find_library(self, behaviour: str) -> str | None:
-        """Return the name of the library that contains a behaviour, or None. The program need not use this library."""
+        """Return the name of the library that contains a behaviour, or None. The program need not contain a `use` line for the
+        library."""
         for name in LIBRARY_NAMES:
             node = self.load_library(name)
             if node is not None and any(isinstance(item, nodes.Behaviour) and item.name.text == behaviour for item in node.items):
@@ -92,7 +93,8 @@ class FileLoader:
         return None
 
     def find_library_behaviour(self, library: str, behaviour: str) -> BehaviourInfo | None:
-        """Return a behaviour that the language itself needs from a library, or None. The program need not use this library."""
+        """Return a behaviour of a library that the language itself calls, or None. The program need not contain a `use` line for
+        the library."""
         names = self.libraries.get(library)
         if names is None and (node := self.load_library(library)) is not None:
             names = self.libraries[library] = self.load_file(node)
@@ -190,7 +192,9 @@ def check_free_name(report: Report, name: nodes.Name) -> bool:
 
 
 def check_free_member_name(report: Report, name: nodes.Name, value: Span, builtins: Mapping[str, BuiltinAttribute]) -> bool:
-    """Return whether a member of a species may have a name. Like `check_free_name`, but also reports the names of `builtins`.
+    """Return whether a name is free for a member of a species. Report an error for words of the language, as `check_free_name`
+    does, and for names of `builtins`.
+
     `value`: the span of the declared value."""
     builtin = builtins.get(name.text)
     if builtin is None:

@@ -16,8 +16,8 @@ DeclarationIterator = Iterator["Declaration"]
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """A declaration. `key`: its kind, owners and name. `name`: the location to which an editor jumps. `node`: the syntax node of
-    the complete declaration."""
+    """A declaration in a file. `key`: its kind, owners and name. `name`: the span of its name, to which an editor jumps. `node`:
+    the syntax node of the complete declaration."""
 
     key: NameKey
     name: nodes.Name
@@ -25,8 +25,8 @@ class Declaration:
 
 
 def list_declarations(file: nodes.File) -> DeclarationIterator:
-    """Return the declarations of a file. Of declarations with equal keys, only the first is returned, as in the checker: a
-    `species` block comes before its entry in `world`."""
+    """Return the declarations of a file. If several have equal keys, only the first is returned, as in the checker. A `species`
+    block comes before its entry in `world`."""
     for item in sorted(file.items, key=lambda item: isinstance(item, nodes.World)):
         yield from _LISTER_BY_ITEM[type(item)](file.source.path, item)
 

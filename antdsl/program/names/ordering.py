@@ -19,10 +19,11 @@ def order_declarations(
     find_used_trees: Callable[[T], Iterable[object]],
     find_name: Callable[[T], nodes.Name],
 ) -> tuple[list[T], set[str]]:
-    """Return the declarations, each after the declarations that it uses, and the names that are part of a cycle.
+    """Return the declarations in an order in which each comes after the declarations that it uses. Also return the names that
+    are part of a cycle.
 
-    `find_used_trees`: returns the trees in which to search for used names. A cycle is reported once, and one of its uses is
-    ignored to make an order possible."""
+    `find_used_trees`: returns the trees in which to search for used names. A cycle is reported once. Then one of its uses is
+    ignored, so that an order exists."""
     graph = {name: _find_used_names(each, declarations, find_used_trees) for name, each in declarations.items()}
     ordered_names: set[str] = set()
     circular: set[str] = set()

@@ -131,12 +131,12 @@ class Declarations:
 
 
 def is_known_missing(scope: NameScope, kind: str, name: nodes.Name, owner: str = "") -> bool:
-    """Return whether a missing name has already been reported. If not, mark it as reported, because the caller now reports it.
+    """Return whether a missing name has already been reported. If not, record it as reported; the caller must then report it.
 
     Every call also records the span of the name.
 
-    - `kind`: a group of names; equal names in different groups are independent.
-    - `owner`: the species to which the name belongs, if it is always the same; "" for the species at this position."""
+    - `kind`: the kind of name, such as `attribute`. Names of different kinds are independent.
+    - `owner`: the species to which the name always belongs; "" for the species at this position."""
     around = (scope.file.node.source.path, scope.species.name if scope.species else "", scope.behaviour or "")
     where = (kind, *((owner,) if owner else around), name.text)
     if where in scope.declarations.unknown_names:
@@ -147,8 +147,8 @@ def is_known_missing(scope: NameScope, kind: str, name: nodes.Name, owner: str =
 
 
 class StableKeys:
-    """Generator of keys for memories and draws, which do not change when lines move. A key consists of a path, a word, and how
-    many times the word has occurred."""
+    """Generator of keys for memories and draws. A key does not change when lines move. It consists of a path, a word, and how
+    many times the word has occurred before."""
 
     __slots__ = ("counts", "path")
 
@@ -206,8 +206,9 @@ class NameScope:
         return make_bad_expression(span)
 
     def record_name_use(self, span: Span, *key: str) -> None:
-        """Record the declaration to which the name at a span refers. `key`: the declaration's key. Names in an expanded
-        behaviour are not recorded, because their text is elsewhere."""
+        """Record the declaration to which the name at a span refers. `key`: the declaration's key.
+
+        Names in an expanded behaviour are not recorded, because the text of the behaviour is at another position."""
         if self.behaviour is None or self.is_generic:
             self.declarations.name_uses.append(NameUse(span, key))
 
@@ -217,15 +218,15 @@ class NameScope:
             self.declarations.name_uses.append(NameUse(span, declaration))
 
     def record_thing_use(self, name: nodes.Name) -> None:
-        """Record the use of a name that can only be a species or a thing of the world."""
+        """Record the use of a name. At this position, it can only name a species or a thing of the world."""
         kinds = (("species", self.declarations.species), ("thing", self.declarations.things))
         for kind in (kind for kind, known in kinds if name.text in known):
             self.record_name_use(name.span, kind, name.text)
             return
 
     def record_own_name_use(self, span: Span, name: str, owner: SpeciesNames | None = None) -> None:
-        """Record the use of a name that can only be a member of a species. `owner`: the species; None: the species at this
-        position."""
+        """Record the use of a name. At this position, it can only name a member of a species. `owner`: the species; None for the
+        species at this position."""
         owner = owner or self.species
         if owner is not None and (
             name in owner.attributes or name in owner.params or name in owner.bindings or name in owner.untyped_names
@@ -251,8 +252,7 @@ class NameScope:
             self.record_name_use(span, *(("attribute", owner.referent or "", name) if own else ("item-given", name)))
 
     def record_possible_use(self, name: nodes.Name, owner: ValueType) -> None:
-        """Record the use of a declared value that cannot be read here, such as a param of a single agent or a value of all
-        items."""
+        """Record the use of a declared name that cannot be read here, such as a param of a single agent."""
         one = ValueType(TypeKind.ITEM, referent=owner.referent)
         if owner.kind in (TypeKind.AGENT, TypeKind.SPECIES) and owner.referent in self.declarations.species:
             self.record_own_name_use(name.span, name.text, self.declarations.species[owner.referent])
@@ -332,7 +332,7 @@ def suggest_name(word: str, candidates: Iterable[str], default_help: str | None 
 
 
 def list_names(names: Iterable[str], max_count: int = 12) -> str:
-    """Return a list of at most `max_count` names for a help line, such as `a`, `b`, `c` …."""
+    """Return text that lists at most `max_count` names for a help line, such as `a`, `b`, `c` …."""
     names = sorted(names)
     return ", ".join(f"`{name}`" for name in names[:max_count]) + (", …" if len(names) > max_count else "")
 

@@ -28,14 +28,15 @@ class Column:
       world.
     - `initial_value`: the value for new agents or items.
     - `is_checkpointed`, `is_hashed`: whether checkpoints and the state hash include it; only for arrays that are not derived.
-    - `survives_reload`: every reload copies the values. Newborns inherit such registers from their parents.
+    - `survives_reload`: whether every reload copies the values. Newborns inherit such registers from their parents.
     - `inherited_array`: for a fixed array, the array of the parent from which a newborn gets its value.
     - `save_mode`: whether frames include it: by `default`, on `request` in the scene's `output`, or `always` if there are
       values.
     - `alias`: its name in frames, if that is not `name`. Words in capitals stand for names of the scene.
     - `row_kind`: what one entry along the first axis describes: an agent of any `species`, an agent of `one` species, a `pair`,
       an `event`, an `item` or a `part` of a thing.
-    - `exports`: the formats with a separate attribute for it. Formats that write all arrays of agents write it under its name.
+    - `exports`: the formats that have a separate attribute for the array. Formats that write all arrays of agents use the
+      array's name.
     - `packet`: its name and type in the preview's packet of a frame.
     - `in_preview`: whether the preview stores it for all frames.
     - `interpolation`: how it changes between two frames: `linear`, as a `rotation`, as a `direction`, or as a `phase` from 0 to
@@ -85,7 +86,8 @@ class Column:
         return tuple(sizes[size] if isinstance(size, str) else size for size in self.shape)
 
     def compute_unit_factor(self, scale: float) -> float:
-        """Return the factor that converts values in the world to values in frames. `scale`: scene units per millimetre."""
+        """Return the factor by which values in the world are multiplied to get values in frames. `scale`: scene units per
+        millimetre."""
         return scale if self.unit.startswith("mm") else 1.0
 
 

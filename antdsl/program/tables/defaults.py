@@ -30,8 +30,8 @@ def parse_default(text: str, span: Span) -> nodes.Expr:
 
 
 def parse_product(text: str, span: Span) -> nodes.Expr:
-    """Return the syntax tree of terms that are joined by `*` and `/`, evaluated from left to right. Each sign must be between
-    blanks."""
+    """Return the syntax tree of terms that are joined by `*` and `/`, evaluated from left to right. Each `*` or `/` must have a
+    blank on both sides."""
     words = re.split(r" ([*/]) ", text)
     node = parse_term(words[0], span)
     for sign, term in zip(words[1::2], words[2::2], strict=True):

@@ -56,8 +56,8 @@ DEFAULT_BY_SETTING = {row.setting: row for row in EDITION_DEFAULTS}
 
 
 def find_setting_defaults(edition: int, is_standing: bool) -> dict[str, str]:
-    """Return the species settings with a default that depends on the edition, and their defaults as text in the language, by
-    name.
+    """Return, by name, the species settings with a default that depends on the edition. The values are these defaults as text in
+    the language.
 
     "" means that the species must set it. `is_standing`: whether the species sets its height."""
     defaults = {row.setting: row.get_default(edition) for row in EDITION_DEFAULTS}

@@ -154,14 +154,13 @@ def list_effects_of_phase(phase: str) -> tuple[str, ...]:
 
 
 def list_feeding_effects(kind: str) -> frozenset[str]:
-    """Return the names of the requests that change what agents sense of a thing. `kind`: the kind of this thing, "field" or
-    "event"."""
+    """Return the names of the requests that change what agents sense of things of one kind. `kind`: "field" or "event"."""
     return frozenset(row.op for row in EFFECT_BY_OPERATION.values() if row.is_feeding_senses and row.target == kind)
 
 
 def fill_template(template: str, values: Mapping[str, str | None]) -> str:
-    """Return the template with all names replaced by their values. A part in square brackets is omitted if one of its values is
-    None."""
+    """Return the template with each name replaced by its value. A part in square brackets is omitted if one of the values in it
+    is None."""
 
     def fill_part(match: re.Match[str]) -> str:
         inner = match.group(1)

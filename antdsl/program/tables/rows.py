@@ -15,8 +15,8 @@ class ArgumentRow:
     """One argument of a word.
 
     - `type`: a type word, or one of the following.
-    - `number A`: a number of any dimension. All arguments with the same letter have the same dimension. `vector A`: likewise a
-      vector.
+    - `number A`: a number of any dimension. All arguments with the same letter have the same dimension. `vector A`: the same for
+      vectors.
     - `range A`: two such numbers, which fill two arguments of the operation.
     - `count`: a constant integer. `any A`: a value of any type, with the same type for every A. `condition`: a bool about the
       element.
@@ -62,11 +62,11 @@ class UseCost:
 
 @dataclass(frozen=True, slots=True)
 class BuiltinRow:
-    """A word of the language and `op`, the operation of the typed tree that it stands for.
+    """A word of the language. `op` is the operation of the typed tree for which the word stands.
 
     - `form`: a `call`, a bare `name`, or the `value` of a thing, if the thing's name is used where a value is expected.
     - `word`: the word, if it differs from `op`.
-    - `part`: the name of the part of the sense's result that the word returns.
+    - `part`: for a sense with several results, the name of the result that the word returns.
     - `depends_on_agent`: whether the value depends on the agent even if all arguments are constant.
     - `uses_draws`: whether the operation uses a random number.
     - `interval`: the smallest and the largest value.
@@ -121,7 +121,8 @@ def _parse_argument(text: str) -> ArgumentRow:
 
 @dataclass(frozen=True, slots=True)
 class ResultPart:
-    """One result of a sense. `kind`: float, bool, row or id (f, b, i, l). `component_count`: 3 for a vector, else 1."""
+    """One of the results of a sense. `kind`: one letter for float, bool, row or id (f, b, i, l). `component_count`: 3 for a
+    vector, else 1."""
 
     name: str
     kind: str = "f"
@@ -130,14 +131,14 @@ class ResultPart:
 
 @dataclass(frozen=True, slots=True)
 class SenseRow:
-    """An operation of the plan that reads the world at the agent's position, and its words in the language.
+    """An operation of the plan that reads the world at the agent's position, together with its words in the language.
 
     - `thing_kind`: the kind of thing that its first attribute names; "" for none.
     - `operands`: the kinds of the operands, one letter for each. `attrs`: further attributes.
-    - `trace`: the trace text of the results, which contains the names of parts. Without it, three or more numbers are listed in
-      full.
-    - `empty_trace`: the trace text if the first result is false.
-    - `is_untraced`: whether traces omit it."""
+    - `trace`: the template of the results' text in traces, with the names of parts. If it is empty, three or more numbers are
+      listed in full.
+    - `empty_trace`: the text in traces if the first result is false.
+    - `is_untraced`: whether traces omit the operation."""
 
     op: str
     thing_kind: str

@@ -14,12 +14,12 @@ class ThingKindRow:
     """A kind of thing of the world.
 
     - `word`: its word in `world { … }`.
-    - `label`: its name in messages, such as `a curve`; "" if other words for its type exist.
+    - `label`: its name in messages, such as `a curve`; "" if its type already has a name there.
     - `replaced_kinds`: the argument kinds for which this kind is also allowed.
     - `type_meaning`: its meaning as the type of an argument; "" if it is no type word.
     - `scene_form`: words for its definition in a scene, such as `a mesh`.
     - `scene`: an example of the definition, for messages. `snippet`: the same with placeholders, for an editor.
-    - `nearest_op`: the plan operation that finds its nearest point; "" if it has no position.
+    - `nearest_op`: the plan operation that finds the nearest point of the thing; "" if the thing has no position.
     - `touching_op`: the plan operation that tests whether agents touch it, if that is not `nearest_op`.
     - `has_values`: whether each of its members has attributes.
     - `is_ground`: whether agents walk on it.

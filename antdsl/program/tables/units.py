@@ -53,7 +53,7 @@ def find_unit_measure(unit: str) -> UnitMeasure | None:
 
 
 def make_constant(value: float, unit: str, span: Span) -> Constant | None:
-    """Return the constant for a quantity, or None if its unit is unknown."""
+    """Return the number with a unit as a constant in base units, or None if the unit is unknown."""
     known = find_unit_measure(unit)
     if known is None:
         return None
@@ -83,7 +83,7 @@ _DIMENSION_NAMES: dict[Dimension, str] = {
 
 
 def choose_default_unit(dim: Dimension) -> str:
-    """Return the usual unit of a dimension, such as `mm`, `deg/s` or `/s`. It is empty for a number without a unit."""
+    """Return the usual unit of a dimension, such as `mm`, `deg/s` or `/s`. Return "" for a dimension without a unit."""
     if dim == FORCE_DIMENSION:
         return "uN"
     top: list[str] = []
@@ -118,7 +118,7 @@ def format_with_unit(value: float, dim: Dimension) -> str:
 
 
 def find_unit_spelling(node: nodes.Expr) -> str:
-    """Return the first unit in the text of an expression, or an empty text if there is none."""
+    """Return the text of the first unit in an expression, or "" if there is none."""
     stack: list[object] = [node]
     while stack:
         part = stack.pop()

@@ -17,15 +17,18 @@ from antdsl.syntax import nodes
 
 
 def find_cell_field(declarations: Declarations, operand: nodes.Expr) -> str:
-    """Return the name of the field that an expression reads cell by cell, such as `trail` for `trail.value > 0.1`, or ""."""
+    """Return the name of the field of which an expression reads single cells, such as `trail` for `trail.value > 0.1`. Return ""
+    for other expressions."""
     members = [part for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
     owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
     return next((name for name in owners if name in declarations.fields), "")
 
 
 def find_subject(scope: NameScope, node: nodes.Call, operand: nodes.Expr) -> ValueType | None:
-    """Return the type of the species or items that an aggregate is about, or None after an error. An aggregate that names none,
-    such as `share(state == carry)`, is about the only species that has all of its values."""
+    """Return the type of the species or items over which an aggregate runs, or None after an error.
+
+    If an aggregate such as `share(state == carry)` names no species, it runs over the only species that has all of its values.
+    """
     declared = scope.declarations
     owners = [part.owner for part, _ in iterate_nodes(operand) if isinstance(part, nodes.Member)]
     named = [owner.name.text for owner in (*owners, operand) if isinstance(owner, nodes.NameRef)]
@@ -65,7 +68,8 @@ def find_thing_kind(declarations: Declarations, name: str) -> TypeKind | None:
 
 
 def _has_values(declarations: Declarations, species: str, operand: nodes.Expr) -> bool:
-    """Return whether a species has every value that an expression names without an owner. Only the names are compared."""
+    """Return whether a species has all values that an expression uses without an owner, such as `load`. Only the names are
+    compared."""
     names = declarations.species[species]
     states = {state for machine in names.machines.values() for state in machine.states}
     mine = states.union(names.attributes, names.params, names.bindings, names.untyped_names, names.machines, names.builtins)

@@ -350,8 +350,8 @@ def _find_result_type(reducer: str, body: Expr | None) -> ValueType:
 
 
 def _uses_word(root: nodes.Expr, words: Container[str]) -> bool:
-    """Return whether an expression contains one of `words` as a name, such as `initial_count`, rather than as a call
-    `initial_count(…)`."""
+    """Return whether an expression contains one of `words` as a bare name, such as `initial_count`. A call such as
+    `initial_count(…)` does not count."""
     called = {id(part.function) for part, _ in iterate_nodes(root) if isinstance(part, nodes.Call)}
     return any(isinstance(p, nodes.NameRef) and p.name.text in words and id(p) not in called for p, _ in iterate_nodes(root))
 

@@ -118,8 +118,9 @@ def _format_call(function_name: str, slots: Sequence[ArgumentSlot]) -> str:
 
 
 def type_arguments(scope: NameScope, node: CallNode) -> None:
-    """Type the arguments of an invalid call, to mark names in them as used and to report their own errors. Errors in `with:` are
-    not reported, because an invalid call does not determine its elements."""
+    """Type the arguments of an invalid call. This marks names in the arguments as used and reports their own errors.
+
+    Errors in `with:` are not reported, because the elements of an invalid call are unknown."""
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
             scope.type_expression(argument.over)
@@ -150,10 +151,11 @@ def _report_late_positions(
 
 
 def _find_decimal_comma(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument]) -> Span | None:
-    """Return the span of the first number with a decimal comma, which was parsed as two arguments. Return None if there is none.
+    """Return the span of the first number with a decimal comma. Such a number was parsed as two arguments. Return None if there
+    is none.
 
-    A comma is a decimal comma if the call becomes valid when both numbers are joined. In `vector(1,2,3)`, it separates
-    arguments."""
+    A comma counts as a decimal comma if the call becomes valid when the numbers on both sides are joined. In `vector(1,2,3)`,
+    commas separate arguments."""
     joints: dict[int, Span] = {}
     is_second_half = False  # whether the argument was already joined to the previous one
     tight = 0
@@ -182,7 +184,7 @@ def _find_decimal_comma(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes
 
 @dataclass(frozen=True, slots=True)
 class _ArgumentForm:
-    """The properties of an argument that decide whether a call has the right number of arguments.
+    """What must be known about an argument to decide whether a call has the right number of arguments.
 
     `name`: the parameter that the argument names; None for a positional argument. `is_range`: whether the value has `..`."""
 
@@ -195,9 +197,9 @@ def _list_argument_forms(arguments: Sequence[nodes.Argument]) -> list[_ArgumentF
 
 
 def _merge_range_pairs(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm]) -> list[_ArgumentForm] | None:
-    """Return the arguments with two positional values merged into one where the parameter expects a range.
+    """Return the forms of the arguments. Where a parameter expects a range, two positional values are merged into one.
 
-    Returns None if the second value is missing."""
+    Returns None if the second value of a range is missing."""
     paired: list[_ArgumentForm] = []
     left = list(forms)
     while left:
@@ -212,7 +214,8 @@ def _merge_range_pairs(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentF
 
 
 def _make_range_fix(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Argument]) -> tuple[str, Fix] | None:
-    """Return help and a fix for two values where a range is expected, or None if the number of arguments would still be wrong."""
+    """Return help and a fix for two separate values where a range is expected. Return None if the call would still have the
+    wrong number of arguments."""
     place = next((n for n, slot in enumerate(slots) if slot.is_range), len(arguments))
     if place + 1 >= len(arguments) or not _is_valid_count(slots, _merge_range_pairs(slots, _list_argument_forms(arguments))):
         return None
@@ -224,7 +227,7 @@ def _make_range_fix(slots: Sequence[ArgumentSlot], arguments: Sequence[nodes.Arg
 def _is_valid_count(slots: Sequence[ArgumentSlot], forms: Sequence[_ArgumentForm] | None, min_variadic: int = 1) -> bool:
     """Return whether the positional and named arguments match the parameters in number and names.
 
-    `min_variadic`: the smallest number of positional arguments of a variadic call."""
+    `min_variadic`: how many positional arguments a call of a variadic function must have at least."""
     if forms is None:
         return False
     by_name = [each.name for each in forms]

@@ -151,10 +151,10 @@ def _make_slot(arg: ArgumentRow) -> ArgumentSlot:
 
 
 def _find_matching_row(scope: NameScope, node: nodes.Call, rows: tuple[BuiltinRow, ...]) -> tuple[BuiltinRow, nodes.Call]:
-    """Return the row that accepts the first argument of the call and the names of its arguments. Also return the call with its
-    first argument typed.
+    """Return the row that accepts a call: its first argument, and the names of its arguments. If none does, return the first
+    row.
 
-    The argument is typed here, so that nested calls are typed only once."""
+    Also return the call with the first argument already typed, so that nested calls are typed only once."""
     named = {a.name.text for a in node.arguments if isinstance(a, nodes.Argument) and a.name}
     fitting = [row for row in rows if named <= {a.name for a in row.args}] or list(rows)
     first = node.arguments[0] if node.arguments else None
@@ -305,7 +305,7 @@ def _make_operation(
 def _infer_result_type(
     row: BuiltinRow, variables: Mapping[str, tuple[nodes.Expr, Expr]], args: list[Expr | None] | tuple[Expr | None, ...]
 ) -> ValueType:
-    """Return the result type of a row, with its type variables replaced by the types to which they are bound."""
+    """Return the result type of a row. Its type variables are replaced by the types that the arguments have given them."""
     word, _, of = row.result.partition(" ")
     if word in ("number", "vector") and of:
         kind = TypeKind(word)

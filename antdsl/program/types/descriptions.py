@@ -66,8 +66,8 @@ def quote_source(span: Span, max_characters: int = 40) -> str:
 
 
 def is_compatible(actual: ValueType, expected_type: ValueType) -> bool:
-    """Return whether a value of type `actual` is allowed where `expected_type` is needed. Always true for values with an error
-    that has already been reported."""
+    """Return whether a value of type `actual` is allowed where `expected_type` is needed. The result is True for a value with an
+    error, because the error has already been reported."""
     if TypeKind.BAD in (actual.kind, expected_type.kind):
         return True
     if actual.kind is TypeKind.VECTOR_FIELD:
@@ -82,7 +82,7 @@ def is_compatible(actual: ValueType, expected_type: ValueType) -> bool:
 def report_mismatch(
     report: Report, node: nodes.Expr, actual: ValueType, expected_type: ValueType, place: str, expr: Expr | None = None
 ) -> Expr:
-    """Report that the type of `node` does not fit at `place`: a missing unit, a wrong unit, or another kind of thing.
+    """Report that the type of `node` is wrong at `place`: a unit is missing or wrong, or the expression is of another kind.
 
     `expr`: the typed expression of the node, if known. Returns a replacement for this expression."""
     if isinstance(expr, OperationExpr) and expr.name == "map_value" and expected_type.kind is TypeKind.VECTOR:
@@ -129,8 +129,8 @@ def _make_mismatch(node: nodes.Expr, actual: ValueType, expected_type: ValueType
 
 
 def _make_vector_units_fix(node: nodes.Expr) -> Fix | None:
-    """Return a fix that adds a length unit to the numbers of `vector(10, 0, 0)`, which makes it a point. Return None if there is
-    none."""
+    """Return a fix that adds a length unit to the numbers of a call such as `vector(10, 0, 0)`, so that it becomes a point.
+    Return None for other expressions."""
     if not isinstance(node, nodes.Call) or node.function.span.text != "vector":
         return None
     values = [each.value for each in node.arguments if isinstance(each, nodes.Argument)]
@@ -146,7 +146,7 @@ def _is_negation(node: nodes.Expr) -> bool:
 def _make_own_text_fix(node: nodes.Expr, advice: str) -> Fix | None:
     """Return a fix that replaces the node by the first text in backquotes in `advice`.
 
-    Returns None if this text does not contain the source text of the node."""
+    Returns None if this text does not contain the source text of the node, because it is then about something else."""
     text, match = " ".join(node.span.text.split()), re.search("`([^`…]+)`", advice)
     return Fix(node.span, match[1]) if match and text in match[1] else None
 

@@ -160,7 +160,7 @@ def _report_early_use(scope: NameScope, name: str, span: Span) -> None:
 
 
 def report_pair_value(scope: NameScope, node: nodes.Name, owner: str = "") -> Expr:
-    """Report that a pair value is used without another agent in brackets. Return a placeholder."""
+    """Report a pair value that is used without another agent in brackets. Return a placeholder."""
     help = f"read it as the agent that stores it: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
     return scope.report_error("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
 
@@ -192,8 +192,8 @@ def _type_language_word(scope: NameScope, name: str, span: Span) -> Expr | None:
 
 
 def _type_species_value(scope: NameScope, name: str, span: Span) -> Expr | None:
-    """Return the value of a name of the species: a param, attribute, let, latch, or value of a machine. Return None inside a
-    behaviour."""
+    """Return the value of a name that belongs to the species: a param, attribute, let, latch, or value of a machine. Return None
+    for other names, and inside a behaviour."""
     species = scope.species
     if species is None or scope.behaviour is not None:
         return None

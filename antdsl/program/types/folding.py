@@ -14,8 +14,9 @@ _FLOAT_FUNCTIONS: dict[str, Callable[[float, float], float]] = {"add": lambda a,
 
 
 def fold_operation(report: Report, op: OperationExpr) -> Expr:
-    """Return the constant value of an operation or, if it is not constant, the operation. Report a division by 0 and numbers
-    that are too large to store."""
+    """Return the value of an operation as a constant. If the operation is not constant, return it unchanged.
+
+    Report a division by 0, and numbers that are too large to store."""
     values = [find_constant(arg) if arg is not None else None for arg in op.args]
     if op.name == "div" and len(values) == 2 and values[1] is not None and values[1].number == 0:
         report.error("division-by-zero", "this divides by 0", op.span, "divide by a value that is never 0")
@@ -58,8 +59,8 @@ def _make_constant(op: OperationExpr, value: float, unit_power: float, step_powe
 
 
 def find_constant(expr: Expr) -> Constant | None:
-    """Return the value of a constant expression, or of a behaviour's argument that has a constant value. Return None for other
-    expressions."""
+    """Return an expression as a constant if it is one, or if it is a behaviour's argument with a constant value. Otherwise
+    return None."""
     while isinstance(expr, BindingRef) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
         expr = expr.binding.value
     return expr if isinstance(expr, Constant) else None

@@ -44,7 +44,8 @@ def type_value(scope: NameScope, node: nodes.Expr, expected_type: ValueType | No
 
 
 def convert_to_value(expr: Expr) -> Expr:
-    """Return the value at the agent for the name of a field, flow or map. Return any other expression unchanged."""
+    """Return the value of a field, flow or map at the agent if the expression is only its name. Return any other expression
+    unchanged."""
     value_op = _VALUE_AT_AGENT.get(expr.type.kind)
     return expr if value_op is None else OperationExpr(value_op[1], ChangeRate.AGENT, expr.span, value_op[0], (expr,))
 
@@ -88,7 +89,7 @@ def convert_to_bool(scope: NameScope, node: nodes.Expr, expr: Expr, place: str) 
 def _mentions_event(scope: NameScope, node: nodes.Expr) -> bool:
     """Return whether a condition mentions an event.
 
-    An event lasts one step, so a `chance` in the same condition is a probability and not a rate."""
+    An event is present for one step only. Therefore a `chance` in the same condition is a probability and not a rate."""
     stack: list[nodes.Expr] = [node]
     while stack:
         part = stack.pop()
@@ -184,8 +185,8 @@ def _check_chance(scope: NameScope, node: nodes.Unary, expr: Expr) -> None:
 
 
 def make_draw_site(scope: NameScope, word: str, span: Span) -> str:
-    """Return the key of a random draw. A draw inside a set is an error, because its result would depend on the order of the
-    elements."""
+    """Return the key of a random draw. Report an error for a draw inside a set, because its result would depend on the order of
+    the elements."""
     if scope.set_elements:
         message = f"`{word}` draws a random number inside a set"
         scope.report.error("draw-in-set", message, span, "draw before the set: `let x = …`, and use `x` inside")

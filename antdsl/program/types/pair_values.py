@@ -42,7 +42,7 @@ def reject_pair(scope: NameScope, node: nodes.PairOf, expected_type: ValueType |
 def check_pair_value(scope: NameScope, attribute: AttributeDecl, rest_value: Expr | None) -> None:
     """Report an invalid pair value. It must be a number, and its initial value must not depend on the agent.
 
-    It may relax only to its initial value, which is always the value about agents without a slot."""
+    It may relax only to its initial value, because this is the value for all agents that have no slot."""
     name, default = attribute.name, attribute.default
     if TypeKind.BAD in (attribute.type.kind, default.type.kind):
         return
@@ -66,8 +66,8 @@ def _is_same(first: Expr, second: Expr) -> bool:
 
 
 def type_set_index(scope: NameScope, node: nodes.IndexAll) -> tuple[AttributeRef, SetExpr, Binding, NameScope] | None:
-    """Return the parts of `likes[n in SET]`: the value, the set, the binding of an element, and the scope of an element. Return
-    None after an error."""
+    """Return the parts of `likes[n in SET]`, or None after an error. They are the pair value, the set, the binding of an
+    element, and the scope in which the name of the element is visible."""
     over = scope.type_expression(node.over)
     if over.type.kind in (TypeKind.SPECIES, TypeKind.ITEMS):
         over = make_complete_set(over)

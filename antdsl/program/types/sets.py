@@ -38,7 +38,7 @@ def _arrange_arguments(scope: NameScope, node: nodes.Call, name: str, row: Built
 def _type_optional(
     scope: NameScope, function_name: str, arg: ArgumentRow, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
 ) -> Expr | None:
-    """Return the typed value of an argument or its default. Return None for an optional argument that is absent."""
+    """Return the typed value of an argument. If the argument is absent, return its default, or None if it has no default."""
     written = arguments_by_slot.get(arg.name)
     if written is None:
         return parse_default_values(scope, arg.default, node.span)[0] if arg.default else None
@@ -273,8 +273,8 @@ def _check_shadow(scope: NameScope, variable: nodes.Name) -> None:
 
 
 def type_reduction_body(scope: NameScope, reducer: str, node: nodes.Expr) -> Expr:
-    """Return the typed body of a reduction. It must be a bool for `count`, `any` and `every`, a number or vector for `sum`, and
-    a number for the others."""
+    """Return the typed body of a reduction. For `count`, `any` and `every`, it must be a bool. For `sum`, it must be a number or
+    vector. For the others, it must be a number."""
     if reducer in ("count", "any", "every"):
         return type_condition(scope, node, f"`{reducer}`")
     expr = type_value(scope, node)
@@ -304,7 +304,8 @@ def _find_result_type(reducer: str, body: Expr, element: Binding) -> ValueType:
 
 
 def _check_nesting(scope: NameScope, expr: Expr, node: nodes.Call) -> None:
-    """Report a set inside a set if the inner set depends on the outer element. Neighbours of neighbours are not supported."""
+    """Report a set inside another set if the inner set depends on an element of the outer set. Neighbours of neighbours are not
+    supported."""
     if not scope.set_elements:
         return
     used = find_bindings(expr)

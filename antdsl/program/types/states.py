@@ -14,7 +14,7 @@ STATE_WORDS = ("state", "previous", "next", "time_in_state")
 
 
 def find_machine(scope: NameScope, owner: nodes.Expr) -> MachineNames | None:
-    """Return the machine that `owner`, such as `mood`, names, or None."""
+    """Return the machine of the species with the name `owner`, such as `mood`. Return None if there is none."""
     if (
         scope.species is None
         or scope.behaviour is not None
@@ -40,7 +40,8 @@ def type_machine_value(scope: NameScope, machine: MachineNames, node: nodes.Memb
 def type_state_word(scope: NameScope, owner: Expr | None, word: str, span: Span, name_span: Span | None) -> Expr:
     """Type `state` and similar words, for the agent itself or for the agent `owner`.
 
-    If there are several machines, the word refers to the machine that contains it or, outside of machines, to the first."""
+    If there are several machines, a word inside a machine refers to this machine. Outside of machines, it refers to the first
+    one."""
     names = scope.species if owner is None or owner.type.referent is None else scope.declarations.species.get(owner.type.referent)
     if isinstance(owner, ThingRef) and owner.name == "self":
         owner = None
@@ -59,7 +60,8 @@ def _type_machine_word(machine: MachineNames, owner: Expr | None, word: str, spa
 
 
 def find_state(scope: NameScope, operand: Expr, node: nodes.Expr) -> tuple[Expr, Expr] | None:
-    """Return the two sides of `state == carry`: the compared value, and the state in the machine that has it.
+    """Return the two sides of `state == carry`: the compared value, and the constant for the state, in the machine that has a
+    state of this name.
 
     Return None if `node` is not a bare name."""
     if not isinstance(node, nodes.NameRef) or not isinstance(operand, AttributeRef) or node.name.text in STATE_WORDS:
@@ -94,7 +96,8 @@ def report_unknown_state(scope: NameScope, name: nodes.Name, species: str, known
 
 
 def type_clip_test(scope: NameScope, node: nodes.ClipTest, expected_type: ValueType | None) -> Expr:
-    """Type `clip done` or `clip at MARK`. It refers to the machine that contains it or, outside of machines, to the first."""
+    """Type `clip done` or `clip at MARK`. In the text of a machine, the test refers to this machine. Outside of machines, it
+    refers to the first machine."""
     names = scope.species
     if names is None or not names.machines or scope.behaviour is not None:
         words = "there is no clip here"

@@ -18,5 +18,5 @@ class CheckContext:
     files: Sequence[FileNames]
 
     def is_used(self, kind: str, name: str) -> bool:
-        """Return whether the program uses the name `name`. `kind`: the kind of the named thing, such as `param`."""
+        """Return whether the program uses a declared name. `kind`: the kind of its declaration, such as `param`."""
         return (kind, name) in self.declarations.used_names

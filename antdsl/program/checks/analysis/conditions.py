@@ -28,7 +28,7 @@ class ConditionCase:
     truth_by_test: dict[str, bool] = field(default_factory=dict)
 
     def intersect(self, other: ConditionCase) -> ConditionCase | None:
-        """Return the case in which both cases apply, or None if they exclude each other."""
+        """Return the case in which both this case and `other` apply, or None if they exclude each other."""
         numbers, tests = dict(self.intervals), dict(self.truth_by_test)
         for key, interval in other.intervals.items():
             numbers[key] = numbers[key].intersect(interval) if key in numbers else interval
@@ -134,7 +134,7 @@ class ConditionReader:
         """Return a key that is equal for expressions with the same meaning. Two random draws, or two memories, never have equal
         keys.
 
-        Long keys are hashed. Without this, each level of nested lets could double the length of a key."""
+        Long keys are replaced by their hashes. Otherwise, each level of nested lets could double the length of a key."""
         if isinstance(part, BindingRef) and part.binding.role in ("let", "argument") and part.binding.value is not None:
             return self.make_key(part.binding.value)
         known = self.key_by_id.get(id(part))
@@ -158,7 +158,7 @@ class ConditionReader:
 
 
 def _find_constant_value(expr: Expr) -> float | None:
-    """Return the value of a constant or of a name for a constant. Return None for any other expression."""
+    """Return the value of an expression that is a constant, or a name for a constant. Return None for any other expression."""
     while isinstance(expr, BindingRef) and expr.binding.role in ("let", "argument") and expr.binding.value is not None:
         expr = expr.binding.value
     return expr.number if isinstance(expr, Constant) and not (expr.unit_power or expr.step) else None

@@ -78,7 +78,7 @@ def compute_range(expr: Expr | None, params: Mapping[str, Param], known_ranges: 
 
 
 def _compute_sign_range(number: float) -> Interval:
-    """Return the range of a constant that depends on the scene. Only its sign is known."""
+    """Return the range of a constant that depends on the scene. Of such a constant, only the sign is known."""
     return Interval(0, 0) if number == 0 else POSITIVE_NUMBERS if number > 0 else Interval(-math.inf, 0)
 
 

@@ -20,9 +20,8 @@ UpdateTarget = str | Binding  # the attribute that an update sets, or the memory
 
 
 class StepInfluence(IntEnum):
-    """How the value before an update influences the value after it, in a short step. NONE: not at all. VANISHING: less and less
-    as the step gets shorter. SAME: the value remains the same, so the number of updates does not matter. UNSURE: unknown.
-    CHANGED: even a very short step changes the value."""
+    """How strongly the value before an update determines the value after it, in a very short step. NONE: not at all. VANISHING:
+    less and less as the step gets shorter. SAME: the value does not change. UNSURE: unknown. CHANGED: it changes in any step."""
 
     NONE = 0
     VANISHING = 1
@@ -34,10 +33,10 @@ class StepInfluence(IntEnum):
 @dataclass(frozen=True, slots=True)
 class ShortStepValue:
     """The behaviour of a value as the step length `dt` goes to 0.
-    - `power`: the value is proportional to `dt ** power`. It vanishes if `power` is above 0. `limit`: its limit, if known.
+    - `power`: the value is proportional to `dt ** power` and vanishes if this is above 0. `limit`: its limit, if known.
     - `deviation_exponent`: the exponent of `dt` in the deviation from the limit or previous value; infinite if there is none.
     - `changing_parts`: the first two operations that change the previous value.
-    - `cause`: the operation that causes the deviation, or in which the value vanishes."""
+    - `cause`: the operation that causes the deviation or makes the value vanish."""
 
     influence: StepInfluence = StepInfluence.NONE
     power: float = 0.0
@@ -65,8 +64,9 @@ _RATE_FREE_OPERATIONS = frozenset(("chance", "event"))  # equally frequent at an
 def find_rate_dependent_operations(value: Expr, target: UpdateTarget, has_other_change: bool = False) -> tuple[Expr, ...]:
     """Return at most two operations that make the effect of an update depend on the frame rate.
 
-    They change the attribute or memory `target` even if `dt` is near 0, or not in proportion to `dt`. Uses of the unit `step`
-    are left to `check --strict`. `value`: the new value. `has_other_change`: whether another line also changes the attribute."""
+    Each changes the attribute or memory `target` even if `dt` is near 0, or out of proportion to `dt`. `check --strict` reports
+    uses of the unit `step` instead. `value`: the new value. `has_other_change`: whether another line also changes the attribute.
+    """
     short = _analyse_value(value, target, has_other_change)
     if short.influence is StepInfluence.CHANGED:
         makers = short.changing_parts
@@ -78,7 +78,7 @@ def find_rate_dependent_operations(value: Expr, target: UpdateTarget, has_other_
 
 
 def is_rate(value: Expr, target: UpdateTarget) -> bool:
-    """Return whether `value` is an amount per second: the update multiplies it by `dt` and adds the product."""
+    """Return whether `value` is an amount per second. The update multiplies it by `dt` and adds the product to the target."""
     short = _analyse_value(value, target, False)
     return short.influence is StepInfluence.UNSURE or _has_growing_power(short.power + 1, value) or _uses_step_unit(value)
 
@@ -101,8 +101,8 @@ def reads_update_target(expr: Expr, target: UpdateTarget) -> bool:
 
 
 def _has_growing_power(power: float, value: Expr) -> bool:
-    """Return whether the sum of values proportional to `dt ** power`, one per step, is independent of the step length. For
-    random draws, this is also true of the power 0.5, because their sum grows with the root of the time."""
+    """Return whether the sum of values proportional to `dt ** power`, one per step, is independent of the step length. This is
+    so for the power 1 and, for random draws, 0.5: their sum grows with the square root of the time."""
     has_draw = any(isinstance(part, OperationExpr) and part.name in DRAWING_OPERATIONS for part in iterate_parts(value))
     return power == math.inf or math.isclose(power, 1) or (has_draw and math.isclose(power, 0.5))
 
@@ -138,7 +138,7 @@ def _analyse_value(value: Expr, target: UpdateTarget, has_other_change: bool) ->
 
 
 def _iterate_dependencies(value: Expr, target: UpdateTarget) -> Iterator[Expr]:
-    """Yield the parts of an expression that contribute to its value, without duplicates. Operands come before the operation."""
+    """Yield the parts of an expression on which its value depends, without duplicates. Operands come before their operation."""
     stack: list[tuple[Expr, bool]] = [(value, False)]
     visited: set[int] = set()
     while stack:
@@ -316,7 +316,7 @@ def _analyse_rotation(op: OperationExpr, operands: OperandValues) -> ShortStepVa
 
 
 def _analyse_combination(op: Expr, operands: OperandValues) -> ShortStepValue:
-    """Analyse an operation such as a vector of numbers or a draw between two ends. The result vanishes if all operands do."""
+    """Return the short-step value of an operation such as a vector or a draw. It vanishes if all operands vanish."""
     influence = _find_strongest_influence(operands)
     if influence >= StepInfluence.SAME:
         return _UNSURE_VALUE if influence is StepInfluence.UNSURE else _make_changed_value(op, operands)
@@ -328,7 +328,7 @@ def _analyse_combination(op: Expr, operands: OperandValues) -> ShortStepValue:
 
 
 def _analyse_first_operand(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
-    """Analyse a length or a component of a vector. The result vanishes if the vector vanishes."""
+    """Return the short-step value of a length or a component of a vector. It vanishes if the vector vanishes."""
     a = operands[0]
     if a.influence <= StepInfluence.VANISHING:
         return a
@@ -345,7 +345,7 @@ def _analyse_pass_through(op: OperationExpr, operands: OperandValues) -> ShortSt
 
 
 def _analyse_clamp(op: OperationExpr, operands: OperandValues) -> ShortStepValue:
-    """Analyse `min`, `max` and `clamp`. The result is a known number if all operands are."""
+    """Return the short-step value of `min`, `max` or `clamp`. The result is a known number if all operands are."""
     tos = [each.limit for each in operands if each.limit is not None]
     if _find_strongest_influence(operands) > StepInfluence.VANISHING or len(tos) < len(operands):
         return _analyse_pass_through(op, operands)
@@ -357,8 +357,8 @@ def _analyse_clamp(op: OperationExpr, operands: OperandValues) -> ShortStepValue
 
 
 def _analyse_if(op: OperationExpr, operands: OperandValues, target: UpdateTarget, has_other_change: bool) -> ShortStepValue:
-    """Analyse `if`. A change by chance or by an event happens equally often at any frame rate. `has_other_change`: another line
-    changes the value, so a branch may move it back into its range (`if turn > 1 then turn - 1 else turn`)."""
+    """Return the short-step value of `if`. A change by chance or by an event happens equally often at any frame rate.
+    `has_other_change`: another line changes the value, so a branch may move it back (`if turn > 1 then turn - 1 else turn`)."""
     (test, *ends), branches = op.args, operands[1:]
     assert test is not None
     if (influence := _find_strongest_influence(branches)) < StepInfluence.SAME:
