@@ -14,7 +14,7 @@ _REGISTER_OPERATIONS = frozenset(("snap", "load", "other", "agent.get", "item.ge
 
 
 class PlanError(AssertionError):
-    """Error for a plan that breaks the rules of plans. The cause is a bug in antdsl, not a mistake in the author's program."""
+    """Error for a plan that breaks the rules for plans. It is due to a bug in antdsl, not to a mistake in the program's text."""
 
 
 def find_operand_problem(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...]) -> str | None:
@@ -66,7 +66,8 @@ def infer_result_kind(op: str, args: tuple[PlanNode, ...], attrs: tuple[Any, ...
 
 
 def infer_result_rate(op: str, args: tuple[PlanNode, ...]) -> UpdateRate:
-    """Return the update rate of an operation's result: the highest of the operation's own rate and the rates of its operands.
+    """Return the update rate of an operation's result. It is the highest rate among the operation's own rate and the rates of
+    its operands.
 
     A reduction over a set has the rate AGENT, whatever the rates of its operands."""
     if op.startswith("reduce."):

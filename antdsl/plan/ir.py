@@ -44,7 +44,7 @@ class UpdateRate(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanNode:
-    """An operation on other nodes. `attrs`: names and constants (not nodes), as OPERATION_BY_NAME lists them."""
+    """A node of a plan: an operation on other nodes. `attrs`: names and constants (not nodes), as in OPERATION_BY_NAME."""
 
     op: str
     args: tuple[PlanNode, ...]
@@ -190,7 +190,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class If:
-    """A region: statements for the agents that fulfil `condition`. NaN does not fulfil it."""
+    """A region: statements that run only for agents that fulfil `condition`. If the condition is NaN, they do not run."""
 
     condition: PlanNode
     body: Block
@@ -211,10 +211,9 @@ class Store:
 @dataclass(frozen=True, slots=True, eq=False)
 class Claim:
     """Claim of an amount from an item's attribute or, if `item` is None, from the cell of the field `target` at the agent.
-
     `amount`: None claims all that remains. After `decide`, claims are granted in random order (ties by id) as long as enough
-    remains. `won_register`: the BOOL register that is set for agents with a granted claim. `register`: the agent's register to
-    which the amount is added; None: the amount is not stored."""
+    remains. `won_register`: the BOOL register that is true for agents with a granted claim. `register`: the agent's register to
+    which the amount is added; None if the amount is not stored."""
 
     target: str
     attribute: str
@@ -229,7 +228,7 @@ class Claim:
 @dataclass(frozen=True, slots=True, eq=False)
 class Give:
     """Transfer of an amount from the agent's register `register` to an item's attribute, which receives it in the next step.
-    `amount`: None transfers all; larger amounts are capped at the register's value."""
+    `amount`: None transfers all. A larger amount than the register's value is reduced to this value."""
 
     items: str
     attribute: str
@@ -243,8 +242,8 @@ class Give:
 class Request:
     """A request for a change in the world, such as a deposit.
 
-    `op`: the name of a row in `program.tables.effects`. `target`: the thing or event that it names. `args`: the operands in the
-    order of that row; None: absent. `register`: the agent's register to which the result is added, after all blocks of the step.
+    `op`: the name of a row in `program.tables.effects`. `target`: the name of the thing or event. `args`: the operands in the
+    order of that row; None if absent. `register`: the agent's register to which the result is added after the step.
     `target_species`: the species of the agent that receives the request; its id is an I64 operand."""
 
     op: str
@@ -261,10 +260,10 @@ PlanStatement = If | Store | Claim | Give | Request
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Register:
-    """A named value of each agent. `role`: attribute, memory (keep, latch, held, state of machines), temp, or pair (a slot of a
-    pair value). A temp lasts one step and starts at `initial_value`. Registers with other roles persist between steps and are
-    hashed. `language_type`: the type in the language; () if it has none. A reload retains the value only if the edited
-    program declares the same name with the same type."""
+    """A named value of each agent. `role`: attribute, memory (of a keep, latch, held or machine), temp, or pair (a slot of a
+    pair value). A temp lasts one step, and starts each step at `initial_value`. Registers with other roles persist between
+    steps and are hashed. `language_type`: the type in the language; () if it has none. A reload retains the value only if the
+    edited program declares the same name with the same type."""
 
     name: str
     kind: ValueKind
@@ -275,7 +274,7 @@ class Register:
 
 
 def format_birth_register_name(attribute: str) -> str:
-    """Return the name of the temp with the value that the scene sets for an attribute at birth. It is infinite if none is set."""
+    """Return the name of the temp with the value that the scene sets for an attribute at birth (infinite if it sets none)."""
     return f"~born.{attribute}"
 
 
@@ -301,9 +300,9 @@ class LayerPlan:
 
 @dataclass(frozen=True, slots=True)
 class ClipPlan:
-    """A clip of the body. `on`: the transform group that it moves; "" for all joints. `is_additive`: whether its differences
-    from the rest pose are added to the other clips. `left_turn_clip`, `right_turn_clip`, `climbing_clip`, `descending_clip`:
-    the clips that replace it while the agent turns, climbs or descends; "" if absent."""
+    """A clip of the body. `on`: the transform group that it moves; "" for all joints. `is_additive`: whether the clip's
+    differences from the rest pose are added to the other clips. `left_turn_clip`, `right_turn_clip`, `climbing_clip`,
+    `descending_clip`: the clips that replace it while the agent turns, climbs or descends; "" if absent."""
 
     name: str
     on: str = ""
@@ -320,13 +319,13 @@ class ClipPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeciesPlan:
-    """The plan of one species. `born` fills the registers at birth and runs `on spawn`; position and velocity are set before it.
-    Each step runs `decide`, `act` and `blend` in this order. Claims are resolved between `decide` and `act`.
-    A vector is three registers: NAME.x, NAME.y and NAME.z. Every species has these registers: position, velocity, heading and up
-    (vectors), push (vector, temp), size, mass, radius, clearance, max_speed, max_force, max_turn, response and group. An
-    infinite max_turn means no limit. If `response` is 0 or `kinematic`, the push changes the velocity at once. All species have
-    `moved` if the program reads how far contacts pushed an agent. A species with a minimum speed has min_speed. A species with
-    `face` lines has ~face (vector, temp), which is zero for agents that face their direction of motion."""
+    """The plan of one species. The block `born` fills the registers at birth and runs `on spawn`. Before it runs, position and
+    velocity are set. Each step runs `decide`, `act` and `blend` in this order. Claims are resolved between `decide` and
+    `act`. A vector NAME consists of three registers: NAME.x, NAME.y and NAME.z. Every species has these registers: position,
+    velocity, heading and up (vectors), push (vector, temp), size, mass, radius, clearance, max_speed, max_force, max_turn,
+    response and group. An infinite max_turn means no limit. If `response` is 0 or `kinematic`, the push changes the velocity
+    at once. All species have `moved` if the program reads how far contacts pushed an agent. A species with a minimum speed
+    has min_speed. A species with `face` lines has ~face (vector, temp), zero for agents that face their direction of motion."""
 
     name: str
     registers: dict[str, Register]
@@ -350,8 +349,9 @@ class SpeciesPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldPlan:
-    """The plan of a field. Its nodes have the rate RUN. `cell`: mm. `retained_share`: factor per step. `deposits`: "first" or
-    "last": before or after diffusion and evaporation. `stencil`: how many neighbours a cell diffuses to, 4 or 8."""
+    """The plan of a field. Its nodes have the rate RUN. `cell`: the edge length of a cell (mm). `retained_share`: the factor for
+    evaporation per step. `deposits`: whether deposits are added "first" (before diffusion and evaporation) or "last".
+    `stencil`: the number of neighbours to which a cell diffuses, 4 or 8."""
 
     name: str
     surfaces: tuple[str, ...]

@@ -44,7 +44,8 @@ def find_early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.PlanNode]
 
 
 def _find_common_place(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
-    """Return the position of the statement that contains the first of `paths`, in the smallest block around all of them."""
+    """Return the position of one statement in the smallest block that contains all of `paths`. It is the statement that contains
+    the first of `paths`."""
     first, depth = paths[0], min(len(p) for p in paths) - 1
     while any(p[:depth] != first[:depth] for p in paths):
         depth -= 1
@@ -61,8 +62,8 @@ def number_statements(species: ir.SpeciesPlan) -> dict[ir.PlanStatement, int]:
 
 
 def find_cacheable_senses(species: ir.SpeciesPlan) -> tuple[ir.PlanNode, ...]:
-    """Return the shared senses that have one value during the complete step, because no statement writes a register that they
-    read."""
+    """Return the shared senses that keep the same value during a complete step. No statement writes a register that such a sense
+    reads."""
     return tuple(node for node in species.memoised_senses if all(part.op != "load" for part in collect_required_nodes((node,))))
 
 
@@ -86,8 +87,8 @@ def list_slot_register_names(name: str, count: int) -> list[tuple[str, str]]:
 
 
 def find_pair_values(registers: Iterable[str]) -> dict[str, list[tuple[str, str]]]:
-    """Return the pair values among a species' registers, by name. For each slot, the two names are the registers of the id and
-    the value."""
+    """Return the pair values among a species' registers, by name. For each slot, the result has the names of two registers: for
+    the id, and for the value."""
     counts: dict[str, int] = {}
     for register in registers:
         name, slot, number = register.partition("|")

@@ -89,7 +89,8 @@ def _format_species(species: SpeciesPlan) -> list[str]:
 
 
 def _join_axes(names: list[str]) -> list[str]:
-    """Return the names, with the three components of a vector joined: position.x position.y position.z becomes position.xyz."""
+    """Return the names with the components of each vector joined into one: position.x position.y position.z becomes
+    position.xyz."""
     joined: list[str] = []
     for name in names:
         if name.endswith(".x") and f"{name[:-1]}y" in names:
@@ -117,7 +118,7 @@ def _format_number(x: float) -> str:
 
 
 class _ExpressionFormatter:
-    """Formatter of expressions. It replaces a node that has a name by this name."""
+    """Formatter of expressions. In the text, a node that has a name is replaced by its name."""
 
     def __init__(self) -> None:
         self.names: dict[PlanNode, str] = {}
@@ -129,7 +130,7 @@ class _ExpressionFormatter:
         return self.format_expression(node)
 
     def format_expression(self, node: PlanNode) -> str:
-        """Return the expression of a node as text, even if the node has a name."""
+        """Return the expression of a node as text. A name of the node itself is ignored."""
         inner = [self.format_node(a) for a in node.args]
         op, attrs = node.op, node.attrs
         if op in _INFIX_SYMBOLS:
@@ -187,7 +188,7 @@ class _PhaseFormatter(_ExpressionFormatter):
         self.shared_nodes |= self._find_nodes_to_name(collect_required_nodes(roots))
 
     def _find_nodes_to_name(self, nodes: list[PlanNode]) -> set[PlanNode]:
-        """Return the nodes that need names so that no expression is longer than a line."""
+        """Return the nodes that need a name. Without these names, some expressions would not fit into a line."""
         named: set[PlanNode] = set()
         size: dict[PlanNode, int] = {}
         for node in nodes:
@@ -245,7 +246,7 @@ class _PhaseFormatter(_ExpressionFormatter):
 
 
 def _find_source_line(statement: PlanStatement) -> str:
-    """Return the source text line from which a statement was lowered."""
+    """Return the line of source text from which a statement was lowered."""
     if statement.span is None:
         return ""
     return f"line {statement.span.source.find_line_column(statement.span.start)[0]}"

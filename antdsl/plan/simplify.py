@@ -191,7 +191,8 @@ COMPARISON_FUNCTIONS: dict[str, Callable[..., bool]] = {
 
 
 def find_minimum(a: float, b: float) -> float | None:
-    """Return the minimum as the backends compute it. Return None if the sign of a zero would depend on the operand order."""
+    """Return the minimum as the backends compute it. Return None for two zeros if the sign of the result would depend on the
+    order of the operands."""
     if a == b == 0:
         return None
     if math.isnan(a) or math.isnan(b):
@@ -200,7 +201,8 @@ def find_minimum(a: float, b: float) -> float | None:
 
 
 def find_maximum(a: float, b: float) -> float | None:
-    """Return the maximum as the backends compute it. Return None if the sign of a zero would depend on the operand order."""
+    """Return the maximum as the backends compute it. Return None for two zeros if the sign of the result would depend on the
+    order of the operands."""
     if a == b == 0:
         return None
     if math.isnan(a) or math.isnan(b):

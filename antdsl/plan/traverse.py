@@ -46,8 +46,8 @@ def iterate_statements(block: Block) -> Iterator[tuple[Block, PlanStatement]]:
 
 
 def iterate_with_positions(block: Block, path: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], PlanStatement]]:
-    """Yield each statement in order, together with its position. A position is a tuple of the index in each block around the
-    statement, outermost first."""
+    """Yield each statement in order, together with its position. The position is a tuple of indices: one in each block that
+    contains the statement, outermost first."""
     for k, statement in enumerate(block.statements):
         yield (*path, k), statement
         if isinstance(statement, If):
@@ -98,7 +98,7 @@ def find_registers_read(nodes: Iterable[PlanNode]) -> set[str]:
 def find_shared_senses(*phases: Block) -> tuple[PlanNode, ...]:
     """Return the senses that are used at least twice, in order of their node numbers.
 
-    Each block counts as one use of a sense. Each shared sense with this sense as an operand also counts as one use."""
+    Every block that uses a sense counts as one use. So does every shared sense that has the sense as an operand."""
     users: dict[PlanNode, set[object]] = {}
     for phase in phases:
         for block, statement in iterate_statements(phase):

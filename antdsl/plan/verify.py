@@ -57,8 +57,8 @@ def verify_plan(plan: Plan) -> None:
 
 
 def _check_nodes(plan: Plan) -> Iterator[str]:
-    """Yield an error for each node that does not match the table of operations, precedes an operand, or is missing from the
-    plan's list."""
+    """Yield an error for each node that does not match the table of operations, precedes an operand, or is not in the plan's
+    list."""
     known = set(plan.nodes)
     for node in list_root_nodes(plan):
         if node not in known:
@@ -81,8 +81,8 @@ def _check_nodes(plan: Plan) -> Iterator[str]:
 
 
 def _check_names(plan: Plan) -> Iterator[str]:
-    """Yield an error for each name in a node that does not exist. Names of species may be missing, as a species may be in
-    another file."""
+    """Yield an error for each name in a node that does not exist. Unknown names of species are allowed, because a species may be
+    in another file."""
     things = collect_names_by_kind(plan)
     known: dict[str, Container[str]] = {
         **{
@@ -111,7 +111,7 @@ def collect_names_by_kind(plan: Plan) -> dict[str, Container[str]]:
 
 
 def _check_elements(plan: Plan, reduction: PlanNode) -> Iterator[str]:
-    """Yield an error for each value that a reduction reads but its elements do not have."""
+    """Yield an error for each value that a reduction reads but that its elements do not have."""
     source = reduction.args[0]
     of_items = source.op == "set.items"
     labels = _READS_ITEMS_BY_OPERATION.get(reduction.op)
@@ -131,7 +131,7 @@ def _check_elements(plan: Plan, reduction: PlanNode) -> Iterator[str]:
 
 
 def _iterate_pair_nodes(nodes: tuple[PlanNode, ...]) -> Iterator[PlanNode]:
-    """Yield the nodes at pair rate that belong to this reduction itself, not to a nested reduction."""
+    """Yield the nodes at pair rate that belong to a reduction itself. Nodes of reductions nested inside it are omitted."""
     stack, visited = list(nodes), set()
     while stack:
         node = stack.pop()
@@ -233,8 +233,8 @@ def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iter
 class _RegisterLoadState:
     """The loads and stores seen so far while a block is checked.
 
-    `version`: by register, the number of stores before its last load. `stale_registers`: the registers that were stored to after
-    their last load."""
+    `version`: by register, the number of stores before the last load. `stale_registers`: the registers that have been stored to
+    since their last load."""
 
     def __init__(self) -> None:
         self.version: dict[str, int] = {}
@@ -242,7 +242,8 @@ class _RegisterLoadState:
 
 
 def _check_load_order(block: Block) -> Iterator[str]:
-    """Yield an error for each load that is used both before and after a store to its register, and for versions that decrease."""
+    """Yield an error for each load that is used both before and after a store to its register. Also yield an error for each load
+    with a lower version than an earlier one."""
     state = _RegisterLoadState()
     yield from _check_block_order(block, state)
 
@@ -267,7 +268,7 @@ def _check_block_order(block: Block, state: _RegisterLoadState) -> Iterator[str]
 
 
 def find_written_registers(statement: PlanStatement) -> tuple[str, ...]:
-    """Return the registers that the statement itself may change. Statements inside it are not considered."""
+    """Return the registers that a statement may change. Statements nested inside it are not considered."""
     match statement:
         case Store():
             return (statement.register,)

@@ -42,7 +42,7 @@ def report_unsupported(w: PlanWriter, construct: UnsupportedConstruct) -> None:
 
 
 def _scale_by_step(w: PlanWriter, amount: PlanNode, is_rate: bool) -> PlanNode:
-    """Return the amount to add in one step: `amount` itself or, if it is a rate per second, `amount` times `dt`."""
+    """Return the amount to add in one step. An amount is returned unchanged; a rate per second is multiplied by `dt`."""
     return w.b("mul", amount, w.read_run_value("dt")) if is_rate else amount
 
 
@@ -61,8 +61,8 @@ def _lower_face(w: PlanWriter, s: model.FaceLine, site: str) -> None:
 
 
 def store_face_direction(w: PlanWriter, register: str, direction: VectorNodes, span: Span | None) -> None:
-    """Store the direction that a `face` line requests in the temporary register `register`. A direction stored by an earlier
-    line remains."""
+    """Store the direction that a `face` line requests in the temporary register `register`. If an earlier line has stored a
+    direction there, it remains."""
     for axis in AXES:
         w.declare_register(f"{register}.{axis}", ValueKind.F32, "temp")
     previous = w.read_vector(register)
@@ -113,8 +113,8 @@ def _lower_give(w: PlanWriter, s: model.Give, site: str) -> None:
 
 
 def _lower_request(w: PlanWriter, s: model.EffectRequest, site: str) -> None:
-    """Write a request with the operands that its row in the table of effects lists. They are arguments, or are computed from
-    them."""
+    """Write a request, with the operands that its row in the table of effects lists. Operands are the arguments of the line, or
+    are computed from the arguments."""
     field = w.program.fields.get(s.target) if EFFECT_BY_OPERATION[s.op].target == "field" else None
     if field is not None and field.has_vectors:
         _lower_vector_deposit(w, s)
@@ -133,7 +133,7 @@ def _lower_request(w: PlanWriter, s: model.EffectRequest, site: str) -> None:
 
 
 def _lower_vector_deposit(w: PlanWriter, s: model.EffectRequest) -> None:
-    """Write a vector deposit as three deposits into the scalar fields of the x, y and z components."""
+    """Write a deposit of a vector as three deposits: its x, y and z components into the scalar fields of the components."""
     (vector_expr,) = s.args
     assert vector_expr is not None
     vector = lower_vector(w, vector_expr)
@@ -152,8 +152,8 @@ def _lower_operand(w: PlanWriter, arg: model.Expr, per_second: bool) -> PlanNode
 def _compute_carve_ball(w: PlanWriter, radius_expr: model.Expr | None, direction_expr: model.Expr | None) -> OperandTuple:
     """Return the operands of a request to carve a ball out of the ground.
 
-    The ball's centre is half a body length plus half its radius ahead of the agent. Its lowest point is level with the feet, so
-    an agent that digs ahead stays level."""
+    The centre of the ball is ahead of the agent, at half a body length plus half of the ball's radius. The lowest point of the
+    ball is level with the feet, so an agent that digs ahead stays level."""
     assert radius_expr is not None
     b = w.b
     radius = lower_scalar(w, radius_expr)

@@ -56,7 +56,7 @@ def declare_registers(w: PlanWriter) -> None:
 
 
 def write_state_appearance(w: PlanWriter, state: model.State) -> None:
-    """Write the statements that request the start state's appearance at birth. Look directions start straight ahead."""
+    """Write the statements that request the start state's appearance at birth. The look directions start straight ahead."""
     for line in state.body:
         if isinstance(line, (model.Wear, model.Channel)):
             w.b.span = line.span
@@ -64,7 +64,8 @@ def write_state_appearance(w: PlanWriter, state: model.State) -> None:
 
 
 def apply_appearance(w: PlanWriter) -> None:
-    """Store the layers and channels that the states of all machines request, and turn the look directions by one step.
+    """Write the stores of the layers and channels that states request, for all machines. Also write one step of the turn of the
+    look directions.
 
     Call this after the `act` part of all machines."""
     store_layers_and_channels(w)
@@ -82,7 +83,7 @@ def apply_appearance(w: PlanWriter) -> None:
 
 
 def store_layers_and_channels(w: PlanWriter) -> None:
-    """Copy the layers and channels that states requested in this step from the temps to their registers."""
+    """Copy the layers and channels that states requested in this step from temps to the registers of layers and channels."""
     for layer in list_worn_layers(w.species):
         w.add_store(f"wear#{layer}", w.read_at_step_start(f"~wear#{layer}"), None)
     for name in list_channels(w.species):
@@ -102,8 +103,8 @@ def _lower_channel(w: PlanWriter, line: model.Channel, site: str) -> None:
 
 
 def _lower_look(w: PlanWriter, line: model.Look, site: str) -> None:
-    """Write the requested look direction towards a point, in the agent's frame and limited to the allowed angle. If there is no
-    point, the direction is straight ahead."""
+    """Write the requested look direction towards a point. It is in the agent's own axes and limited to the allowed angle. If
+    there is no point, the direction is straight ahead."""
     b, register = w.b, f"~look#{line.group}"
     is_present, offset = compute_offset(w, lower_expression(w, line.at), line.at)
     direction = values.normalise_vector(b, values.select_or_zero(b, is_present, offset))

@@ -68,8 +68,7 @@ def declare_registers(w: PlanWriter) -> None:
 
 
 def compute_builtin_default(w: PlanWriter, name: str) -> PlanNode:
-    """Return the default of a built-in attribute that the author does not set. `docs/card.md` lists such attributes as
-    "given"."""
+    """Return the default of a built-in attribute that the author does not set."""
     b: PlanBuilder = w.b
     if name == CRAWLING_SIZE_SETTING and is_standing(w.species):
         return b("mul", w.read_at_step_start(STANDING_SIZE_SETTING), b.add_number(w.proportions.size_per_height))
@@ -113,7 +112,7 @@ def is_standing(species: model.Species) -> bool:
 
 
 def write_birth(w: PlanWriter, machines: list[MachineWriter]) -> None:
-    """Write the statements that set the registers of a new agent, and its entry into the start states."""
+    """Write the statements that set the registers of a new agent, followed by its entry into the start states."""
     if w.period is not None:
         w.store_vector("unwrapped", w.read_vector("position"), w.species.span)
     for machine in machines:
@@ -131,8 +130,8 @@ def write_birth(w: PlanWriter, machines: list[MachineWriter]) -> None:
 
 
 def _choose_scene_value_or_default(w: PlanWriter, name: str, default: LoweredValue) -> LoweredValue:
-    """Return the scene's value of an attribute if there is one, else `default`. Attributes that are computed later use this
-    value."""
+    """Return the value that the scene sets for an attribute, or `default` if it sets none. Attributes that are computed
+    afterwards use the result."""
     if name not in w.scene_attributes or not isinstance(default, PlanNode) or default.kind not in (ValueKind.F32, ValueKind.BOOL):
         return default
     w.declare_register(format_birth_register_name(name), ValueKind.F32, "temp", inf)
@@ -142,9 +141,11 @@ def _choose_scene_value_or_default(w: PlanWriter, name: str, default: LoweredVal
 
 
 def _find_author_attributes(w: PlanWriter) -> dict[str, model.AttributeDecl]:
-    """Return, by name, the attributes with a default expression in the program: those in the author's text and those of newer
-    editions. Other built-in attributes have the species' name as their span. This module computes their defaults, because
-    these depend on the step length."""
+    """Return, by name, the attributes with a default expression in the program. They are in the author's text, or come from
+    newer editions.
+
+    Other built-in attributes have the species' name as their span. This module computes their defaults, because these defaults
+    depend on the step length."""
     mine = [a for a in w.species.attributes if not a.pair_species and a.name != "push"]
     newer = (DEFAULT_BY_SETTING.keys() | STANDING_DEFAULTS.keys()) if w.species.edition > 1 else ()
     return {a.name: a for a in mine if a.name in newer or not (a.is_builtin and a.span == w.species.span)}

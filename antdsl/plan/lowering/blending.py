@@ -62,10 +62,10 @@ def _write_layer(w: PlanWriter, layer: model.Layer, mode: str, is_last: bool) ->
 
 
 def _write_face_direction(w: PlanWriter, layers: Sequence[model.Layer]) -> None:
-    """Store the direction that the body faces. The topmost `face` line with a direction wins. The line `state` stands for the
-    `face` lines of the current states.
+    """Write the store of the direction that the body faces. The topmost `face` line that has a direction decides. The line
+    `state` stands for the `face` lines of the current states.
 
-    A `face` line uses no strength, so it does not depend on the budget that earlier layers leave."""
+    A `face` line uses no strength of the priority budget. Therefore it does not depend on how much earlier layers leave."""
     states = f"{GAZE_TEMP}.x" in w.registers
     if not layers and states:
         store_face_direction(w, FACE_REGISTER_NAME, w.read_vector(GAZE_TEMP), w.species.span)
@@ -92,7 +92,8 @@ def _read_state_push(w: PlanWriter) -> VectorNodes:
 
 
 def _subtract_from_budget(w: PlanWriter, push: VectorNodes, span: object, is_last: bool) -> None:
-    """Add a push to the result, shortened to the strength that remains, and subtract its length from that strength."""
+    """Add a push to the result, and subtract its length from the strength that remains. A push longer than this strength is
+    shortened to it first."""
     b = w.b
     left, size = w.read_at_step_start(BUDGET_LEFT_REGISTER_NAME), values.compute_length(b, push)
     too_much = b("gt", size, left)
@@ -104,7 +105,8 @@ def _subtract_from_budget(w: PlanWriter, push: VectorNodes, span: object, is_las
 
 
 def _store_first_push(w: PlanWriter, push: VectorNodes, layer: model.Layer, is_last: bool) -> None:
-    """Use the layer's push as the result, limited to length 1, if it is not zero and no earlier layer had a push."""
+    """Write the selection of a layer's push as the result, if the push is not zero and no earlier layer had a push. It is
+    shortened to length 1 if it is longer."""
     b = w.b
     is_nonzero = b("gt", values.compute_length(b, push), b.add_number(0))
     with w.open_region(is_nonzero, layer.span):

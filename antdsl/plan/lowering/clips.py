@@ -78,7 +78,8 @@ def declare_registers(w: PlanWriter, machine: model.Machine) -> None:
 
 
 def write_start_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
-    """Write the start of the clip that the state plays at birth: at progress 0 or, if it loops, at a random progress."""
+    """Write the start of the clip that the state plays at birth. The clip starts at progress 0 or, if it loops, at a random
+    progress."""
     line = next((line for line in state.body if isinstance(line, model.Play)), None)
     if line is None:
         return
@@ -93,7 +94,7 @@ def write_start_clip(w: PlanWriter, machine: model.Machine, state: model.State) 
 
 
 def store_fade_time(w: PlanWriter, machine: model.Machine, fade_time: model.Expr | None, span: Span) -> None:
-    """Store the fade time for the change of clip when a transition leaves the current state. `fade_time`: None means the
+    """Store the fade time with which the clip changes when a transition leaves the current state. `fade_time`: None for the
     default."""
     w.add_store(
         f"{machine.name}.clip_over",
@@ -104,16 +105,17 @@ def store_fade_time(w: PlanWriter, machine: model.Machine, fade_time: model.Expr
 
 
 def restart_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
-    """Request a restart of the state's clip for agents that enter the state.
+    """Write a request to restart the clip of a state for agents that enter the state.
 
-    A clip that is already playing restarts only if the line's `restart_condition` holds."""
+    If the clip is already playing, it restarts only if the line's `restart_condition` holds."""
     line = next((line for line in state.body if isinstance(line, model.Play)), None)
     if line is not None and line.restart_condition is not None:
         w.add_store(f"{machine.name}.clip_waits", lower_condition(w, line.restart_condition), line.span)
 
 
 def fade_out_clip(w: PlanWriter, machine: model.Machine, state: model.State) -> None:
-    """Fade out the previous clip in a state without a clip. Does nothing if no other state of the machine has a clip."""
+    """Write the fade-out of the previous clip in a state without a clip. Writes nothing if no other state of the machine has a
+    clip."""
     if plays_clips(machine) and not any(isinstance(line, model.Play) for line in state.body):
         _write_clip_step(w, machine.name, w.b.add_row(NO_CLIP), None, w.b.add_number(0), state.span)
 
@@ -131,7 +133,8 @@ def lower_play(w: PlanWriter, machine: str, line: model.Play) -> None:
 
 
 def _write_clip_step(w: PlanWriter, machine: str, clip: PlanNode, speed: PlanNode | None, weight: PlanNode, span: Span) -> None:
-    """Write one step of a machine that requests `clip`: the clip starts, waits until it may start, or continues."""
+    """Write one step of a machine that requests `clip`. In this step, the clip starts, waits until it is allowed to start, or
+    continues."""
     b, now, turns = w.b, w.read_at_step_start(f"{machine}.clip"), w.read_at_step_start(f"{machine}.clip_turns")
     none = clip is b.add_row(NO_CLIP)
     wished = b("ne", now, clip) if none else b("or", b("ne", now, clip), w.read_at_step_start(f"{machine}.clip_waits"))
@@ -179,7 +182,7 @@ def lower_clip_test(w: PlanWriter, e: model.ClipTest) -> PlanNode:
 
 
 def _compute_first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: PlanNode) -> tuple[PlanNode, PlanNode]:
-    """Return the progress (in turns) of a new clip after this step, and its progress before this step.
+    """Return the progress of a new clip after this step, and before this step, in turns of its cycle.
 
     A new clip starts at 0. If the new and the previous clip both cover ground, it continues at the previous clip's progress,
     plus `step` turns."""
@@ -190,8 +193,8 @@ def _compute_first_turns(w: PlanWriter, machine: str, clip: PlanNode, step: Plan
 
 
 def _start_clip(w: PlanWriter, machine: str, clip: PlanNode, span: Span | None) -> None:
-    """Start the clip with the index `clip`. The current clip becomes the previous clip, and the previous clip becomes the
-    earlier one."""
+    """Write the start of the clip with the index `clip`. The current clip becomes the previous clip, and the previous clip
+    becomes the one before that."""
     b = w.b
     with w.open_region(w.read_at_step_start(_BEGINS_REGISTER), span or w.species.span):
         for to, source in _FADE_REGISTER_COPIES:
@@ -260,20 +263,21 @@ def has_lean_clips(w: PlanWriter) -> bool:
 
 
 def declare_lean_registers(w: PlanWriter) -> None:
-    """Declare the registers for turning and climbing."""
+    """Declare the registers that store how far the body turns and climbs."""
     if has_lean_clips(w):
         for name in ("turn", "slope", *(f"was.{axis}" for axis in AXES)):
             w.declare_register(f"lean#{name}", ValueKind.F32, "memory")
 
 
 def store_start_heading(w: PlanWriter) -> None:
-    """Store the heading at birth as the previous heading, so that the first step measures no turn."""
+    """Store the heading at birth as the previous heading. In the first step, the body then has not turned."""
     if has_lean_clips(w):
         w.store_vector("lean#was", w.read_vector("heading"), None)
 
 
 def update_leaning(w: PlanWriter) -> None:
-    """Store how far the body turned since the previous step, and the slope of its heading. Call this once per step."""
+    """Write the statements that store how far the body has turned since the previous step, and the slope of its heading. Call
+    this once per step."""
     if not has_lean_clips(w):
         return
     b, dt, heading = w.b, w.read_run_value("dt"), w.read_vector("heading")

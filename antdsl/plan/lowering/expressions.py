@@ -160,7 +160,8 @@ def _lower_binding(w: PlanWriter, e: model.BindingRef) -> LoweredValue:
 def _lower_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
     """Lower a `let` once and return its value. Each use of the name also advances the memories inside the `let`.
 
-    The value of a snapshot is reused during the whole step. Other lets, and all lets at birth, are reused until the next store.
+    The nodes of a snapshot are reused during the complete step. Those of other lets, and of all lets at birth, are reused until
+    the next store.
     """
     lasting = binding.is_snapshot and not w.is_birth
     known = w.snapshot_lets if lasting else w.current_lets
@@ -180,7 +181,7 @@ def _lower_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
 
 
 def _order_needed_lets(w: PlanWriter, binding: model.Binding, known_lets: Container[model.Binding]) -> list[model.Binding]:
-    """Return a `let` and the lets that it uses, innermost first. Lowering them in this order avoids deep recursion."""
+    """Return a `let` and the lets that it uses, innermost first. If they are lowered in this order, no deep recursion occurs."""
     order: list[model.Binding] = []
     stack: list[tuple[model.Binding, bool]] = [(binding, False)]
     visited: set[model.Binding] = set()
@@ -215,7 +216,8 @@ def _lower_plain_let(w: PlanWriter, binding: model.Binding) -> LoweredValue:
 
 
 def _lower_keep(w: PlanWriter, binding: model.Binding) -> LoweredValue:
-    """Lower `keep x = first then next`: `first` in the first step, and afterwards `next`, computed from the previous value.
+    """Return the value of `keep x = first then next`. It is `first` in the first step. In later steps, it is `next`, which is
+    computed from the previous value.
 
     The memory is written once per step."""
     assert binding.value is not None and binding.next_value is not None
@@ -244,7 +246,7 @@ def _read_previous(w: PlanWriter, binding: model.Binding) -> LoweredValue:
 
 
 def select_value(w: PlanWriter, condition: PlanNode, first: LoweredValue, second: LoweredValue) -> LoweredValue:
-    """Return `first` where the condition holds, else `second`. Accepts hits and all values that a register can store."""
+    """Return `first` where the condition holds, else `second`. Both must be hits, or values that a register can store."""
     b = w.b
     if isinstance(first, VectorNodes) and isinstance(second, VectorNodes):
         return values.choose_vector(b, condition, first, second)
@@ -331,8 +333,8 @@ def read_own_attribute(w: PlanWriter, name: str, type: model.ValueType) -> Lower
 
 
 def needs_register(species: model.Species, name: str) -> bool:
-    """Return whether agents of a species have a register for the attribute `name`. For attributes in OPTIONAL_ATTRIBUTES, this
-    is so only if the species declares or sets them."""
+    """Return whether agents of a species have a register for the attribute `name`. Most attributes always have one. Attributes
+    in OPTIONAL_ATTRIBUTES have one only if the species declares or sets them."""
     if name not in OPTIONAL_ATTRIBUTES or any(a.name == name for a in species.attributes):
         return True
     return any(isinstance(part, model.Assign) and part.attribute == name for part in iterate_parts(species))

@@ -82,7 +82,7 @@ def lower(
 
 
 def _needs_moved_register(program: model.Program) -> bool:
-    """Return whether the program reads how far contacts pushed an agent. Only then do species have the register `moved`."""
+    """Return whether the program reads how far contacts have pushed an agent. If so, species have the register `moved`."""
     parts = iterate_parts([*program.species.values(), *program.specs, *program.measures])
     return any(isinstance(part, model.AttributeRef) and part.name == "moved" for part in parts)
 
@@ -141,8 +141,8 @@ def _lower_species(w: PlanWriter, order: Sequence[str] | None) -> ir.SpeciesPlan
 
 
 def _lower_birth(w: PlanWriter, machines: list[MachineWriter]) -> Block:
-    """Return the block that runs at birth. Birth is a separate step, so the first normal step reads the values stored here as
-    its previous values."""
+    """Return the block that runs at birth. Birth counts as a separate step. Therefore the values that it stores are the previous
+    values for the agent's first normal step."""
     w.is_birth = True
     with w.collect_block() as finish_block:
         birth.write_birth(w, machines)
@@ -169,8 +169,8 @@ def _write_decide(w: PlanWriter, machines: list[MachineWriter]) -> None:
 
 
 def _write_relaxation(w: PlanWriter, attribute: model.AttributeDecl) -> None:
-    """Write the relaxation of an attribute towards its rest value, by the fraction 1 - exp(-dt / over) per step. The result per
-    second does not depend on the step length."""
+    """Write the relaxation of an attribute towards its rest value. In each step, the fraction 1 - exp(-dt / over) of the
+    difference is removed. So the effect per second does not depend on the step length."""
     b = w.b
     assert attribute.relax_to is not None and attribute.relax_time is not None
     b.span = attribute.span
@@ -201,7 +201,8 @@ def _write_latch(w: PlanWriter, latch: model.Binding) -> None:
 
 
 def _write_handler(w: PlanWriter, handler: model.Handler, number: int, partners: Mapping[str, PlanNode]) -> None:
-    """Write a handler. `partners`: by the other species, the node with the id of the agent that has just been touched."""
+    """Write a handler. `partners`: for each other species, the node with the id of the agent of this species that has just been
+    touched."""
     if handler.event == "spawn":
         return
     if handler.event == "collision":
@@ -225,7 +226,8 @@ def _lower_run_constant(builder: PlanBuilder, program: model.Program, e: model.E
 def _lower_field(
     builder: PlanBuilder, program: model.Program, declared_field: model.Field, report: Report
 ) -> tuple[ir.FieldPlan, ...]:
-    """Return the plan of a field. A field with vectors in its cells has three plans, one for each component."""
+    """Return the plan of a field as a tuple with one element. For a field with vectors in its cells, there are three elements,
+    one for each component."""
 
     def lower_optional(e: model.Expr | None) -> PlanNode | None:
         return None if e is None else _lower_run_constant(builder, program, e, report)
@@ -275,7 +277,7 @@ def _compute_decay_factor(b: PlanBuilder, declared_field: model.Field, lower_nod
 
 
 def write_resting_push(w: PlanWriter, machines: Sequence[MachineWriter]) -> None:
-    """Write the push of agents that no state has steered. Call this after the `act` part of all machines."""
+    """Write the push of agents in states that do not steer. Call this after the `act` part of all machines."""
     rest = w.species.rest
     if rest is None:
         return
@@ -293,15 +295,15 @@ def write_resting_push(w: PlanWriter, machines: Sequence[MachineWriter]) -> None
 
 
 def declare_touch_registers(w: PlanWriter) -> None:
-    """Declare registers for the ids of touched agents, for each species with a collision handler."""
+    """Declare registers for the ids of touched agents. There are some for each species for which there is a collision handler."""
     for of in _find_collision_handlers(w.species):
         for name in _name_touch_registers(w.species, of):
             w.declare_register(name, ValueKind.I64, "memory", -1, of)
 
 
 def detect_new_contacts(w: PlanWriter) -> dict[str, PlanNode]:
-    """Return, by species, the id of an agent that this agent has just started to touch, or -1. The contact is recorded as
-    handled."""
+    """Return, by other species, the node with the id of an agent that this agent has just started to touch, or -1. The contact
+    is recorded, so that it is handled only once."""
     partners = {}
     for of, handler in _find_collision_handlers(w.species).items():
         names = _name_touch_registers(w.species, of)
@@ -320,7 +322,7 @@ def bind_partner(w: PlanWriter, handler: model.Handler, partner: PlanNode) -> No
 
 
 def _find_collision_handlers(species: model.Species) -> dict[str, model.Handler]:
-    """Return the first collision handler for each other species, by that species."""
+    """Return, by other species, the first collision handler of a species for agents of this other species."""
     handlers: dict[str, model.Handler] = {}
     for handler in species.handlers:
         if handler.event == "collision":

@@ -54,12 +54,13 @@ class MachineWriter:
 
     @property
     def pending_register(self) -> str:
-        """Return the name of the register that stores the number of the winning transition; it is 0 if no transition wins."""
+        """Return the name of the register that stores the number of the winning transition. The number is 0 if no transition
+        wins."""
         return f"~{self.name}.pending"
 
     @property
     def won_register(self) -> str:
-        """Return the name of the register that is set if the claim of a `take` was granted."""
+        """Return the name of the register that is true for agents of which the claim by a `take` was granted."""
         return f"~{self.name}.won"
 
     def make_plan(self) -> ir.MachinePlan:
@@ -110,8 +111,8 @@ class MachineWriter:
         return f"{self.name}.state"
 
     def write_per_start_state(self, write: Callable[[model.State], None]) -> None:
-        """Call `write` for each state that an agent can have at birth: only the start state, or all states if the scene may set
-        the state."""
+        """Call `write` for each state in which an agent can be at birth. This is only the start state, or every state if the
+        scene may set the state."""
         if self._scene_key in self.w.scene_attributes:
             self._write_per_state(self.machine.states, write)
         else:
@@ -124,8 +125,8 @@ class MachineWriter:
     # --- decide ------------------------------------------------------------------------------------------------------
 
     def write_decision(self) -> None:
-        """Write the check of each state's transitions, in order; the first one that holds wins. If the winner has a `take`, emit
-        its claim."""
+        """Write the check of each state's transitions, in order. The first transition that holds wins. If it has a `take`, emit
+        the claim."""
         by_state = [(s, [c for c in self.changes if c.state is s]) for s in self.machine.states]
         self.w.write_alternatives([(self._is_in_state(s), s.span, partial(self._write_winner, cs)) for s, cs in by_state if cs])
         self._write_per_transition([c for c in self.changes if c.transition.take_action], self._write_claim)
@@ -175,13 +176,13 @@ class MachineWriter:
     def _is_from_any(self, transition: model.Transition) -> bool:
         """Return whether a transition was declared `from any`.
 
-        Such a transition never leads into the current state. Only at run time is it known which state that is."""
+        Such a transition never leads into the current state. The current state is only known at run time."""
         return transition.key.startswith(f"{self.site}.{model.FROM_ANY_KEY}->")
 
     def _has_condition_held_for(self, transition: model.Transition, condition: PlanNode, duration: model.Expr) -> PlanNode:
         """Return a node that is true if a condition holds in this step and has held for the time `duration` before it.
 
-        Also write the statement that counts the steps in which it holds."""
+        Also write the statement that counts the steps in which the condition holds."""
         b, counter = self.w.b, _format_counter_name(transition)
         previous_count = self.w.read_previous(counter)
         count = b("where", condition, b("add", previous_count, b.add_number(1)), b.add_number(0))
@@ -207,8 +208,8 @@ class MachineWriter:
     # --- act ---------------------------------------------------------------------------------------------------------
 
     def write_actions(self) -> None:
-        """Write the exit actions, the transition's actions, the change of state and the enter actions. Then write the body of
-        the new state."""
+        """Write the exit actions, the transition's actions, the change of state, the enter actions, and then the body of the new
+        state."""
         w = self.w
         if self.changes:
             with w.open_region(self._is_changing(), self.machine.span):
@@ -272,9 +273,10 @@ class MachineWriter:
         return target
 
     def _write_entry(self, state: model.State) -> None:
-        """Write the actions on entry into a state: reset the counters for `held`, then run the enter actions. Each counter
-        belongs to a transition. If only one state has this transition, the counter is reset on entry into that state. If
-        several states share it, the counter is reset on entry into a state without it."""
+        """Write the entry into a state: first reset the counters for `held`, then run the enter actions.
+
+        Each counter belongs to a transition. If only one state has this transition, the counter is reset on entry into that
+        state. If several states share the transition, the counter is reset on entry into a state without it."""
         own_keys = {t.key for t in state.transitions}
         for key in dict.fromkeys(c.transition.key for c in self.changes if c.transition.hold_time is not None):
             counter = f"{key}.held"
@@ -300,7 +302,7 @@ def count_steps(w: PlanWriter, duration: PlanNode) -> PlanNode:
 
 
 def has_state_lasted(w: PlanWriter, machine: str, duration: model.Expr) -> PlanNode:
-    """Return a node that is true if the agent has been in the machine's current state for at least `duration`."""
+    """Return a node that is true if the machine of the agent has been in its current state for at least `duration`."""
     b = w.b
     nearly = b("sub", count_steps(w, lower_scalar(w, duration)), b.add_number(0.5))
     return b("ge", w.read_at_step_start(f"{machine}.time_in_state"), b("mul", nearly, w.read_run_value("dt")))

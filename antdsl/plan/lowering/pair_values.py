@@ -21,8 +21,8 @@ REST_TOLERANCE = 1e-9  # base units; values nearer to rest have no slot
 
 
 def declare_registers(w: PlanWriter, attribute: model.AttributeDecl) -> None:
-    """Declare the registers of a pair value, and a temp with the attribute's name. All values pass through this temp before they
-    are stored."""
+    """Declare the registers of a pair value. Also declare a temp with the name of the attribute, through which every value
+    passes before it is stored."""
     holds = (attribute.type.kind.value, *attribute.type.dimension, attribute.pair_species)
     for who, value in list_slot_register_names(attribute.name, attribute.slot_count):
         w.declare_register(who, ValueKind.I64, "pair", -1, attribute.pair_species, holds)
@@ -47,8 +47,8 @@ def read_pair_attribute(w: PlanWriter, attribute: model.AttributeDecl, other: mo
 
 
 def write_relaxation_of_slots(w: PlanWriter, attribute: model.AttributeDecl) -> None:
-    """Write, for the start of a step, the relaxation of each value towards its rest. A slot becomes free when its value reaches
-    rest."""
+    """Write the relaxation of each value towards its rest value, at the start of a step. When a value reaches its rest value,
+    its slot becomes free."""
     b = w.b
     b.span = attribute.span
     rest = lower_rest_value(w, attribute)
@@ -65,7 +65,7 @@ def write_relaxation_of_slots(w: PlanWriter, attribute: model.AttributeDecl) -> 
 
 
 def write_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> None:
-    """Write an assignment or addition to the value about one other agent, or about each agent of a set."""
+    """Write an assignment or addition to a pair value, about one other agent or about each agent of a set."""
     if s.other_agents is not None:
         _write_set_assignment(w, s, attribute)
         return
@@ -79,8 +79,8 @@ def write_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeD
 
 
 def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.AttributeDecl) -> None:
-    """Set the values about all agents of a set. Agents that already have a slot stay in it. Free slots go to the strongest of
-    the other agents.
+    """Write an assignment to the values about all agents of a set. An agent that already has a slot stays in it. Free slots are
+    given to the other agents with the strongest values.
 
     All values are computed before any is stored, because a value may depend on other pair values."""
     b = w.b
@@ -114,7 +114,8 @@ def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.Attri
         w.add_store(names[0], b.add_agent_id(-1), s.span)
 
     def find_strongest(new: PlanNode, left: int) -> None:
-        """Find the strongest agent without a slot, then the next one recursively. `left`: how many more to find."""
+        """Find the strongest agent that has no slot, and then the next strongest, by recursion. `left`: how many agents are
+        still to be found."""
         other_id = b("reduce.agent", over.nodes, new, b("neg", strength))
         with w.open_region(b("ne", other_id, b.add_agent_id(-1)), s.span):
             matched_amount = b("reduce.max", over.nodes, b("eq", other, other_id), amount)
@@ -138,7 +139,8 @@ def _write_set_assignment(w: PlanWriter, s: model.Assign, attribute: model.Attri
 
 
 def _store_in_temporary(w: PlanWriter, name: str, value: PlanNode, s: model.Assign) -> PlanNode:
-    """Write a store of a value into a temp, and return the node that reads the temp. Later stores do not change this value."""
+    """Write a store of a value into a temp, and return the node that reads the temp. The node retains this value, whatever is
+    stored in other registers later."""
     w.declare_register(name, value.kind, "temp", -1 if value.kind is ValueKind.I64 else 0)
     w.add_store(name, value, s.span)
     return w.read_at_step_start(name)
@@ -149,9 +151,9 @@ def _store_in_slot(
 ) -> None:
     """Write a store of a value about another agent into the slots of a pair value.
 
-    Each slot, from the first, compares its value with the new one, retains the stronger of the two, and passes the weaker one to
-    the next slot. The last value that is passed on is dropped. `has_slot`: whether the other agent may already have a slot,
-    which is then freed first."""
+    The slots are visited in order. Each slot compares its value with the new one, stores the stronger of the two, and passes the
+    weaker one on to the next slot. The value that the last slot passes on is dropped.
+    `has_slot`: whether the other agent may already have a slot. Such a slot is freed first."""
     b, rest = w.b, lower_rest_value(w, attribute)
     carried, amount = other_id, _store_in_temporary(w, attribute.name, value, s)
     strength = b("abs", b("sub", amount, rest))

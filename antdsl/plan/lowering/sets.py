@@ -29,9 +29,9 @@ def choose_quantum_exponent(dim: Dimension) -> int:
 
     Terms are rounded to a multiple of 2**exponent base units, so that their sum is exact in any order.
 
-    A float64 has 53 bits: with exponent -24, the sum may reach 2**28. Lengths, speeds and forces use a unit that is 4 bits
-    coarser, for more range (1e-6 mm, sums up to 4 million metres). The unit is 14 bits coarser for areas, 24 bits for volumes,
-    and 6 bits for densities."""
+    A float64 has 53 bits, so with the exponent -24 sums may reach 2**28. For a larger range, some dimensions have a coarser
+    unit. It is 4 bits coarser for lengths, speeds and forces (1e-6 mm, sums up to 4 million metres). It is 14 bits coarser for
+    areas, 24 bits for volumes, and 6 bits for densities."""
     if dim.length <= 0:
         return -30 if dim.length < 0 else -24
     return -20 if dim.length <= 1 else -10 if dim.length <= 2 else 0
@@ -70,7 +70,7 @@ def lower_set(w: PlanWriter, e: model.SetExpr) -> ElementGroup | RayHits:
 
 
 def _is_among_nearest(w: PlanWriter, nodes: PlanNode, condition: PlanNode, kind: model.TypeKind, max_count: PlanNode) -> PlanNode:
-    """Return a node that is true if an element is among the `max_count` nearest elements that fulfil `condition`.
+    """Return a node that is true for elements that are among the `max_count` nearest elements that fulfil `condition`.
 
     If at most `max_count` elements fulfil it, all are included. At equal distance, the lower id or row counts as nearer."""
     b, away = w.b, w.b("pair.distance")
@@ -89,7 +89,8 @@ def _is_item_group(w: PlanWriter, name: str) -> bool:
 
 
 def lower_agent_scalar(w: PlanWriter, e: model.Expr | None, set_expr: model.SetExpr) -> PlanNode:
-    """Return the node of a parameter of a set. It may depend on the agent, but not on an element of another set."""
+    """Return the node of a parameter of a set, such as a radius. It may depend on the agent, but not on an element of another
+    set."""
     if e is None:
         raise PlanError(f"this set has no size: {set_expr.span.text!r}")
     node = lower_scalar(w, e)
@@ -115,7 +116,7 @@ def compute_min_cosine(w: PlanWriter, fov: PlanNode) -> tuple[PlanNode]:
 
 
 def lower_with_binding(w: PlanWriter, binding: model.Binding, element: LoweredValue, body: Callable[[], T]) -> T:
-    """Bind a name to an element, call `body`, and return its result."""
+    """Bind a name to an element, call `body` while it is bound, and return the result of `body`."""
     w.environment[binding] = element
     if isinstance(element, SetElement):
         w.set_elements.append(binding)
@@ -180,8 +181,8 @@ def _select_least_element(w: PlanWriter, elements: ElementGroup, body: PlanNode)
 
 
 def lower_feelers(w: PlanWriter, e: model.SetExpr) -> tuple[RayHit, ...]:
-    """Return the rays of feelers. Their directions are at equal angles about up, from `-spread` to `spread` of the heading
-    (Reynolds 1999, p. 12)."""
+    """Return the rays of feelers. Their directions are at equal angles about the up direction, from `-spread` to `spread`
+    relative to the heading (Reynolds 1999, p. 12)."""
     b = w.b
     count_expr, spread_expr, reach_expr = e.args
     count = get_constant_value(lower_agent_scalar(w, count_expr, e))
@@ -222,8 +223,8 @@ def _filter_hit(w: PlanWriter, hit: RayHit, element: model.Binding, condition: m
 
 
 def _assume_hit(w: PlanWriter, hit: RayHit) -> RayHit:
-    """Return the ray with its hit assumed to exist, for use in the body of a reduction. The caller discards the results of rays
-    without a hit."""
+    """Return a copy of a ray in which the hit counts as present, for use in the body of a reduction. The caller discards the
+    results of rays without a hit."""
     return RayHit(w.b.true, hit.distance, hit.normal, hit.direction)
 
 

@@ -33,9 +33,9 @@ class ExpressionNote:
     """A part of an expression in the source, with the nodes that compute it.
 
     - `nodes`: one node, or three for a vector.
-    - `unit`: the unit for display: one that the author wrote in the same expression, or a default one.
-    - `role`: `draw` for the random number of a `chance`; `bar` for the limit with which it is compared; `joined` for an
-      operation such as `and` or `<` that only joins its parts; "" for other parts."""
+    - `unit`: the unit for display. It is from the text of the same expression, or a default unit.
+    - `role`: `draw` for the random number of a `chance`, and `bar` for the limit with which this number is compared. `joined`
+      for an operation such as `and` or `<` that only joins its parts. "" for other parts."""
 
     text: str
     type: model.ValueType
@@ -63,7 +63,8 @@ class ChangeNote:
     """A transition of a state. `number`: its number in the machine, from 1. `is_taken`: the node that is true if the transition
     happens.
 
-    `condition`: the condition with its parts; `condition_value`: the node of its value. Both are None without a condition."""
+    `condition`: a note about the condition and its parts. `condition_value`: the node of the condition's value. Both are None if
+    the transition has no condition."""
 
     machine: str
     number: int
@@ -87,7 +88,8 @@ class ChoiceNote:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LayerNote:
-    """A layer. `budget_left`: the strength that earlier layers have left. `has_budget`: whether `budget_left` is above 0."""
+    """A layer in the source. `budget_left`: the node of the strength that earlier layers have left for it. `has_budget`: the
+    node that is true if this strength is above 0."""
 
     layer: model.Layer
     budget_left: PlanNode
@@ -101,7 +103,7 @@ RESTING_TEXT = "no line steers, so the agent does not move: halt()"
 
 
 def make_resting_site(species: str) -> str:
-    """Return the site key of the push of agents in states that do not steer."""
+    """Return the key that stands for the push of agents in states that do not steer, in place of a line's key."""
     return f"{species}.rest#1"
 
 
@@ -118,7 +120,8 @@ class SteerNote:
 
 @dataclass(slots=True, eq=False)
 class SourceNotes:
-    """The nodes for the source text of one species: transitions, choices by key, layers, and `steer` and `face` lines."""
+    """The nodes that belong to parts of the source text of one species: transitions, choices by key, layers, and `steer` and
+    `face` lines."""
 
     changes: list[ChangeNote] = field(default_factory=list)
     choices: dict[str, ChoiceNote] = field(default_factory=dict)
@@ -205,8 +208,8 @@ class NotingWriter(PlanWriter):
     # --- parts -------------------------------------------------------------------------------------------------------
 
     def _make_part_note(self, e: model.Expr, units: list[str], depth: int = 0) -> ExpressionNote | None:
-        """Return a note about an expression and the parts that determine it. Return None for an expression without a value (a
-        species, a field)."""
+        """Return a note about an expression and the parts on which it depends. Return None for an expression that has no value,
+        such as a species or a field."""
         value = lower_expression(self, e)
         text, type = _join_lines(e.span.text), e.type
         parts: tuple[ExpressionNote, ...] = ()
@@ -248,7 +251,7 @@ class NotingWriter(PlanWriter):
 
 
 def _iterate_inner_parts(e: model.Expr, units: list[str]) -> Iterator[tuple[model.Expr, list[str]]]:
-    """Yield the parts of an expression that are worth displaying, each with its units.
+    """Yield the parts of an expression that are worth displaying, each with the units in its text.
 
     These parts are the sides of a comparison, names in a sum, and the values of `let`s."""
     if isinstance(e, model.BindingRef) and e.binding.role == "let" and e.binding.value is not None:
@@ -282,8 +285,8 @@ def _find_written_units(span: Span) -> list[str]:
 
 
 def _choose_display_unit(e: model.Expr, units: list[str], program: model.Program) -> str:
-    """Return the unit in which to display a number: the unit of the param itself, else the first fitting unit in the text, else
-    a default."""
+    """Return the unit in which to display a number. A param has its own unit. Otherwise, it is the first unit in the text that
+    fits, or else a default unit."""
     if e.type.kind not in (model.TypeKind.NUMBER, model.TypeKind.VECTOR):
         return ""
     if isinstance(e, model.ParamRef) and e.name in program.params:

@@ -135,7 +135,7 @@ class _SpecLowering:
         return self.writers[items]
 
     def get_cell_writer(self, field: str) -> _SpecWriter:
-        """Return the writer for the cells of a field. Its register `value` has the value of a cell."""
+        """Return the writer for the cells of a field. The register `value` of this writer stands for the value of a cell."""
         if field not in self.writers:
             self.writers[field] = _SpecWriter(
                 self, self._make_empty_species(field), {"value": Register("value", ValueKind.F32, "attribute")}
@@ -145,7 +145,7 @@ class _SpecLowering:
     # --- wholes and starts -------------------------------------------------------------------------------------------
 
     def _lower_once(self, e: model.Expr, lower: Callable[[], LoweredValue]) -> Any:
-        """Return the value of an expression, lowered only once, even if several expressions contain it."""
+        """Return the lowered value of an expression. An expression that occurs several times is lowered only once."""
         if e not in self.known:
             self.known[e] = lower()
         return self.known[e]
@@ -202,7 +202,8 @@ class _SpecLowering:
         return self.b("ne", result, self.b.add_number(0)) if e.type.kind is model.TypeKind.BOOL else result
 
     def lower_start_value(self, w: _SpecWriter, e: expectations.StartValue) -> PlanNode:
-        """Return the node of a number's value at the start of the run or, for a number of agents, of each agent's life."""
+        """Return the node of the value that a number has at the start of the run. For a number of agents, it is the value at the
+        start of each agent's life."""
         node: PlanNode = self._lower_once(e, lambda: self._lower_new_start_value(w, e))
         return node
 
@@ -247,7 +248,7 @@ class _SpecLowering:
         return node
 
     def collect_queries(self) -> dict[str, Any]:
-        """Return the arguments for a QueryPlan, by field name."""
+        """Return the arguments with which to create a QueryPlan, by field name."""
         species = {name: self.get_agent_writer(name).make_species_plan() for name in self.program_plan.species}
         species |= {name: w.make_species_plan() for name, w in self.writers.items() if name not in species}
         return {
@@ -298,7 +299,7 @@ class _SpecLowering:
 
 
 def _is_agent_only(node: PlanNode) -> bool:
-    """Return whether a node has a value only for agents, for example a sense or the age. Items only have registers."""
+    """Return whether only agents have a value for a node, for example for a sense or the age. Items only have registers."""
     return node.op != "snap" and (OPERATION_BY_NAME[node.op].rate is UpdateRate.AGENT or node.kind is ValueKind.SET)
 
 
@@ -316,7 +317,8 @@ def lower_spec(spec: expectations.Spec, program: model.Program, plan: ir.Plan) -
 
 
 def lower_measures(program: model.Program, plan: ir.Plan) -> tuple[MeasuresPlan | None, Report]:
-    """Return the plan that evaluates the measures of a program, or None, and a report. `plan`: the lowered program.
+    """Return the plan that evaluates the measures of a program, and a report. The plan is None if the report has errors. `plan`:
+    the lowered program.
 
     Measures of species that are not in the scene are omitted, because they have no value there."""
     work, nodes = _SpecLowering(program, plan, Report()), {}

@@ -13,10 +13,11 @@ from antdsl.source import Span
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AggregatePlan:
-    """A number about all agents of a species, items of a name, cells of a field, or a solid. Nodes read it by `name`.
+    """A number about all agents of a species, all items of a group, the cells of a field, or a solid. Nodes read the number by
+    `name`.
 
-    - `kind`, `subject`: the kind and the name of the population, items, field or solid.
-    - `where_register`, `body_register`: the registers in which `decide` stores each member's condition and value.
+    - `kind`, `subject`: the kind and the name of this species, group, field or solid.
+    - `where_register`, `body_register`: the registers in which `decide` stores the condition and the value of each member.
     - `amount`: the attribute of items that is aggregated without conversion to float32."""
 
     name: str
@@ -32,9 +33,8 @@ class AggregatePlan:
 class StartValuePlan:
     """A number that a spec compares with its value at the start.
 
-    For a number about the complete run, `value` is the node of the number. Other nodes read its start value by `name`. For a
-    number of each agent of `species`, the value of `source_register` in the agent's first frame is stored in the register
-    `name`."""
+    For a number about the complete run, `value` is its node, and other nodes read the start value by `name`. For a number of
+    each agent of `species`, the register `name` stores the value that `source_register` has in the agent's first frame."""
 
     name: str
     value: PlanNode | None = None
@@ -52,8 +52,8 @@ class FirstTimePlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceValuePlan:
-    """A number of the reference run. `value`: the node that computes it in that run. `name`: the name by which nodes of the
-    judged run read it."""
+    """A number that is computed in the reference run. `value`: the node that computes it there. `name`: the name by which nodes
+    of the judged run read it."""
 
     name: str
     value: PlanNode
@@ -61,7 +61,7 @@ class ReferenceValuePlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadingPlan:
-    """A value for the message of a failure: a node, or a register that `blend` fills for each agent."""
+    """A value that the message about a failure reports. It is a node, or a register that `blend` fills for each agent."""
 
     span: Span
     type: model.ValueType
@@ -83,8 +83,8 @@ class GoalPlan:
 class JudgementPlan:
     """One expectation of a spec.
 
-    - `condition`, `start_condition` (of a `when`): for a `species`, the registers that `act` fills for each agent; otherwise
-      nodes about the complete run.
+    - `condition`, `start_condition` (of a `when`): if `species` is set, the names of registers that `act` fills for each agent.
+      Otherwise, nodes about the complete run.
     - `time`, `hold_time`: nodes with one value for the run."""
 
     kind: str

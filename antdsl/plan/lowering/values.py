@@ -15,7 +15,7 @@ MIN_VECTOR_LENGTH = 1e-30  # mm, mm/s, …; shorter vectors have no direction, s
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VectorNodes:
-    """The nodes of the three components of a vector."""
+    """A vector in a plan: three nodes, one for each component."""
 
     x: PlanNode
     y: PlanNode
@@ -109,8 +109,8 @@ def subtract_vectors(b: PlanBuilder, u: VectorNodes, v: VectorNodes) -> VectorNo
 
 
 def wrap_vector(b: PlanBuilder, v: VectorNodes, widths: tuple[float, float, float]) -> VectorNodes:
-    """Return a vector, shifted by whole `widths` (mm) of a periodic world so that no component exceeds half a width. Along an
-    axis with width 0, the component does not change."""
+    """Return the shortest periodic image of a vector: each component is shifted by a multiple of the world's width to at most
+    half a width. `widths`: in mm. Along an axis with the width 0, the component does not change."""
     parts = []
     for part, width in zip(v, widths, strict=True):
         if width:
@@ -148,7 +148,7 @@ def compute_length(b: PlanBuilder, v: VectorNodes) -> PlanNode:
 
 
 def divide_vector(b: PlanBuilder, v: VectorNodes, size: PlanNode) -> VectorNodes:
-    """Return v / size, or a zero vector if `size` is too small as a divisor."""
+    """Return v / size. The result is a zero vector if `size` is too close to 0."""
     inverse = b("where", b("gt", size, b.add_number(MIN_VECTOR_LENGTH)), b("div", b.add_number(1), size), b.add_number(0))
     return scale_vector(b, v, inverse)
 

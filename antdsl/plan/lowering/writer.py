@@ -50,7 +50,7 @@ class BodyProportions(NamedTuple):
 class LoweringRules(NamedTuple):
     """The functions that lower compound expressions. `operation_rules`: the functions for operations, by the operation's name.
 
-    These functions call the PlanWriter, so it receives them as an argument instead of importing them."""
+    The functions call the PlanWriter. To avoid circular imports, the PlanWriter receives them as an argument."""
 
     operation_rules: Mapping[str, Callable[[PlanWriter, model.OperationExpr], values.LoweredValue]]
     lower_set: Callable[[PlanWriter, model.SetExpr], values.LoweredValue]
@@ -61,9 +61,9 @@ class LoweringRules(NamedTuple):
 
 
 class PlanWriter:
-    """Writer that collects the statements and registers of the plan of one species.
+    """Writer that collects the statements and registers of one species' plan.
 
-    `is_birth`: whether the block of birth is being written, where every read is a `load`."""
+    `is_birth`: whether the block for birth is being written. In this block, every read of a register is a `load`."""
 
     def __init__(
         self, builder: PlanBuilder, program: model.Program, species: model.Species, report: Report, rules: LoweringRules
@@ -122,7 +122,8 @@ class PlanWriter:
             raise PlanError(f"{name} cannot be stored: it is a {type.kind.value}")
 
     def read_at_step_start(self, name: str) -> PlanNode:
-        """Return the node that reads a register at the current position: a `snap`, or a `load` after a possible write."""
+        """Return the node that reads a register at the current position. It is a `snap`, or a `load` if the register may have
+        been written before."""
         return self._read_register(name, self.is_snapshot)
 
     def read_current(self, name: str) -> PlanNode:
@@ -143,7 +144,7 @@ class PlanWriter:
         return self.b("load", attrs=(name, version), kind=register.kind)
 
     def read_previous(self, name: str) -> PlanNode:
-        """Return the node of a register's value before this step. The result does not depend on the current position."""
+        """Return the node of a register's value before this step. Where the node is used in the step makes no difference."""
         if self.is_birth:
             return self.b.add_constant(self.registers[name].kind, self.registers[name].initial_value)
         return self.b("snap", attrs=(name,), kind=self.registers[name].kind)
@@ -167,7 +168,7 @@ class PlanWriter:
         self.memory_updates.clear()
 
     def lower_spec_expression(self, e: model.Expr) -> values.LoweredValue:
-        """Lower an expression that only specs can use. In a program, such an expression is an error."""
+        """Lower an expression that only specs may contain. In a program, it is an error."""
         raise PlanError(f"only a spec can contain this expression: {e.span.text!r}")
 
     # --- notes -------------------------------------------------------------------------------------------------------
@@ -204,7 +205,8 @@ class PlanWriter:
         self.statements.append(statement)
 
     def add_store(self, name: str, value: PlanNode, span: Span | None, allows_infinity: bool = False) -> None:
-        """Add a store that sets a register for all later reads. Nothing is added if the register already has this value."""
+        """Add a store to a register. All later reads get the stored value. Nothing is added if the register already has this
+        value."""
         kind = self.registers[name].kind
         if value.kind is not kind:
             raise PlanError(f"register {name} is a {kind.value} and cannot take a {value.kind.value}")
@@ -214,8 +216,8 @@ class PlanWriter:
         self.mark_written(name)
 
     def store_vector(self, name: str, value: VectorNodes, span: Span | None) -> None:
-        """Add stores that set three registers together. A component that depends on another component's previous value does not
-        read its new value."""
+        """Add stores that set the three registers of a vector together. Each new component is computed from the previous values
+        of all components."""
         names = [f"{name}.{axis}" for axis in AXES]
         parts = list(value)
         if any(self._has_load(part, set(names[:place])) for place, part in enumerate(parts)):
@@ -242,8 +244,8 @@ class PlanWriter:
             raise PlanError(f"{name} cannot hold a {type(value).__name__}")
 
     def advance_memory(self, memory: model.Binding) -> None:
-        """Write the next value of a memory, once on each path through the step. Also record that the current `let` uses the
-        memory."""
+        """Write the next value of a memory, unless the current path through the step has already written it. Also record that
+        the current `let` uses the memory."""
         self.used_memories.append(memory)
         if memory in self._advanced_memories:
             return
@@ -255,7 +257,8 @@ class PlanWriter:
 
     @contextmanager
     def collect_block(self) -> Iterator[Callable[[], Block]]:
-        """Collect statements separately from the current block. The context yields a function that returns them as a Block."""
+        """Collect statements separately from the current block. Yields a function that returns the statements collected so far
+        as a Block."""
         outer, self.statements = self.statements, []
         mine = self.statements
         try:

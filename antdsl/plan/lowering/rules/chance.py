@@ -53,8 +53,8 @@ def _lower_random_agent(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_chance(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Lower `chance`. A rate becomes the probability 1 - exp(-rate dt) per step, which suits any step length. A probability is
-    used directly."""
+    """Lower `chance`. A rate is converted to the probability 1 - exp(-rate dt) per step, so that the result does not depend on
+    the step length. A probability is used directly."""
     argument = e.args[0]
     assert argument is not None
     share = lower_scalar(w, argument)

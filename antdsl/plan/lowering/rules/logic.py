@@ -21,8 +21,8 @@ OperationRule = Callable[[PlanWriter, model.OperationExpr], LoweredValue]
 
 
 def _make_connective(bool_operation: str, degree_operation: str) -> OperationRule:
-    """Return the rule of `and` or `or`. Bools use the operation `bool_operation`. Degrees of truth, 0 to 1, use
-    `degree_operation`, which is the minimum or maximum (Zadeh 1965, section 2)."""
+    """Return the rule of `and` or `or`. For bools, the rule uses `bool_operation`. For degrees of truth, 0 to 1, it uses
+    `degree_operation`, the minimum or maximum (Zadeh 1965, section 2)."""
 
     def lower_connective(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
         if e.type.kind is model.TypeKind.NUMBER:

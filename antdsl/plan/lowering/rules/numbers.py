@@ -90,8 +90,8 @@ def _lower_clamp(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def compute_share(w: PlanWriter, x: PlanNode, low: PlanNode, high: PlanNode) -> PlanNode:
-    """Return the position of x between `low` and `high`, as a fraction from 0 to 1. If `low` equals `high`, the result steps
-    from 0 to 1 at that value."""
+    """Return the position of x between `low` and `high`, as a fraction from 0 to 1. If `low` equals `high`, the result is 0
+    below this value, otherwise 1."""
     b = w.b
     wide = b("sub", high, low)
     between = b("min", b("max", b("div", b("sub", x, low), wide), b.add_number(0)), b.add_number(1))

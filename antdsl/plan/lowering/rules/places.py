@@ -81,7 +81,7 @@ def compute_distance(w: PlanWriter, value: LoweredValue, e: model.Expr) -> PlanN
 
 
 def _find_nearest_member(w: PlanWriter, value: LoweredValue) -> LoweredValue:
-    """Return the nearest member if the value is a group of items or a species. Return any other value unchanged."""
+    """Return the member of a group of items, or of a species, that is nearest to the agent. Return any other value unchanged."""
     if isinstance(value, NamedThing) and value.row.nearest_op == "set.items":
         every = w.b(value.row.nearest_op, w.b.add_number(inf), attrs=(value.name,))
         return EntityRef(model.TypeKind.ITEM, value.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
@@ -193,8 +193,8 @@ def _lower_touching(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_falloff(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return floor / max(distance, floor) (decision 19). It is 1 within the distance `floor`, and 0 if the point does not
-    exist."""
+    """Return floor / max(distance, floor), which is 1 within the distance `floor` of a point (decision 19). It is 0 if the point
+    does not exist."""
     distance = compute_distance(w, *_lower_point_argument(w, e))
     assert e.args[1] is not None
     floor = lower_scalar(w, e.args[1])

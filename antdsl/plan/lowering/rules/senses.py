@@ -44,7 +44,7 @@ def _make_sense_rule(sense: SenseRow, word: BuiltinRow) -> Callable[[PlanWriter,
 
 
 def _list_operands(value: LoweredValue, e: model.Expr) -> tuple[PlanNode, ...]:
-    """Return the operands for a value: one for a number, three for a vector."""
+    """Return a value as operands: one for a number, three for a vector."""
     if isinstance(value, PlanNode):
         return (value,)
     if isinstance(value, VectorNodes):
@@ -81,8 +81,8 @@ def _lower_slope(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_uphill(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return the world's up direction without its component along the agent's up. Its length is the sine of the ground's
-    slope."""
+    """Return the world's up direction, projected onto the plane perpendicular to the agent's up. Its length is the sine of the
+    ground's slope."""
     up, sky = w.read_vector("up"), _read_world_up(w)
     return values.subtract_vectors(w.b, sky, values.scale_vector(w.b, up, values.compute_dot_product(w.b, up, sky)))
 
@@ -92,7 +92,8 @@ def _read_world_up(w: PlanWriter) -> VectorNodes:
 
 
 def _lower_flow_value(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return the vector of a flow at the agent. For a field of vectors, it is projected onto the ground under the agent."""
+    """Return the vector of a flow at the agent. `e` may also name a field of vectors; its vector is projected onto the ground
+    under the agent."""
     name = _get_thing_name(w, e)
     if not _is_vector_field(w, name):
         return _READ_FLOW(w, e)
@@ -102,8 +103,8 @@ def _lower_flow_value(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
 
 
 def _lower_reachable(w: PlanWriter, e: model.OperationExpr) -> LoweredValue:
-    """Return a node that is true if a flow reaches its target from the agent's position. A field of vectors counts as reachable
-    where its vector is not 0."""
+    """Return a node that is true if a flow leads from the agent's position to its target. If `e` names a field of vectors, it is
+    true where the vector is not 0."""
     if not _is_vector_field(w, _get_thing_name(w, e)):
         return _TEST_REACHABLE(w, e)
     vector = _lower_flow_value(w, e)
