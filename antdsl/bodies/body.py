@@ -23,8 +23,8 @@ def compute_vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> NDArray
 
 
 def normalise_normals(normals: NDArray[Any], tolerance: float = 0.0) -> NDArray[np.float32]:
-    """Return normals (n, 3) scaled to length 1. A length that differs from 1 by at most `tolerance` is not changed. A normal of
-    length 0 becomes +y."""
+    """Return normals (n, 3) scaled to length 1. A normal with a length that differs from 1 by at most `tolerance` is not
+    changed. A normal of length 0 becomes +y."""
     wide = normals.astype(np.float64)
     length = np.sqrt((wide * wide).sum(axis=1, keepdims=True))
     scaled = np.where(np.abs(length - 1.0) > tolerance, wide / np.maximum(length, 1e-12), wide)

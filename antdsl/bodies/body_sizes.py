@@ -25,7 +25,7 @@ _STANDING_BODIES = ("person",)  # library bodies with a fixed size; animals of o
 def measure_standing_proportions(
     program: Program, definitions: Mapping[str, Definition], words: Mapping[str, str]
 ) -> dict[str, BodyProportions]:
-    """Return, by species, the proportions of the bodies of all species that have a `height`. `definitions`: bodies from files, by
+    """Return, by species, the proportions of the bodies of all species that set a `height`. `definitions`: bodies from files, by
     species. `words`: names of library bodies, by species."""
     return {
         name: _measure_proportions(definitions.get(name) or load_library_body(words[name]), words.get(name))
@@ -60,7 +60,8 @@ def report_odd_sizes(
 def _report_odd_sizes_of_species(
     scene: Scene, program: Program, species: Species, body: Definition, word: str | None, report: Report
 ) -> None:
-    """Report a warning where the sizes of one species differ from its body. `word`: the library's name for the body, or None."""
+    """Report a warning where the sizes of a species differ much from the size of its body. `word`: the library's name for the
+    body, or None."""
     own = {a.name: a for a in species.attributes if a.is_builtin and a.span != species.span}
     lengths = {
         name: _find_first_length(own[name].default, program, scene) for name in ("size", "height", "radius") if name in own
@@ -81,7 +82,8 @@ def _report_odd_sizes_of_species(
 
 
 def _report_if_different(attribute: AttributeDecl, length: float, body_length: float, words: str, report: Report) -> None:
-    """Report a warning if an attribute's `length` (mm) and the corresponding `body_length` (mm) differ by too large a factor.
+    """Report a warning if an attribute's `length` (mm) differs too much from the corresponding length of the body, `body_length`
+    (mm).
 
     `words`: text about the body's length, with `{}` in place of the length."""
     if length > 0 and body_length > 0 and not 1 / _MAX_LENGTH_RATIO <= length / body_length <= _MAX_LENGTH_RATIO:

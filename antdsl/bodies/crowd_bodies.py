@@ -58,7 +58,7 @@ class CrowdBodies:
     `definitions`: the definitions of bodies from files; bodies from the same file share one object.
     `clips`: the data of the clips of each species.
     `collision_sizes`: the collision sizes of the bodies in `definitions`, and of all bodies of species with several bodies.
-    `legs`: the leg data of bodies with legs and gaits.
+    `legs`: for bodies with legs and gaits, their leg data.
     `hashes`: the content hash of each file, by its path in the scene.
     `proportions`: the proportions of the bodies of species that set their height.
     `weights`: for each species with several bodies, the weight of each body."""
@@ -73,7 +73,8 @@ class CrowdBodies:
 
 
 class LegsByBody(Mapping[str, LegsData]):
-    """The leg data of all bodies that have legs and gaits, by key. It is computed on first access: most commands do not need it.
+    """The leg data of all bodies that have legs and gaits, by key. The data is computed on first access, because most commands
+    do not need it.
 
     `bodies`: by key, a definition or the name of a library body."""
 
@@ -206,9 +207,9 @@ def build_clip_data(clip: Clip, body: Definition) -> ClipData:
 def compute_collision_size(body: Definition, is_standing: bool = False) -> BodyCapsuleData:
     """Return the collision size of a body.
 
-    It is the capsule of the definition. Without one, it is the length and width of the bounding box of the layer `collision`, or
-    without this layer, of the base layer. The box is that of the rest pose; if `is_standing`, that of the idle clip. The length
-    is never less than the width."""
+    If the definition has a capsule, the size is that of the capsule. Otherwise, it is measured from the bounding box of the
+    layer `collision` or, without this layer, of the base layer. The box is in the rest pose or, if `is_standing`, in the idle
+    clip. The length is never less than the width."""
     if body.capsule is not None:
         length, width, height, ahead = (each / body.length for each in body.capsule)
         return BodyCapsuleData(max(length, width), width, height, ahead)
@@ -257,8 +258,8 @@ def list_named_bodies(scene: Scene, species: Iterable[str] = ()) -> list[NamedBo
 def _check_body(
     species: Species, body: Definition, text: str, place: Span, report: Report, chosen_by_species: bool = False
 ) -> None:
-    """Report the clips, transform groups and marks that a species needs and its body lacks. `chosen_by_species`: whether the body
-    was chosen by the species' name, because no crowd line names a body."""
+    """Report clips, transform groups and marks that a species needs but its body does not have. `chosen_by_species`: whether the
+    body was chosen by the name of the species, because no crowd line names a body."""
     lacks: dict[str, tuple[str, Label]] = {}  # help text and place of each missing name
 
     def require_name(noun: str, name: str, known_names: Iterable[str], label: Label) -> None:
@@ -304,7 +305,7 @@ def _check_body(
 def _find_misplaced_marks(species: Species, body: Definition) -> Iterator[tuple[str, str, Label]]:
     """Yield a message, a help text and a location for each misplaced mark.
 
-    A mark is misplaced if a state waits for it, and other clips of the body have it, but the state's clip does not."""
+    A mark is misplaced if a state waits for it and the state's clip does not have it, although other clips of the body do."""
     having: dict[str, list[str]] = {}
     for clip in body.clips.values():
         for mark in clip.marks:
@@ -337,6 +338,7 @@ def _iterate_play_lines(machine: Machine) -> Iterator[Play]:
 
 
 def _iterate_display_lines(machine: Machine) -> Iterator[Wear | Channel | Look]:
-    """Yield the statements of a machine's states that change a body in addition to clips: worn layers, channels and looks."""
+    """Yield the statements, other than `play` lines, by which the states of a machine change a body: worn layers, channels and
+    looks."""
     for state in machine.states:
         yield from (line for line in state.body if isinstance(line, (Wear, Channel, Look)))

@@ -81,8 +81,8 @@ class PosedBody:
         self.material_names = np.concatenate([np.zeros(0, "U1"), *(part[4] for part in parts)])
 
     def compute_colours(self, driven_pose: PoseAdjustments) -> Floats:
-        """Return the linear colours of vertices from their materials, float32[n, v, 3], or [1, v, 3] if they are equal for all
-        agents.
+        """Return the linear colours of vertices, which come from their materials. The result is float32[n, v, 3], or [1, v, 3]
+        if the colours are equal for all agents.
 
         The variation of the material `state` is not included; see `compute_natural_colours`."""
         variation = self._definition.variation
@@ -114,7 +114,8 @@ class PosedBody:
 
     @cached_property
     def fine_body(self) -> PosedBody:
-        """Return the body for agents that are large in a picture. If there is a layer `close`, it replaces the layer `body`."""
+        """Return the body for agents that are large in a picture. If the body has a layer `close`, this layer is drawn instead
+        of the layer `body`."""
         close = self._full_definition.layers.get(CLOSE_LAYER_NAME)
         if close is None:
             return self
@@ -127,9 +128,9 @@ class PosedBody:
 
     @cached_property
     def coarse_body(self) -> PosedBody:
-        """Return the body with fewer triangles, for agents that are small in a picture.
+        """Return a version of the body with fewer triangles, for agents that are small in a picture.
 
-        If there is a layer `close`, this is the body itself, because its layer `body` is then already coarse."""
+        If the body has a layer `close`, return the body unchanged. Its layer `body` is then already the coarse version."""
         return (
             self
             if CLOSE_LAYER_NAME in self._full_definition.layers
@@ -138,7 +139,7 @@ class PosedBody:
 
     @cached_property
     def distant_body(self) -> PosedBody:
-        """Return the body with the fewest triangles, for agents of a few pixels."""
+        """Return the version of the body with the fewest triangles, for agents that are a few pixels long in a picture."""
         layers = {name: layer for name, layer in self._full_definition.layers.items() if name != CLOSE_LAYER_NAME}
         drawn = _select_needed_shapes(
             self._full_definition, {binding.shape for layer in layers.values() for binding in _list_layer_bindings(layer)}
@@ -193,7 +194,7 @@ class PosedBody:
 
     @property
     def bindings(self) -> tuple[Binding, ...]:
-        """Return the bindings of the drawn layers; in each layer, static bindings come first."""
+        """Return the bindings of all drawn layers. Within each layer, static bindings come first."""
         return self._bindings
 
     def with_clips(self, clips: Sequence[tuple[str, str] | PlayedClip]) -> PosedBody:
@@ -260,8 +261,8 @@ class PosedBody:
 
 
 def find_base_layer(definition: Definition) -> Layer:
-    """Return the layer that is always drawn: `body`, or without it the first layer that is not for collisions. A body without
-    layers gets an empty layer."""
+    """Return the layer that is always drawn. It is the layer `body` or, if there is none, the first layer that is not for
+    collisions. For a body without layers, return an empty layer."""
     layers = definition.layers
     worn = [layer for name, layer in layers.items() if name != COLLISION_LAYER_NAME]
     return layers.get(BODY_LAYER_NAME) or next(iter(worn), Layer(BODY_LAYER_NAME))
@@ -332,11 +333,11 @@ def coarsen_definition(definition: Definition) -> Definition:
 
 
 def coarsen_shape(shape: SkinShape, cell: float) -> SkinShape:
-    """Return a shape in which the points of each cell of a regular grid are replaced by their mean. `cell`: the edge length of
-    cells.
+    """Return a coarser shape. In each cell of a regular grid, the points are replaced by one point, their mean. `cell`: the edge
+    length of cells.
 
-    The new point follows the joints of the first point in the cell. Triangles with two corners in one cell are omitted. The shape
-    is then enlarged a little, so that its bounding box does not shrink."""
+    The new point follows the joints of the first point in the cell. Triangles with two corners in one cell are omitted. Finally,
+    the shape is enlarged a little, so that its bounding box does not shrink."""
     if not len(shape.points):
         return shape
     size = min(cell, float(np.ptp(shape.points, axis=0).max()) / COARSE_CELLS_PER_SHAPE) or cell

@@ -80,8 +80,8 @@ def _build_ring() -> ColouredMesh:
 
 
 def _build_mound() -> ColouredMesh:
-    """Return a low ring of loose soil with a dark hole, as around the entrance of an ants' nest. It is lower than an ant, so that
-    it hides none."""
+    """Return a low ring of loose soil with a dark hole, like the entrance of an ants' nest. It is lower than an ant, so that it
+    hides no ants."""
     rings, around = 22, 40
     reach = np.linspace(0, 1.25, rings)
     turn = np.arange(around) * 2 * np.pi / around
@@ -126,7 +126,7 @@ def _build_crumb() -> ColouredMesh:
 
 
 def _build_cube() -> ColouredMesh:
-    """Return a lump of sugar: a grainy block with worn edges."""
+    """Return a sugar cube: a grainy block with worn edges."""
     vertices, faces = build_sphere(5)
     norm = (np.abs(vertices) ** 9).sum(axis=1) ** (1 / 9)
     grain = compute_wave_noise(vertices, 81, 0.09, 2)
@@ -236,7 +236,7 @@ def _build_lamp() -> ColouredMesh:
 
 
 def _build_flag() -> ColouredMesh:
-    """Return a small flag on a post, which marks a place."""
+    """Return a small flag on a post, such as marks a position."""
     post, post_faces = build_sphere(2)
     u, v = np.meshgrid(np.linspace(0, 1, 14), np.linspace(0, 1, 7), indexing="ij")
     wave = 0.10 * u * np.sin(7 * u + 1.5 * v)

@@ -52,9 +52,9 @@ def build_skinned_mesh(definition: Definition, bindings: Sequence[Binding], vert
 
     `vertex_points`: int[v], the point of each vertex, as an index into the points of all bindings in sequence.
 
-    A static shape follows only its joint. If a point follows more than four joints, those with the four largest weights are used.
-    Other deformers are replaced by linear skinning. Blend shapes have their base shape; `compute_blend_targets` returns the
-    offsets from it."""
+    A static shape follows only its joint. If a point of another shape follows more than four joints, the four with the largest
+    weights are used. Other deformers are replaced by linear skinning. Blend shapes have their base shape;
+    `compute_blend_targets` returns the offsets from it."""
     bone_table = _BoneTable(definition)
     parts = [
         (_build_skinned_part if _is_skinned(each) else _build_static_part)(definition, each, bone_table) for each in bindings
@@ -90,7 +90,7 @@ class _BoneTable:
         self.inverses: list[Matrix] = []
 
     def get_bone_number(self, joint: int, inverse_matrix: Matrix) -> int:
-        """Return the number of the bone with this joint and inverse matrix. A bone that does not exist is added."""
+        """Return the number of the bone with this joint and inverse matrix. If there is no such bone, add it."""
         for number, (other, known) in enumerate(zip(self.joints, self.inverses, strict=True)):
             if other == joint and np.abs(known - inverse_matrix).max() <= _EQUAL_MATRIX_TOLERANCE * max(
                 1.0, float(np.abs(inverse_matrix[:, :3]).max())
@@ -109,7 +109,7 @@ def _is_skinned(binding: Binding) -> bool:
 def _build_static_part(definition: Definition, binding: Binding, bone_table: _BoneTable) -> _MeshPart:
     """Return the vertices of a static shape, at the position of its joint in the rest pose.
 
-    At this position, the shape can share a bone with shapes that are skinned to the joint."""
+    Because of this position, the shape can share a bone with shapes that are skinned to the joint."""
     shape = definition.shapes[binding.shape]
     points, normals = shape.points.astype(np.float64), _get_normals_or_zeros(shape).astype(np.float64)
     bones = np.zeros((len(points), MAX_JOINTS_PER_VERTEX), np.int32)
@@ -146,7 +146,7 @@ def _build_skinned_part(definition: Definition, binding: Binding, bone_table: _B
 
 
 def _select_strongest_joints(capture: SkinWeights) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return, for each point, the up to four joints with the largest weights, and these weights."""
+    """Return, for each point, the joints with the largest weights, at most four, and these weights."""
     joints, weights = capture.joints, capture.weights
     if joints.shape[1] < MAX_JOINTS_PER_VERTEX:
         wide = ((0, 0), (0, MAX_JOINTS_PER_VERTEX - joints.shape[1]))
@@ -181,7 +181,7 @@ class BlendTarget:
 def compute_blend_targets(
     definition: Definition, bindings: Sequence[Binding], vertex_points: NDArray[np.integer]
 ) -> dict[BlendTarget, NDArray[np.float32]]:
-    """Return the offsets that each target at weight 1 adds to the rest pose of a skinned mesh.
+    """Return, for each target, the offsets that it adds to the rest pose of a skinned mesh at the weight 1.
 
     The offsets are float32[v, 6]: three numbers for the point and three for the normal. Only shapes with blending as their first
     deformer have targets. `vertex_points`: int[v], the point of each vertex, as an index into the points of all bindings in

@@ -81,8 +81,10 @@ def _split_components(values: Floats | None, n: int) -> Floats:
 
 
 def list_blend_knots(definition: Definition, name: str) -> tuple[list[SkinShape], NDArray[np.float64]]:
-    """Return the primary shape and the in-betweens of the input `name`, and the weights at which they apply in full. Both are in
-    ascending order of weight."""
+    """Return the shapes of the input `name`, which are its primary shape and the in-betweens. Also return the weights at which
+    these shapes apply in full.
+
+    Both results are in ascending order of weight."""
     primary = definition.shapes[name]
     between = primary.in_betweens
     pairs = [(1.0, primary)]
@@ -103,10 +105,10 @@ def list_blend_knots(definition: Definition, name: str) -> tuple[list[SkinShape]
 
 
 def compute_knot_shares(weights: Floats, knots: NDArray[np.float64]) -> Floats:
-    """Return the factors of an input's K shapes, float32[K, n], for the input's weights [n].
+    """Return the factors of the K shapes of an input, float32[K, n], for the input's weights [n].
 
-    A factor multiplies the difference of a shape from the base. `knots`: [K], the weight at which each shape applies in full.
-    Between two knots, factors are linear; the base is a knot at weight 0."""
+    The offset of each shape from the base is multiplied by its factor. `knots`: [K], the weight at which each shape applies in
+    full. Between two knots, factors change linearly. The base counts as a knot at weight 0."""
     all_knots = np.sort(np.append(knots, 0.0))
     weight = weights.astype(np.float64)
     piece = np.clip(np.searchsorted(all_knots, weight, side="right") - 1, 0, len(all_knots) - 2)

@@ -295,10 +295,11 @@ def _use_single_input(input_layer: _BlendInput, rest: LocalPose) -> _BlendInput:
 
 
 def _compute_shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats, NDArray[np.bool_]]:
-    """Return the share of each input, the mean coverage, and a mask of entries that no input covers.
+    """Return the share of each input, the mean coverage, and a mask of entries that no input covers. An entry is a joint or a
+    channel.
 
-    `weights`: the weight and the coverage of each input. For each entry, the shares are proportional to weight times coverage and
-    add up to 1."""
+    `weights`: the weight and the coverage of each input. For each entry, the shares are proportional to weight times coverage
+    and add up to 1."""
     products = [weight * presence for weight, presence in weights]
     total, weight_sum = products[0], weights[0][0]
     for each, (weight, _) in zip(products[1:], weights[1:], strict=True):
@@ -312,8 +313,8 @@ def _compute_shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats],
 
 
 def _add_rotations(target: Floats, addend: Floats, share: Floats, scratch: Floats) -> None:
-    """Add the quaternions `addend`, multiplied by `share`, to the sum `target` in place. Each one first gets the sign that is
-    closer to the sum.
+    """Add the quaternions `addend`, multiplied by `share`, to the sum `target` in place. First choose the sign of each
+    quaternion that is closer to the sum.
 
     `scratch`: an array for intermediate results."""
     np.multiply(target, addend, out=scratch)
@@ -326,7 +327,8 @@ def _add_rotations(target: Floats, addend: Floats, share: Floats, scratch: Float
 
 
 def _set_unweighted_to_rest(pose: LocalPose, rest: LocalPose, no_joint: NDArray[np.bool_], no_channel: NDArray[np.bool_]) -> None:
-    """Set the joints in `no_joint` to the rest pose, and the channels in `no_channel` to their defaults, in place."""
+    """Set joints to the rest pose and channels to their defaults, in place. `no_joint`, `no_channel`: masks of these joints and
+    channels."""
     if no_joint.any():
         parts = (pose.translation, pose.rotation, pose.scale, pose.shear)
         for into, still in zip(parts, (rest.translation, rest.rotation, rest.scale, rest.shear), strict=True):
@@ -356,7 +358,8 @@ def _blend_additive(inputs: list[_BlendInput], rest: LocalPose) -> _BlendInput:
 
 
 def _blend_override(inputs: list[_BlendInput], rest: LocalPose) -> _BlendInput:
-    """Return the inputs laid over the rest pose in sequence. Each replaces the result so far in proportion to its weight."""
+    """Return the result of laying the inputs over the rest pose in turn. Each replaces the result so far in proportion to its
+    weight."""
     parts = (rest.translation, rest.rotation, rest.scale, rest.shear, rest.channels)
     pose = LocalPose(*(None if each is None else each.copy() for each in parts))  # type: ignore[arg-type]
     joints, channels = np.float32(0), np.float32(0)

@@ -22,7 +22,7 @@ Floats = NDArray[Any]  # float32 or float64
 
 
 def compute_layer_boxes(definition: Definition, worlds: Floats, layers: Sequence[str]) -> tuple[Floats, Floats]:
-    """Return the lowest and the highest corners [n, 3] of the boxes around the given layers of n agents.
+    """Return one box for each of n agents, around the given layers: its lowest and its highest corner, both [n, 3].
 
     `worlds` [n, J, 4, 4]: the world matrices of the joints. The corners have the dtype of `worlds`. They are NaN for layers
     without a shape. Raises KeyError for a layer or a shape that the definition lacks."""
@@ -84,8 +84,8 @@ def _scale_box(extent: tuple[Floats, Floats], scale: Floats) -> tuple[Floats, Fl
 
 
 def _transform_box(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats, local_matrix: Floats) -> tuple[Floats, Floats]:
-    """Scale a box about its centre, transform it by `local_matrix` [4, 4] and then by each of `worlds` [n, 4, 4]. Return the
-    bounding boxes of the results."""
+    """Return the bounding boxes of a box after scaling about its centre, then `local_matrix` [4, 4], then each of `worlds` [n,
+    4, 4]."""
     matrices = worlds
     if (local_matrix != np.eye(4)).any():
         local_matrix = local_matrix.astype(worlds.dtype)
@@ -135,7 +135,7 @@ def _compute_shape_extent(definition: Definition, shape: SkinShape) -> tuple[NDA
 def compute_rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the lowest and the highest corner of the box around all shapes of all layers in the rest pose.
 
-    It defines a body's length. Without shapes, it is the box of the joints."""
+    The length of a body is measured from this box. Without shapes, it is the box around the joints."""
     return compute_posed_box(definition, compute_world_matrices(definition.rig.parents, definition.rig.rest_matrices))
 
 

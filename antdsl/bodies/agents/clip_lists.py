@@ -30,8 +30,8 @@ def build_playback(
     layer_weights: Numbers | None = None,
     parents: Numbers | None = None,
 ) -> ClipPlayback:
-    """Return the `ClipPlayback` of n agents. Each argument except `counts` and `layer_counts` concatenates the lists of all
-    agents.
+    """Return the `ClipPlayback` of n agents. Each argument except `counts` and `layer_counts` is an array in which the lists of
+    all agents follow one another.
 
     `counts`: [n], the number of clips of each agent.
     `names`, `times`, `weights`: agentclipnames (text), agentcliptimes (s) and agentclipweights.
@@ -75,14 +75,15 @@ def build_playback(
 
 
 def _look_up_numbers(names: Numbers, number: Callable[[str], int]) -> NDArray[np.int64]:
-    """Return a number for each name. The function `number` looks up one name; it is called once for each distinct name."""
+    """Return a number for each name. `number`: a function that returns the number of one name. It is called once for each
+    distinct name."""
     known, which = np.unique(np.asarray(names, np.str_), return_inverse=True)
     return np.array([number(str(name)) for name in known], np.int64)[which.reshape(-1)]
 
 
 def _find_distinct_names(names: Numbers | None, count: int) -> tuple[tuple[str, ...], NDArray[np.int64]]:
-    """Return the distinct names, and for each of `count` entries the index of its name. None means an empty name for each
-    entry."""
+    """Return the distinct names, and for each of `count` entries the index of its name. If `names` is None, all entries have an
+    empty name."""
     if names is None:
         return ("",), np.zeros(count, np.int64)
     known, which = np.unique(np.asarray(names, np.str_), return_inverse=True)
@@ -103,7 +104,7 @@ def _build_agent_tree(
     agent: int, group_names: tuple[str, ...], group: Numbers, layer: Numbers, mode: Numbers, parent: Numbers, counts: Numbers,
     layer_counts: Numbers,
 ) -> ClipBlendTree:  # fmt: skip
-    """Return the clip tree of one agent, from the padded lists of all agents, one row per agent."""
+    """Return the clip tree of one agent. The other arguments are the padded lists of all agents, with one row per agent."""
     clips, layers = slice(int(counts[agent])), slice(int(layer_counts[agent]))
     layer_ids, modes, parents = (row.tolist() for row in (layer[agent, clips], mode[agent, layers], parent[agent, layers]))
     try:

@@ -88,7 +88,7 @@ class SkinWeights:
     `names`: the names of the J joints that points follow.
     `joints`: int32[P, K], indices into `names`.
     `weights`: float32[P, K], the weights of these joints, which add up to 1 for each point.
-    `inverse_matrices`: float64[J, 4, 4], the inverse bind matrices: from the shape's rest space to the space of each joint.
+    `inverse_matrices`: float64[J, 4, 4], the inverse bind matrices, from the shape's rest space to the space of each joint.
     """
 
     names: tuple[str, ...]
@@ -222,8 +222,8 @@ class Leg:
     `upper`: the joint of the hip, the start of the thigh (femur).
     `lower`: the joint of the knee, the start of the shank (tibia); a descendant of `upper`.
     `foot`: the joint of the part that touches the ground; a descendant of `lower`.
-    `ankle`: the joint about which the sole turns until it lies flat on the ground: `foot`, or a joint between `lower` and `foot`.
-    If empty, the foot keeps its rotation from the clip.
+    `ankle`: the joint about which the sole turns until it lies flat on the ground. It is `foot`, or a joint between `lower` and
+    `foot`. If empty, the foot has its rotation from the clip.
 
     There may be other joints between these."""
 
@@ -293,14 +293,15 @@ class Definition:
     """An agent definition: everything that all agents of one kind share.
 
     `front` and `up`: the forward and upward axes of the definition's space.
-    `length`: the extent of the body along `front`, in the definition's units. In a scene, it is scaled to an agent's `size`.
+    `length`: the extent of the body along `front`, in the definition's units. In a scene, the body is scaled so that this
+    becomes the agent's `size`.
     `unit`: millimetres per unit of length.
     `materials`: base colours (linear, 0 to 1) by name.
     `gaits`: the gaits, from slow to fast.
     `idle`: the clip of agents that play no other clip; "" means the rest pose.
     `variation`: differences between bodies.
-    `capsule`: the collision shape, in the definition's units: length and width of the trunk, height of its centre above the feet,
-        and distance of its centre ahead of the origin. If None, it is measured from the shapes.
+    `capsule`: the collision shape, in the definition's units: length and width of the trunk, height of its centre above the
+    feet, and distance of its centre ahead of the origin. If None, it is measured from the shapes.
     """
 
     name: str

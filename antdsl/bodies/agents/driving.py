@@ -17,14 +17,14 @@ from antdsl.bodies.agents.varied_bodies import VariationDraws
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseAdjustments:
-    """Values that drive the poses of n agents in addition to clips.
+    """Values that determine the poses of n agents, together with the clips.
 
     `channels`: float32[n] by display name. A value replaces that of the clips; NaN means that the clips decide.
     `look_directions`: float32[n, 3] by transform group, unit vectors in the agent's space (+x ahead, +y up); (1, 0, 0) is
-        straight ahead.
+    straight ahead.
     `variation_draws`: the sources of random differences between the bodies.
-    `lean`: float32[n, 2], how much each agent turns (-1 right to 1 left) and climbs (-1 down to 1 up); None if no clip
-        depends on it.
+    `lean`: float32[n, 2], how much each agent turns (-1 right to 1 left) and climbs (-1 down to 1 up); None if no clip depends
+    on it.
     `joint_offsets`: float32[n, 7] by joint: a translation in body lengths and a rotation x y z w, both in the agent's space."""
 
     channels: Mapping[str, Floats] = field(default_factory=dict)
@@ -35,8 +35,8 @@ class PoseAdjustments:
 
 
 def set_pose_channels(table: ClipTable, poses: WorldPoses, channels: Mapping[str, Floats]) -> WorldPoses:
-    """Return the poses with channel values replaced by those of `channels`, where these are finite. Channels that the rig lacks
-    are ignored."""
+    """Return the poses in which channels have the values in `channels`, where these are finite. Channels that the rig lacks are
+    ignored."""
     names = {
         language_name: k for k, language_name in enumerate(map_language_names(each.name for each in table.rig.channels).values())
     }
@@ -59,10 +59,10 @@ def rotate_joints_to_look_directions(
 ) -> WorldPoses:
     """Return the poses with transform groups rotated towards their look directions.
 
-    Each joint of a group rotates about its own position, together with all joints below it. Its weight is the fraction that it
-    takes of the shortest rotation from straight ahead to the look direction. The joints of a chain together take at most the full
-    rotation. `base` [3, 3] transforms from the definition's space to agent space. Groups that the body does not have are ignored.
-    If a joint was rotated, `local_transforms` is None."""
+    Each joint of a group rotates about its own position, together with all joints below it. Its weight says what fraction of the
+    shortest rotation from straight ahead to the look direction it makes. The joints of a chain together make at most the full
+    rotation. `base` [3, 3] transforms from the definition's space to agent space. Groups that the body does not have are
+    ignored. If a joint was rotated, `local_transforms` is None."""
     known_looks = {name: look for name, look in looks.items() if name in groups and len(look)}
     if not known_looks:
         return poses
@@ -78,10 +78,11 @@ def rotate_joints_to_look_directions(
 
 
 def offset_joints(table: ClipTable, poses: WorldPoses, offsets: Mapping[str, Floats], base: NDArray[np.float64]) -> WorldPoses:
-    """Return the poses with joints translated, and rotated about their own positions, together with all joints below them.
+    """Return the poses in which some joints are translated, and rotated about their own positions. All joints below them move
+    with them.
 
-    `base` [3, 3] transforms from the definition's space to agent space. Joints that the rig does not have are ignored. If a joint
-    was moved, `local_transforms` is None."""
+    `base` [3, 3] transforms from the definition's space to agent space. Joints that the rig does not have are ignored. If a
+    joint was moved, `local_transforms` is None."""
     known = {table.rig.names.index(name): offset for name, offset in offsets.items() if name in table.rig.names and len(offset)}
     if not known:
         return poses
@@ -101,9 +102,9 @@ def offset_joints(table: ClipTable, poses: WorldPoses, offsets: Mapping[str, Flo
 
 
 def iterate_look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
-    """Yield each joint of a group with the fraction that it takes of the rotation towards a look direction.
+    """Yield each joint of a group, with the fraction of the rotation towards a look direction that it makes.
 
-    The fraction is the joint's weight, limited so that the joints of a chain together take at most 1."""
+    The fraction is the joint's weight. It is limited so that the joints of a chain together make at most the full rotation."""
     left = np.ones(len(rig.names))
     for joint, weight in sorted((rig.find_joint(member), weight) for member, weight in group.members):
         share = min(weight, float(left[joint]))

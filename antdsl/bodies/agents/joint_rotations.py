@@ -18,7 +18,8 @@ def build_rotation_matrices(quaternions: NDArray[np.floating]) -> NumberArray:
 
 
 def compute_heel_rotation(arch: Floats, to_hip: Floats, reach: Floats) -> Floats:
-    """Return the vectors [3, n] from foot joints to ankles, with heels raised so far that the bones can reach the ankles.
+    """Return the vectors [3, n] from foot joints to ankles after raising the heels just enough for the bones to reach the
+    ankles.
 
     `arch` [3, n]: these vectors with flat soles. `to_hip` [3, n]: from the foot joints to the hips. `reach` [n]: the greatest
     distance from hip to ankle."""

@@ -22,7 +22,7 @@ class LegChain:
     `upper`, `lower`, `ankle`, `foot`: the joints of hip, knee, ankle and foot. If the leg has no ankle, `ankle` equals `foot`.
     `thigh_joints`: `upper` and its descendants that are not at or below `lower`.
     `shank_joints`: `lower` and its descendants that are not at or below `ankle`.
-    `arch_joints`: `ankle` and its descendants that are not at or below `foot`.
+    `arch_joints`: `ankle` and its descendants that are not at or below `foot`; empty without an ankle.
     `sole_joints`: `foot` and all joints below it.
     `has_flat_sole`: whether the definition names the ankle, so that the sole lies flat on the ground.
     """
@@ -57,8 +57,8 @@ def _build_descendant_mask(rig: Rig, joint: int) -> NDArray[np.bool_]:
 
 
 def compute_standing_joints(body: Definition) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the positions [J, 3] of joints in the standing pose, in agent space, and their world matrices [J, 3, 3] without
-    translation.
+    """Return the positions [J, 3] of joints in agent space, and their world matrices [J, 3, 3] without translation. Both are for
+    the standing pose.
 
     The standing pose is the first sample of the idle clip, or without an idle clip the rest pose."""
     table = build_clip_table(body)

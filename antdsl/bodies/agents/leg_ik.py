@@ -69,7 +69,7 @@ class BodySpaceFeet:
     normals: Floats | None = None
 
     def scale_trunk_motion(self, weights: Floats) -> BodySpaceFeet:
-        """Return the same feet, with the rise and tilt of the trunks multiplied by `weights` [n], from 0 to 1."""
+        """Return the same feet with a weaker motion of the trunks: rise and tilt are multiplied by `weights` [n], from 0 to 1."""
         tilt = self.trunk_tilt * weights[:, None]
         tilt[:, 3] += 1 - weights
         return replace(self, trunk_rise=self.trunk_rise * weights, trunk_tilt=tilt)
@@ -96,8 +96,8 @@ class PlacedFeet:
     def convert_to_body_space(
         self, position: NDArray[np.floating], orient: NDArray[np.floating], scale: NDArray[np.floating]
     ) -> BodySpaceFeet:
-        """Return the feet in the space of their bodies. `position`: [n, 3]; `orient`: quaternions [n, 4]; `scale`: body lengths
-        [n].
+        """Return the feet in the space of their bodies. Of the bodies, `position` is [n, 3], `orient` quaternions [n, 4], and
+        `scale` the lengths [n].
 
         Values that are not finite are replaced by 0."""
         with np.errstate(all="ignore"):
@@ -163,7 +163,8 @@ class LegIkSolver:
         return np.asarray(self._standing_positions[:, leg.ankle] - self._standing_positions[:, leg.foot])
 
     def get_straight_axes(self) -> Floats:
-        """Return the axes float32[L, 3] about which knees bend if they are straight in a pose, in the definition's space."""
+        """Return the axes float32[L, 3] about which knees bend, in the definition's space. They are for legs that are straight
+        in a pose."""
         return np.concatenate([self._get_straight_axis(each) for each in self._chains], axis=1).T
 
     def compute_stance_weights(
@@ -171,7 +172,7 @@ class LegIkSolver:
     ) -> Floats:
         """Return how strongly the feet of `count` agents are held at their footholds, float32[n] from 0 (as in the clips) to 1.
 
-        Clips that do not place feet reduce the value, in proportion to their part of the pose."""
+        Clips that do not place feet reduce this strength, in proportion to their weight in the pose."""
         stands = np.ones(count, np.float32)
         played = [PlayedClip(*each) for each in clips]
         free = np.array([each.clip in self._clips_without_feet for each in played] + [False])
@@ -190,8 +191,8 @@ class LegIkSolver:
         return stands.astype(np.float32)
 
     def bend_legs(self, poses: WorldPoses, feet: BodySpaceFeet, stance_weights: Floats) -> WorldPoses:
-        """Return poses with the feet at the positions of `feet`, weighted by `stance_weights` [n], and with trunks moved by the
-        rise and tilt of `feet`. `local_transforms` of the result is None."""
+        """Return poses in which legs bend towards the positions of `feet`, as strongly as `stance_weights` [n] says. Trunks are
+        moved by the rise and tilt of `feet`. `local_transforms` of the result is None."""
         world = np.array(poses.world_transforms.transpose(2, 3, 1, 0), np.float32, order="C")
         goals, normals = self._compute_foot_goals(feet), self._compute_sole_normals(feet)
         self._lower_bodies(world, goals, normals, feet.is_on_ground, stance_weights)
@@ -201,7 +202,8 @@ class LegIkSolver:
         return replace(poses, world_transforms=world.transpose(3, 2, 0, 1), local_transforms=None)
 
     def _compute_foot_goals(self, feet: BodySpaceFeet) -> list[Floats]:
-        """Return the goal positions of each foot joint, float32[3, n], in the definition's space before trunk rise and tilt."""
+        """Return the goal positions of each foot joint, float32[3, n]. They are in the definition's space, before the trunk
+        rises and tilts."""
         turn = build_rotation_matrices(feet.trunk_tilt).astype(np.float32)
         goals = []
         for k in range(len(self._chains)):
@@ -211,8 +213,8 @@ class LegIkSolver:
         return goals
 
     def _compute_sole_normals(self, feet: BodySpaceFeet) -> list[Floats | None]:
-        """Return the ground normals below the flat sole of each leg, float32[3, n], in the definition's space before trunk rise
-        and tilt.
+        """Return the ground normals below the flat sole of each leg, float32[3, n]. They are in the definition's space, before
+        the trunk rises and tilts.
 
         The entry of a leg without a flat sole is None."""
         turn = build_rotation_matrices(feet.trunk_tilt).astype(np.float32)
@@ -235,11 +237,11 @@ class LegIkSolver:
         is_on_ground: NDArray[np.bool_],
         stance_weights: Floats,
     ) -> None:
-        """Lower the bodies in `world`, in place, until their feet that are on the ground can reach it. The trunk of a clip may be
-        too high.
+        """Lower the bodies in `world`, in place, until all feet that are on the ground can reach it. This is needed because the
+        trunk in a clip may be too high.
 
-        Bodies also sink a little so that heels stay down, and as far as a slope lowers the ankle of a flat sole. So heels rise
-        only in long steps."""
+        Bodies also sink a little so that heels stay down, and by the amount by which a slope lowers the ankle of a flat sole.
+        Therefore heels rise only in long steps."""
         most = np.zeros(len(stance_weights), np.float32)
         for k, (each, goal, normal) in enumerate(zip(self._chains, goals, normals, strict=True)):
             hip, knee, ankle, foot = (world[:, 3, joint] for joint in (each.upper, each.lower, each.ankle, each.foot))
@@ -257,16 +259,17 @@ class LegIkSolver:
         world[:, 3] -= self._up_axis[:, None, None] * (most * stance_weights)
 
     def _measure_unreachable_distance(self, displacement: Floats, length: Floats) -> Floats:
-        """Return how far hips must sink so that legs of `length` [n] reach goals at `displacement` [3, n] from the hips. It is
-        negative if they are low enough."""
+        """Return how far hips must sink so that legs of `length` [n] reach goals at `displacement` [3, n] from the hips. The
+        result is negative for hips that are already low enough."""
         high = dot(displacement, self._up_axis[:, None])
         level = np.maximum(length * length - np.maximum(dot(displacement, displacement) - high * high, 0), 0)
         return np.asarray(-np.sqrt(level) - high)
 
     def _bend_leg(self, world: Floats, leg: LegChain, goal: Floats, normal: Floats | None, stance_weights: Floats) -> None:
-        """Bend a leg in `world` in place, so that its foot reaches `goal` [3, n]. `stance_weights` [n]: from 0 (no change) to 1.
+        """Bend a leg in `world` in place, so that its foot reaches `goal` [3, n]. `stance_weights` [n]: how much to bend the
+        leg, from 0 (no change) to 1.
 
-        `normal` [3, n]: the normal of the ground below a flat sole; None for a foot that keeps its rotation."""
+        `normal` [3, n]: the normal of the ground below a flat sole; None if the rotation of the foot does not change."""
         hip, knee, foot = (world[:, 3, joint].copy() for joint in (leg.upper, leg.lower, leg.foot))
         goal = foot + (goal - foot) * stance_weights
         if normal is not None:
@@ -299,11 +302,11 @@ class LegIkSolver:
     def _rotate_sole_to_ground(
         self, world: Floats, leg: LegChain, goal: Floats, normal: Floats, stance_weights: Floats
     ) -> Floats:
-        """Rotate the parts at and below an ankle in `world`, in place, so that the sole lies flat. Return the goal of the ankle
-        [3, n].
+        """Rotate the joints at and below an ankle in `world`, in place, so that the sole lies flat on the ground. Return the
+        goal position of the ankle [3, n].
 
-        `goal` [3, n]: the goal of the foot joint. If the bones cannot reach the ankle's goal, the heel rises about the foot joint
-        as far as necessary."""
+        `goal` [3, n]: the goal of the foot joint. If the bones cannot reach the ankle's goal, the heel rises about the foot
+        joint as far as necessary."""
         hip, knee, ankle, foot = (world[:, 3, joint].copy() for joint in (leg.upper, leg.lower, leg.ankle, leg.foot))
         turns = []
         for joint, part, pivot in ((leg.ankle, leg.arch_joints, ankle), (leg.foot, leg.sole_joints, foot)):
@@ -318,7 +321,7 @@ class LegIkSolver:
         return goal + raised
 
     def _compute_knee_axis(self, world: Floats, leg: LegChain, thigh: Floats, shank: Floats, size: Floats) -> Floats:
-        """Return the unit axes [3, n] about which the knees open. For a leg that is straight in the pose, use the axis in the
+        """Return the unit axes [3, n] about which the knees open. If a leg is straight in the pose, its axis is that of the
         standing pose."""
         axis = cross(thigh, shank)
         rest = self._get_straight_axis(leg)
@@ -327,7 +330,8 @@ class LegIkSolver:
         return normalise(axis)
 
     def _get_straight_axis(self, leg: LegChain) -> Floats:
-        """Return the bend axis [3, 1] of the standing pose; for a straight leg, the axis of a knee that bends forward."""
+        """Return the axis [3, 1] about which the leg bends in the standing pose. For a straight leg, it is the axis of a knee
+        that bends forward."""
         hip, knee, foot = (self._standing_positions[:, joint, None] for joint in (leg.upper, leg.lower, leg.foot))
         rest = cross(hip - knee, foot - knee)
         if measure_lengths(rest)[0] <= _MIN_KNEE_SINE * measure_lengths(hip - knee)[0] * measure_lengths(foot - knee)[0]:

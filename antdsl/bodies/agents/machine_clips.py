@@ -25,8 +25,9 @@ from antdsl.bodies.agents.poses import REST_CLIP, ClipTable
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MachineClips:
-    """The clips that one state machine of each of n agents plays. At most three clips overlap: the clip of the current state
-    (`clip`), the previous clip, which fades out (`before`), and the clip before that, if it still fades out (`earlier`).
+    """The clips that one state machine plays, for n agents. At most three clips of an agent overlap: the clip of the current
+    state (`clip`), the previous clip, which fades out (`before`), and the clip before that, if it is still fading out
+    (`earlier`).
 
     `clip`, `before`, `earlier`: int[n], indices into the clips that the species plays, -1 for none.
     `turns`, `before_turns`, `earlier_turns`: float32[n], the number of cycles of the clip played so far, including fractions.
@@ -49,9 +50,9 @@ class MachineClips:
     earlier_fade: Floats | None = None
 
     def iterate_clip_slots(self) -> Iterator[tuple[NDArray[np.int16], Floats, Floats]]:
-        """Yield the overlapping clips, from the oldest to the current one.
+        """Yield the overlapping clips of each agent, from the oldest to the current one.
 
-        Each item has three arrays [n]: the clip's index, the number of cycles played, and its weight in the pose."""
+        Each item has three arrays [n]: the clip's index, the number of cycles played, and the clip's weight in the pose."""
         fade = np.clip(self.fade, 0, 1)
         if self.earlier is None or self.earlier_turns is None or self.earlier_weight is None or self.earlier_fade is None:
             part = np.zeros_like(fade)
@@ -111,9 +112,9 @@ def build_machine_playback(
     `clips`: all clips of the species, which `machines` refers to by index. A name that the table lacks means no clip.
     `lean`: float32[n, 2], how much each agent turns (-1 right to 1 left) and climbs (-1 down to 1 up).
 
-    A machine's layer is the mean of its clips, weighted by fade and weight. It replaces the layers of the previous machines in
-    proportion to its total weight, so that they show where it fades out. Additive clips are added to the result of all layers, in
-    the order of the machines."""
+    Each machine has a layer: the mean of its clips, weighted by fade and weight. The layer replaces the result of the previous
+    machines in proportion to its total weight. So the previous machines become visible where it fades out. Additive clips are
+    added to the result of all layers, in the order of the machines."""
     played = [PlayedClip(*each) for each in clips]
     groups = ["", *sorted({each.group for each in played} - {""})]
     slots = [
@@ -154,7 +155,7 @@ def _iterate_slots(
     machine: MachineClips,
     lean: Floats | None,
 ) -> Iterator[_ClipSlot]:
-    """Yield the clips that a machine plays, with each additive clip in a separate slot."""
+    """Yield the clips that a machine contributes to the pose. Each additive clip is in a separate slot."""
     names = [
         (each.clip, each.left_turn_clip, each.right_turn_clip, each.climbing_clip, each.descending_clip) for each in played_clips
     ]
@@ -179,7 +180,8 @@ def _iterate_slots(
 
 
 def _iterate_lean_shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Floats | None]:
-    """Yield the weights [n] of each agent's clip, then those of the variants that replace it: left, right, climbing, descending.
+    """Yield five weights [n] of each agent: for its clip, and for the variants that replace the clip (left, right, climbing,
+    descending).
 
     The item of a variant that no agent uses is None."""
     ones = np.ones(len(numbers), np.float32)

@@ -88,7 +88,8 @@ def _convert_shape(shape: SkinShape, rotation: Floats, inverse_rotation: Floats)
 
 
 def _convert_layer(layer: Layer, axis_map: Floats) -> Layer:
-    """Return a layer with the bounds scales of its bindings in the order of the new axes. `axis_map` [3, 3]: converts vectors."""
+    """Return a layer converted to other axes: the bounds scales of its bindings are reordered. `axis_map` [3, 3]: converts
+    vectors to the new axes."""
 
     def convert_scale(scale: tuple[float, float, float]) -> tuple[float, float, float]:
         x, y, z = (axis_map @ np.array(scale)).tolist()

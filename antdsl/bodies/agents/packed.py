@@ -227,7 +227,7 @@ def _read_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
 
 
 def _read_capsule(sizes: Any) -> tuple[float, float, float, float] | None:
-    """Return the collision shape from its four numbers; None stays None."""
+    """Return the collision shape from its four numbers. For None, which stands for a body without one, return None."""
     if sizes is None:
         return None
     length, width, height, ahead = (float(each) for each in sizes)

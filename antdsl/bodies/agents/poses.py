@@ -67,9 +67,9 @@ class WorldPoses:
 def sample_poses(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floating]) -> LocalPose:
     """Return the poses of n agents. `clips`: int[n], the clip of each agent. `times`: [n], its time in the clip, in seconds.
 
-    A looping clip is periodic, also before time 0. Any other clip holds its first sample before its start and its last sample
-    after its end. Clip -1 is the rest pose. A time that is not finite is replaced by 0. Raises IndexError for a clip number out
-    of range.
+    A looping clip is periodic, also before time 0. For other clips, the pose is the first sample before the start of the clip,
+    and the last sample after its end. Clip -1 is the rest pose. A time that is not finite is replaced by 0. Raises IndexError
+    for a clip number out of range.
     """
     row, next_row, share = _find_sample_rows(table, clips, times)
     if not len(table.joint_order) + len(table.rig.channels):
@@ -226,8 +226,9 @@ class ClipTable:
         return float(self.sample_counts[number + 1] - 1) / float(self.rates[number + 1])
 
     def compute_group_weights(self, group: TransformGroup) -> tuple[Floats, Floats]:
-        """Return the weights of a transform group: float32[J] for joints, in the order of the table, and float32[C] for channels.
-        A channel in the group has the weight 1, any other 0. Raises KeyError for a name that the rig does not have."""
+        """Return the weights of a transform group: float32[J] for joints, in the order of the table, and float32[C] for
+        channels. A channel in the group has the weight 1, any other channel 0. Raises KeyError for a name that the rig does
+        not have."""
         joints, channels = np.zeros(len(self.joint_order), np.float32), np.zeros(len(self.rig.channels), np.float32)
         for name, weight in group.members:
             joints[self.rig.find_joint(name)] = weight
@@ -319,10 +320,11 @@ def _build_clip_rows(
 
 
 def _align_signs(rotation: NDArray[np.float64], rest: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Choose the signs of quaternions [4, F, J] so that they are continuous over the samples. Return them as [F, 4, J].
+    """Choose the signs of quaternions [4, F, J] so that they change continuously from sample to sample. Return them as [F, 4,
+    J].
 
-    Each sample gets the sign that is closer to the previous sample, and the first one the sign that is closer to `rest` [4, J].
-    Interpolation then takes the shorter path without a test, and signs seldom differ between clips."""
+    Each sample gets the sign that is closer to the previous sample. The first sample gets the sign that is closer to `rest` [4,
+    J]. So interpolation takes the shorter path without a test, and signs rarely differ between clips."""
     previous_rotation = np.concatenate([rest[:, None], rotation[:, :-1]], 1)
     near = previous_rotation * rotation
     dots = ((near[0] + near[1]) + near[2]) + near[3]

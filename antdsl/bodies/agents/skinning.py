@@ -154,8 +154,10 @@ def rotate_points(points: Floats, rotation: Floats) -> None:
 def _compute_joint_transforms(
     shape: SkinShape, definition: Definition, poses: WorldPoses
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Return the joints that each point follows [P, K], their weights [P, K], and the matrices of joints, float32[3, 4, joints,
-    n]. A matrix transforms from the capture pose to the current pose."""
+    """Return the joints that each point follows [P, K], their weights [P, K], and a matrix for each joint, float32[3, 4, joints,
+    n].
+
+    The matrix of a joint transforms from the capture pose to the current pose."""
     capture = shape.capture
     if capture is None:
         raise ValueError(f"shape `{shape.name}` has no capture weights, so its points cannot follow joints")

@@ -95,8 +95,10 @@ def align_signs(quaternion: Floats) -> Floats:
 
 
 def slerp_quaternions(a: Floats, b: Floats, share: Floats) -> Floats:
-    """Return the rotation at the fraction `share` float64[...] of the shortest path from `a` to `b`, quaternions float64[..., 4].
-    The angular speed is constant (Shoemake, Animating Rotation with Quaternion Curves, 1985)."""
+    """Return the rotation at the fraction `share` float64[...] of the shortest path from `a` to `b`. Both are quaternions
+    float64[..., 4].
+
+    The angular speed along the path is constant (Shoemake, Animating Rotation with Quaternion Curves, 1985)."""
     b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
     chord, along = np.sqrt(((a - b) ** 2).sum(axis=-1)), np.sqrt(((a + b) ** 2).sum(axis=-1))
     angle = 2 * atan2_float64(chord, along)

@@ -35,8 +35,8 @@ def scale_groups(
 ) -> WorldPoses:
     """Return the poses with each transform group scaled by the agent's random scale for this group.
 
-    The uppermost joints of a group are scaled about their own positions, together with their descendants, in proportion to their
-    weights in the group."""
+    Each uppermost joint of a group is scaled about its own position, together with all joints below it. The weight of this joint
+    in the group determines how much of the scale is applied."""
     if draws is None or not variation.scales or not len(draws.ids):
         return poses
     world = np.array(poses.world_transforms, np.float32)
@@ -59,7 +59,8 @@ def draw_group_scale(variation: Variation, group: str, draws: VariationDraws) ->
 
 
 def iterate_scale_pivots(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
-    """Yield the index and the weight of each uppermost joint of a transform group. The group is scaled about these joints."""
+    """Yield the index and the weight of each uppermost joint of a transform group. When the group is scaled, these joints stay
+    in place."""
     members = {rig.find_joint(member): weight for member, weight in group.members}
     for joint, weight in members.items():
         if not any(
@@ -69,19 +70,15 @@ def iterate_scale_pivots(rig: Rig, group: TransformGroup) -> Iterator[tuple[int,
 
 
 def draw_colour_path_positions(variation: Variation, material: str, draws: VariationDraws) -> Floats:
-    """Return the position of each agent's colour in the list of a material's colours, float32[n]: 0 is the first colour, 1 the
-    second, and 0.5 halfway between them."""
+    """Return the position of each agent's colour in a material's list of colours, float32[n]. 0 is the first colour, 1 the
+    second, and 0.5 the mean of both."""
     return draws.draw(f"material {material}") * np.float32(len(variation.materials[material]) - 1)
 
 
 def compute_vertex_colours(
     variation: Variation, draws: VariationDraws | None, material: NDArray[np.str_], base_colours: Floats
 ) -> Floats:
-    """Return linear colours of v vertices: float32[n, v, 3] if they may differ between agents, else [1, v, 3].
-
-    `material`: [v], the material of each vertex.
-    `base_colours`: [v, 3], the colours of the definition.
-    """
+    """Return the linear colours of v vertices: float32[n, v, 3], or [1, v, 3] if they cannot differ between agents."""
     varied = [name for name in variation.materials if (material == name).any()]
     if draws is None or not varied:
         return base_colours[None]

@@ -28,8 +28,8 @@ class LocatedDefinition:
     """A definition that was read from a file, and the locations in this file for findings about it.
 
     `span`: the location at which a scene names the file, if any.
-    `nodes`: the node of each part in the document, by the key of its list and its name; a list itself has the name "". Parts from
-        glTF, USD or a cache have no nodes.
+    `nodes`: the nodes of the document's parts. The key of a part is the key of the list that contains it, and its name; for the
+    list itself, the name is "". Parts from glTF, USD or a cache have no nodes.
     `needs_length`: whether the length must still be measured."""
 
     definition: Definition
@@ -99,7 +99,8 @@ def _check_sizes(definition: Definition, place: Span | None, report: Report) -> 
 
 
 def _check_binding(parts: LocatedDefinition, layer: str, binding: Binding, report: Report, shapes_are_valid: bool) -> None:
-    """Report joints, shapes and deformers of a binding that do not exist, and inputs that its deformers lack."""
+    """Report joints, shapes and deformers that a binding names but that do not exist. Also report inputs that the deformers need
+    but that the shape lacks."""
     definition = parts.definition
     if binding.transform and binding.transform not in definition.rig.names:
         place = parts.find_text_span("layers", layer, binding.transform)
@@ -216,8 +217,8 @@ def _check_leg(parts: LocatedDefinition, leg: Leg, report: Report) -> None:
 
 
 def _measure_length(definition: Definition, parts: LocatedDefinition, report: Report) -> Definition | None:
-    """Return the definition with its measured length. If the body has no extent along `front`, report this and use the length
-    1."""
+    """Return the definition with its length, which is measured. If the body has no extent along `front`, report this and use the
+    length 1."""
     if not parts.needs_length:
         return definition
     with np.errstate(all="ignore"):

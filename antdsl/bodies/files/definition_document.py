@@ -34,8 +34,8 @@ _PART_DESCRIPTIONS = {"rig": "a rig", "metadata": "metadata", "layers": "a layer
 
 
 def read_document(root: JsonNode, files: BodyFiles, name: str) -> LocatedDefinition | None:
-    """Return the definition in a document, or None if it cannot be read. `definition_checks` must check the result. `name`: the
-    name of a definition that states none."""
+    """Return the definition in a document, or None if it cannot be read. The caller must check the result with
+    `definition_checks`. `name`: the name to use if the document states none."""
     report = files.report
     if _report_part_file(root, report):
         return None
@@ -188,8 +188,8 @@ def _read_axes(form: BodyForm, root: JsonNode, base: Definition, report: Report)
 def _read_clips(form: BodyForm, root: JsonNode, files: BodyFiles, rig: Rig, clips: dict[str, Clip]) -> dict[str, Clip]:
     """Return the clips that the document lists, by name.
 
-    An entry is an inline clip, a clip file, a glTF or USD file, or a clip of the file under `from` with other settings. `clips`:
-    the clips of that file."""
+    An entry is an inline clip, a clip file, a glTF or USD file, or changed settings for a clip of the file under `from`.
+    `clips`: the clips of the file under `from`."""
     first: dict[str, Span] = {}
     for number, entry in enumerate(form.clips):
         node = find_node(root, ("clips", number))
@@ -261,7 +261,7 @@ def _read_clip_file(entry: ClipReference, path: str, place: Span, files: BodyFil
 
 
 def _fit_to_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
-    """Return a clip of another file without the joints and channels that `rig` lacks. Report these."""
+    """Return a clip of another file without the joints and channels that `rig` lacks. Report what is left out."""
     names, channels = set(rig.names), {each.name for each in rig.channels}
     joints = [number for number, joint in enumerate(clip.joints) if joint in names]
     numbers = [number for number, channel in enumerate(clip.channels) if channel in channels]

@@ -57,7 +57,7 @@ def read_form(form: type[FormType], root: JsonNode, report: Report) -> FormType 
 
 
 def _is_ignorable(form: type[Form], error: Any) -> bool:
-    """Return whether an error is only about an unknown key in a form that may have further keys (`DocumentedForm`)."""
+    """Return whether an error is only about an unknown key in a form that may have unknown keys (`DocumentedForm`)."""
     return error["type"] == "extra_forbidden" and issubclass(_find_innermost_form(form, error["loc"])[0], DocumentedForm)
 
 

@@ -49,8 +49,8 @@ class Form(BaseModel):
 
 
 class DocumentedForm(Form):
-    """An object in a JSON form of Houdini's documentation. Later versions of Houdini may add keys, so an unknown key is only a
-    warning."""
+    """An object in a JSON form that Houdini's documentation defines. Unknown keys only cause warnings, because later versions
+    may add keys."""
 
 
 # ---- rig, layers, transform groups
@@ -151,8 +151,8 @@ class ClipForm(ClipSettings):
 
 
 class ClipReference(ClipSettings):
-    """A reference to the clips of another file, or to a clip of the file under `from`. Its settings override those of the
-    file."""
+    """A reference to the clips of another file, or to a clip of the file under `from`. The settings of the reference override
+    those in the file."""
 
     file: Text | None = None
     clip: Text | None = None
@@ -169,7 +169,7 @@ class AnimationSettings(ClipSettings):
 
 
 def _choose_clip_form(value: Any) -> str:
-    """Return the tag of the model that an entry of `clips` has: a clip with samples, or a reference to a file."""
+    """Return the tag by which pydantic selects the model for an entry of `clips`: a clip with samples, or a file reference."""
     return "clip-here" if isinstance(value, dict) and "antdsl_clip" in value else "clip-elsewhere"
 
 
@@ -229,7 +229,8 @@ class CapsuleForm(Form):
 
 
 class BodySettings(Form):
-    """Settings of a body that glTF cannot express, stored in the extras of the file, in metres. Unknown keys are ignored."""
+    """Settings of a body that glTF cannot express. The extras of the glTF file store them; lengths are in metres. Unknown keys
+    are ignored."""
 
     model_config = ConfigDict(extra="ignore")
     length: Length | None = None

@@ -76,8 +76,8 @@ def limit_entries(limit_name: str, entry_noun: str, owner: str = "a body") -> Be
 
 
 def _reject_number_array(entries: Any) -> Any:
-    """Return the entries. Raises an error for an array of numbers. Otherwise each of possibly millions of numbers would give an
-    error."""
+    """Return the entries unchanged. Raises a single error for an array of numbers, which could otherwise cause millions of
+    errors, one for each number."""
     if isinstance(entries, list) and entries and all(type(entry) in (int, float) for entry in entries):
         raise make_value_error("this list must have names or entries `{ … }`, not numbers")
     return entries

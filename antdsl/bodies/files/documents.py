@@ -52,8 +52,8 @@ def build_rig(form: RigForm, root: JsonNode, report: Report) -> Rig | None:
 def _order_joints(form: RigForm, root: JsonNode, report: Report) -> tuple[tuple[str, ...], list[int]] | None:
     """Return the names of the joints, and the number of each joint's parent (-1 for a root). Return None after errors.
 
-    Joints are in the order of the text if all parents precede their children there. Otherwise they are ordered from the roots
-    down."""
+    If all parents precede their children in the text, the joints are in the order of the text. Otherwise, they are ordered from
+    the roots down."""
     joints = form.transforms
     parent: dict[str, tuple[str, Span]] = {}
     children: dict[str, list[str]] = {name: [] for name in joints}
@@ -97,7 +97,7 @@ def _report_missing_child(report: Report, place: Span, name: str, child: str, fr
 
 
 def _report_cycles(report: Report, parent: Mapping[str, tuple[str, Span]]) -> bool:
-    """Report each cycle of joints once, at the entry that closes it. Return whether there is a cycle."""
+    """Report each cycle of joints once, at the entry that closes the cycle. Return whether there is any cycle."""
     visited: set[str] = set()
     has_circle = False
     for start in parent:

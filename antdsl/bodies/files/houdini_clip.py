@@ -77,8 +77,8 @@ class _ClipReader:
         return self._words[self._place][0] if self._place < len(self._words) else ""
 
     def _take_word(self, expected: str = "") -> str:
-        """Return the next word and skip it. Reports an error if it is not `expected`; with an empty text, any word is
-        expected."""
+        """Return the next word and advance past it. `expected`: the word that must follow; "" allows any word. Reports an error
+        for another word."""
         word = self._peek()
         if not word or (expected and word != expected):
             self._fail(
@@ -140,8 +140,8 @@ class _ClipReader:
         return JsonNode(self._source, values, 0, len(self._source.text))
 
     def _find_rotation_order(self, entries: dict[str, tuple[list[str], int]], tracks: dict[str, tuple[list[float], int]]) -> str:
-        """Return the rotation order that all joints share, from the tracks `JOINT:rOrd`, or without these from the entry
-        `quaternions`."""
+        """Return the rotation order that all joints share. It is taken from the tracks `JOINT:rOrd` or, without such tracks,
+        from the entry `quaternions`."""
         numbers = {number for name, (samples, _) in tracks.items() if name.endswith(":rOrd") for number in samples}
         if not numbers:
             return (entries.get("quaternions", ([], 0))[0] or ["xyz"])[0]
@@ -167,7 +167,7 @@ class _ClipReader:
         return key
 
     def _read_entry(self, entries: dict[str, tuple[list[str], int]], key: str) -> float:
-        """Return the number that the clip has under `key`."""
+        """Return the number that the clip stores under `key`."""
         words, place = entries.get(key, ([], self._place))
         if len(words) != 1:
             self._fail(f"the clip needs one number for `{key}`", place)

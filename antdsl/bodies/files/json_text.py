@@ -32,7 +32,7 @@ class JsonNode:
 
     `value`: a mapping for an object; a list of plain numbers for an array of numbers only; a list of nodes for any other array.
     `keys`: the locations of an object's keys.
-    `has_plain_numbers`: whether the value is an array of numbers only."""
+    `has_plain_numbers`: whether `value` is a list of plain numbers."""
 
     source: Source
     value: JsonValue
@@ -48,8 +48,8 @@ class JsonNode:
 
     @property
     def marked_span(self) -> Span:
-        """Return the span that findings about the value mark: the first character of an object or list, the complete text of any
-        other value."""
+        """Return the span that findings about the value mark. For an object or an array, it is the first character, otherwise
+        the complete text of the value."""
         return Span(self.source, self.start, self.start + 1) if isinstance(self.value, dict | list) else self.span
 
     @property
@@ -90,8 +90,8 @@ def find_span(root: JsonNode, path: Sequence[PathKey], *, key: bool = False) -> 
 
 
 def find_text(root: JsonNode, text: str) -> Span:
-    """Return the span of the first value in a tree that equals `text`. Without such a value, return the span for findings about
-    the tree."""
+    """Return the span of the first value in a tree that equals `text`. If there is no such value, return the span that marks the
+    complete tree."""
     waiting = [root]
     while waiting:
         node = waiting.pop(0)
@@ -224,8 +224,8 @@ class _JsonReader:
         return value if match[1] or match[2] else int(match[0])
 
     def read_number_array(self, offset: int) -> JsonNode | None:
-        """Parse an array of numbers only, such as the values of a clip. Return None for any other array, and if it has an
-        error."""
+        """Parse an array that contains only numbers, such as the values of a clip. Return None if the array contains anything
+        else, or an error."""
         match = _NUMBER_ARRAY_PATTERN.match(self.text, offset)
         if not match:
             return None
@@ -286,7 +286,8 @@ class _JsonReader:
         raise self.report_error(offset, offset + len(word), f"a key needs double quotes, but `{word}` has none", help)
 
     def require_text(self, offset: int, opening_offset: int, closing_bracket: str) -> int:
-        """Return `offset` if the text continues there. Raises an error if it ends, although a bracket is open."""
+        """Return `offset` if it is before the end of the text. Raises an error if the text ends there, because a bracket is
+        still open."""
         if offset >= len(self.text):
             opening = Label(Span(self.source, opening_offset, opening_offset + 1), "this bracket is still open")
             raise self.report_error(
@@ -295,8 +296,8 @@ class _JsonReader:
         return offset
 
     def skip_separator(self, end: int, opening_offset: int, closing_bracket: str) -> int:
-        """Return the position of the next value after the comma, or of the closing bracket. `end`: the end of the previous
-        value."""
+        """Return the position of the next value after the comma, or that of the closing bracket if there is no further value.
+        `end`: the end of the previous value."""
         at = self.require_text(self.skip_whitespace(end), opening_offset, closing_bracket)
         if self.text[at] == ",":
             return self.require_text(self.skip_whitespace(at + 1), opening_offset, closing_bracket)

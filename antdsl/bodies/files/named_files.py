@@ -115,7 +115,7 @@ class BodyFiles:
 
         `prim`: the USD prim to read, including everything below it.
         `rate`: samples per second of animations; 0 means the file's own rate.
-        `pose`: a rig with the rest pose that joints have where glTF animations have no keys.
+        `pose`: a rig. If a glTF animation has no keys for a joint, the joint has its rest pose in this rig.
         """
         full = self.to_root_path(path)
         pose = pose if get_file_ending(path) in GLTF_ENDINGS else None
@@ -170,8 +170,8 @@ class BodyFiles:
     def resolve_library(self, condensed_path: str, absolute: str) -> str:
         """Return the path of a shape library, for which a document gives two paths. Raises PathRefused if neither can be used.
 
-        The condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative) is tried first, below the definition's folder or a granted
-        root. The absolute path is used only if a granted root contains it."""
+        The condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative) is tried first. It must be below the definition's folder or
+        a granted root. The absolute path is used only if a granted root contains it."""
         match = _VARIABLE_PATTERN.fullmatch(condensed_path)
         path = condensed_path
         if match:

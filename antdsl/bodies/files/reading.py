@@ -23,10 +23,10 @@ FileStamp = tuple[int, ...]
 def read_definition(
     path: Path | str, roots: Roots | None = None, place: Span | None = None, *, prim: str = "", rate: float = 0.0
 ) -> tuple[Definition | None, Report]:
-    """Read a .json, .glb, .gltf or USD file. Return its definition, or None after an error, and the report.
+    """Return the definition in a .json, .glb, .gltf or USD file, and the report. The definition is None after an error.
 
-    `path`: a `Path` is a file that the user named; files that it refers to must be in its folder, unless `roots` is given. A text
-        is a path below `roots`, which a scene names at `place`.
+    `path`: a `Path` is a file that the user named. The files to which it refers must be in its folder, unless `roots` is given.
+    A text is a path below `roots` that a scene names at `place`.
     `prim`: the prim of a USD file to read.
     `rate`: approximate samples per second of animations; 0 is the file's own frame rate, or 30."""
     report = Report()

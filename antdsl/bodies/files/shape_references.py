@@ -60,7 +60,8 @@ def read_shapes(
 def _resolve_shape_reference(
     reference: ShapeReference, node: JsonNode, files: BodyFiles, shapes: Mapping[str, SkinShape], materials: Colours
 ) -> list[SkinShape]:
-    """Return the shapes that a reference selects: of its file, or without a file from `shapes`. Report missing ones."""
+    """Return the shapes that a reference selects, from its file or, if it names no file, from `shapes`. Report shapes that do
+    not exist."""
     if reference.file is None:
         if reference.shape is None:
             words = f"{f'the shape `{reference.name[:60]}`' if reference.name else 'a shape'} has neither `file` nor `shape`"
@@ -92,8 +93,9 @@ def load_shapes(
 ) -> Mapping[str, SkinShape]:
     """Return the shapes of a file by name.
 
-    For glTF, these are all shapes; for USD, those at and below `prim`. A .geo or .bgeo file gives one shape for each value of the
-    primitive attribute `name`. Without this attribute, and for other mesh files, there is one shape, called `name`."""
+    For glTF, the result has all shapes; for USD, the shapes at and below `prim`. A .geo or .bgeo file gives one shape for each
+    value of the primitive attribute `name`. Without this attribute, and for other mesh files, there is one shape, called `name`.
+    """
     kind = get_file_ending(path)
     if files.is_closed_format(path, place):
         return {}
@@ -130,7 +132,7 @@ def load_shapes(
 
 
 def _make_shape(name: str, mesh: RawMesh) -> SkinShape:
-    """Return a mesh as a shape. Its point attribute `id` is the index of each point in the file."""
+    """Return the mesh of a file as a shape. The shape's point attribute `id` contains the index of each point in the file."""
     ids = {"id": mesh.file_vertex_indices.astype(np.int64)}
     return SkinShape(name, mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), attributes=dict(ids))
 
@@ -138,7 +140,7 @@ def _make_shape(name: str, mesh: RawMesh) -> SkinShape:
 def read_includes(form: BodyForm, root: JsonNode, files: BodyFiles, shapes: dict[str, SkinShape], materials: Colours) -> None:
     """Add the shapes of included libraries to `shapes`, and the colours of their materials to `materials`.
 
-    The document states two paths for each library: a condensed path with variables such as `$HIP`, and an absolute path."""
+    The document names each library by two paths: a condensed path with variables such as `$HIP`, and an absolute path."""
     for number, (condensed, absolute) in enumerate(form.shapelib_includes):
         place = find_node(root, ("shapelib_includes", number)).span
         if files.is_closed_format(condensed or absolute, place):
@@ -168,8 +170,8 @@ def scale_shape(shape: SkinShape, factor: float) -> SkinShape:
 def _add_blend_attributes(reference: ShapeReference, node: JsonNode, files: BodyFiles, shape: SkinShape) -> SkinShape:
     """Return a shape with the blend-shape attributes of its reference. Report mistakes.
 
-    For a base shape, a reference has the names and channels of the inputs. For an input, it has the names and weights of the
-    in-betweens."""
+    If the shape is a base shape, the reference has the names and channels of its inputs. If the shape is an input, the reference
+    has the names and weights of its in-betweens."""
     keys = {key for key in reference.model_fields_set if key.startswith("blendshape_")}
     if "deformDualQuaternionBlendAttrib" in reference.model_fields_set:
         shape = replace(shape, dual_quaternion_blend=reference.deformDualQuaternionBlendAttrib)

@@ -167,8 +167,8 @@ def _read_rest_matrix(stage: OpenStage, prim: Any) -> Floats:
 
 
 def _read_skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
-    """Return the joints that a mesh follows, and for each the matrix from the mesh's space to the joint's space in the bind
-    pose."""
+    """Return the joints that a mesh follows. For each joint, also return the matrix from the mesh's space to the joint's space
+    in the bind pose."""
     own = import_pxr_module("UsdSkel").BindingAPI(mesh).GetJointsAttr().Get()
     paths = [str(path) for path in own] if own is not None and len(own) else skeleton.paths
     number = {path: count for count, path in enumerate(skeleton.paths)}
@@ -225,7 +225,8 @@ def _read_clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[
 def _read_clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float, left: int) -> Clip | None:
     """Return an animation as a clip, or None if it moves nothing.
 
-    `rate`: samples per second; 0 means the stage's own rate. Raises BodyError if the samples need more than `left` bytes."""
+    `rate`: samples per second; 0 means the stage's own rate. `left`: the largest number of bytes for the samples. Raises
+    BodyError if they need more."""
     number = {path: count for count, path in enumerate(skeleton.paths)}
     paths = [str(path) for path in query.GetJointOrder()]
     columns = [count for count, path in enumerate(paths) if path in number]

@@ -64,7 +64,7 @@ class UsdBody:
 
 
 def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> SkinShape | None:
-    """Return the shape of a mesh prim, or None if the mesh has no faces. Add it and its blend shapes to the library."""
+    """Return the shape of a mesh prim, or None if the mesh has no faces. Add the shape and its blend shapes to the library."""
     mesh, time = import_pxr_module("UsdGeom").Mesh(prim), body.stage.first_time
     points = _to_rows(mesh.GetPointsAttr().Get(time), 3)
     _count_points(body, len(points))
@@ -244,8 +244,8 @@ def _add_blend_target(
     offsets: Any,
     normal_offsets: Any,
 ) -> str:
-    """Add a copy of a shape to the library with some points moved by `offsets`, and return its name. `rows`: the indices of these
-    points in the file."""
+    """Add a copy of a shape to the library and return its name. Some points of the copy are moved by `offsets`. `rows`: the
+    indices of these points in the file."""
     _count_points(body, len(source))
     moves = _to_rows(offsets, 3)
     right = len(moves) == len(rows) and (not len(rows) or (rows.min() >= 0 and rows.max() < len(points)))

@@ -150,15 +150,15 @@ def _build_shape_reference(body: Definition, shape: SkinShape, path: str) -> dic
 
 
 def _has_lone_material(body: Definition, shape: SkinShape) -> bool:
-    """Return whether a shape has exactly one material, and this material has no colour.
+    """Return whether a shape has exactly one material and this material has no colour.
 
-    A glTF file would give this material a colour, so the reference to the shape names the material instead."""
+    In a glTF file, such a material would get a colour. Therefore the reference to the shape names the material instead."""
     return len(shape.materials) == 1 and shape.materials[0] not in body.materials
 
 
 def _add_explicit_shear(body: Definition, clip: Clip) -> Clip:
-    """Return the clip with explicit shear if it has none but the rest pose does. Otherwise a reader would use that of the rest
-    pose."""
+    """Return the clip. If the rest pose has shear and the clip has none, add explicit shear to the clip. Otherwise a reader
+    would use the shear of the rest pose."""
     if clip.shear is not None or np.abs(decompose_matrix(body.rig.rest_matrices)[3]).max(initial=0.0) < 1e-9:
         return clip
     return replace(clip, shear=np.zeros_like(clip.translation))
@@ -173,7 +173,7 @@ def _to_file_name(name: str) -> str:
 
 
 def write_gltf(body: Definition, layer: Layer, *, text: bool) -> tuple[bytes, list[str]]:
-    """Return the bytes of a glTF file with the shapes of one layer, and sentences about the parts that glTF cannot store.
+    """Return a glTF file with the shapes of one layer, as bytes. Also return sentences about the parts that glTF cannot store.
 
     `text`: whether to write the text form .gltf instead of .glb."""
     placed = convert_definition_axes(body, WRITTEN_FRONT_AXIS, WRITTEN_UP_AXIS, MM_PER_METRE)

@@ -52,11 +52,7 @@ class ClipGait:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FootPaths:
-    """The motion of the lowest point of each of L feet, over the F samples of a clip's cycle.
-
-    `height`: float64[F, L], above the foot's lowest position.
-    `velocity`: float64[F, L, 3], horizontal, in units per second.
-    `lift`: [L], the greatest height of each foot."""
+    """The motion of each foot's lowest point over the cycle of a clip, for L feet and F samples."""
 
     height: Floats
     velocity: Floats
@@ -87,8 +83,8 @@ def measure_foot_paths(motion: ClipMotion, legs: Sequence[LegCandidate], up: Flo
 
 
 def measure_planted_share(motion: ClipMotion, legs: Sequence[LegCandidate], up: Floats, length: float) -> float:
-    """Return the fraction of a clip, from 0 to 1, in which feet are on the ground and do not move. `length`: the length of a
-    leg."""
+    """Return the fraction of a clip's time, from 0 to 1, in which feet are on the ground and do not move. `length`: the length
+    of a leg."""
     paths = measure_foot_paths(motion, legs, up)
     still = (paths.height < 0.05 * length) & (np.linalg.norm(paths.velocity, axis=2) < _MAX_PLANTED_SPEED * length)
     return float(still.mean())
@@ -126,8 +122,8 @@ def find_gait_of_clip(motion: ClipMotion, legs: Sequence[LegCandidate], up: Floa
 
 
 def _count_cycles(is_stance: NDArray[np.bool_]) -> int:
-    """Return the number of gait cycles in a clip: the smallest number for which each foot is on the ground at one phase of the
-    cycle only.
+    """Return the number of gait cycles in a clip. It is the smallest number for which every foot is on the ground in a single
+    period of the cycle.
 
     `is_stance`: bool[F, L], whether each foot is on the ground."""
     samples = np.arange(len(is_stance)) / len(is_stance)
@@ -139,7 +135,8 @@ def _count_cycles(is_stance: NDArray[np.bool_]) -> int:
 
 
 def _remove_short_runs(is_stance: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether one foot is on the ground in each sample, bool[F], without swings and stances of only a few samples."""
+    """Return, for one foot, whether it is on the ground in each sample, bool[F]. Swings and stances of only a few samples have
+    been removed."""
     shortest = max(1, round(_MIN_RUN_SHARE * len(is_stance)))
     for value in (False, True):
         starts = np.flatnonzero((is_stance == value) & (np.roll(is_stance, 1) != value))

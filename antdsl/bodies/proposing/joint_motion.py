@@ -79,7 +79,7 @@ class BodyPoints:
 
 
 def find_posed_points(body: Definition, worlds: NDArray[np.float32]) -> BodyPoints:
-    """Return the points of the drawn layer of a body in a pose. `worlds`: the world matrices of its joints, [J, 3, 4]."""
+    """Return the points of a body's drawn layer in one pose. `worlds`: the joints' world matrices in this pose, [J, 3, 4]."""
     poses = WorldPoses(worlds[None], None, np.asarray(body.rig.channel_defaults, np.float32)[None])
     positions, joints = [np.zeros((0, 3))], [np.zeros(0, np.intp)]
     layer = find_base_layer(body)

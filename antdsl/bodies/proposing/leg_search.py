@@ -28,7 +28,7 @@ class LegCandidate:
 
     `chain`: all joints from the trunk to the foot.
     `ankle`: the joint about which the sole turns, or -1 if the foot has no sole.
-    `ball`: the joint of the toes if they touch the ground separately, else `foot`.
+    `ball`: the joint of the toes if the toes touch the ground separately from the foot, else `foot`.
     `soles`: for each part of the sole, the joint that it follows and its position in the space of that joint, float64[3]."""
 
     upper: int
@@ -56,7 +56,8 @@ class LegSearchResult:
 
 
 def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Floats) -> LegSearchResult:
-    """Return the legs of a body in its standing pose. `worlds`: world matrices of its joints [J, 3, 4]; `up`: a unit vector."""
+    """Return the legs of a body in its standing pose. `worlds`: the world matrices of its joints in this pose, [J, 3, 4]. `up`:
+    a unit vector."""
     heights = points.positions @ up
     if not len(heights):
         return LegSearchResult((), (), ("the file has no points",), 0.0, 0.0)
@@ -95,9 +96,10 @@ def find_legs(rig: Rig, points: BodyPoints, worlds: NDArray[np.float32], up: Flo
 
 
 def _group_by_branch(rig: Rig, contact_joints: list[int]) -> dict[int, list[int]]:
-    """Group the joints that touch the ground by the first joint of their chain. Each group is sorted from the trunk outward.
+    """Group the joints that touch the ground by chain. The key of a group is the first joint of its chain. Each group is sorted
+    from the trunk outward.
 
-    A chain begins just below the nearest ancestor with several branches that reach the ground."""
+    A chain begins just below the nearest ancestor from which several branches reach the ground."""
     below = {joint: {each for each in contact_joints if joint in _list_ancestors(rig, each)} for joint in range(len(rig.names))}
     groups: dict[int, list[int]] = {}
     for contact in contact_joints:
@@ -141,10 +143,10 @@ def _find_joint_path(rig: Rig, start: int, end: int) -> list[int]:
 
 
 def _find_hip_and_knee(path: list[int], positions: Floats) -> tuple[int, int]:
-    """Return the hip joint and the knee joint of a chain with three joints or more.
+    """Return the hip joint and the knee joint of a chain of at least three joints.
 
-    The knee is the joint with the greatest sum of its distance from the line hip to foot and the length of the shorter bone. So
-    it divides the leg into two bones of useful length."""
+    The knee is the joint for which the sum of two lengths is greatest: its distance from the line between hip and foot, and the
+    length of the shorter bone. So both bones have a useful length."""
     bones = [float(np.linalg.norm(positions[b] - positions[a])) for a, b in pairwise(path)]
     first, total = 0, max(sum(bones), 1e-12)
     while len(path) - first > 3 and bones[first] < _MIN_BONE_SHARE * total:
@@ -163,8 +165,10 @@ def _find_hip_and_knee(path: list[int], positions: Floats) -> tuple[int, int]:
 
 
 def _measure_sole(rig: Rig, foot: int, points: BodyPoints, low: NDArray[np.bool_], up: Floats) -> float:
-    """Return the largest horizontal extent of a foot's points on the ground, measured along the axes of the definition's space.
-    `low`: which points are on the ground."""
+    """Return the largest horizontal extent of those points of a foot that are on the ground. `low`: which points are on the
+    ground.
+
+    The extent is measured along the coordinate axes of the definition's space."""
     below = [joint for joint in range(len(rig.names)) if is_below(rig, joint, foot)]
     place = points.positions[low & np.isin(points.joint_indices, below)]
     return float(np.ptp(place - np.outer(place @ up, up), axis=0).max(initial=0.0)) if len(place) else 0.0

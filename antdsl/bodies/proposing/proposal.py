@@ -134,7 +134,7 @@ def _find_front(study: BodyMeasurements) -> tuple[Floats, str]:
 
 
 def _measure_toe_direction(study: BodyMeasurements) -> Floats | None:
-    """Return the mean direction from foot joints to the points of their soles, or None if the feet have no clear direction."""
+    """Return the mean direction from the foot joints to the points of their soles, or None if there is no clear direction."""
     total = np.zeros(3)
     for leg in study.leg_search.legs:
         below = [k for k in range(len(study.body.rig.names)) if is_below(study.body.rig, k, leg.foot)]
@@ -208,8 +208,8 @@ def _add_length(proposal: BodyFileProposal, study: BodyMeasurements, front: Floa
 def _choose_clip_names(study: BodyMeasurements) -> dict[str, str]:
     """Return a short name for each clip, by the clip's name in the file.
 
-    It is a common word that the clip's name contains, else a word for its activity, else its name in the spelling of the
-    language."""
+    The short name is a common word that the clip's name contains, such as `walk`. Without one, it is a word for the motion in
+    the clip, or else the clip's name in the spelling of the language."""
     names: dict[str, str] = {}
     taken: set[str] = set()
     by_speed = sorted(study.gaits, key=lambda name: study.gaits[name].speed)
@@ -307,7 +307,8 @@ def _add_legs(
 
 
 def _make_leg(name: str, leg: LegCandidate, joints: Sequence[str]) -> dict[str, str]:
-    """Return the entry of `legs` for a leg. If the leg has an ankle, its foot joint is that of the toes, if there is one."""
+    """Return the entry of `legs` for a leg. In the entry of a leg with an ankle, the foot joint is the joint of the toes if
+    there is one."""
     entry = {"name": name, "upper": joints[leg.upper], "lower": joints[leg.lower]}
     return entry | ({"ankle": joints[leg.ankle], "foot": joints[leg.ball]} if leg.ankle >= 0 else {"foot": joints[leg.foot]})
 
@@ -315,8 +316,8 @@ def _make_leg(name: str, leg: LegCandidate, joints: Sequence[str]) -> dict[str, 
 def _order_legs(
     legs: Sequence[LegCandidate], study: BodyMeasurements, front: Floats, side: Floats
 ) -> tuple[list[int], list[str]]:
-    """Return the legs as indices in a usual order, and their names in this order. Pairs are from front to back, left before
-    right."""
+    """Return the legs as indices in the usual order, and the name of each leg. The order is from front to back, in each pair
+    left before right."""
     feet = np.array([study.worlds[leg.upper, :, 3].astype(np.float64) for leg in legs])
     ahead, right = feet @ front, feet @ side
     middle = float(right.mean())
@@ -360,7 +361,8 @@ def _make_gait(name: str, speed: float, stride: float, duty: float, lift: float,
 
 
 def _add_capsule(proposal: BodyFileProposal, study: BodyMeasurements, front: Floats) -> None:
-    """Add `capsule` to the proposal: the box of the trunk in the standing pose, without legs and outstretched arms."""
+    """Add `capsule` to the proposal. It is the box of the trunk in the standing pose. Legs and outstretched arms are not part of
+    the trunk."""
     rig, search = study.body.rig, study.leg_search
     limbs = {k for leg in search.legs for k in range(len(rig.names)) if is_below(rig, k, leg.chain[0])}
     own = ~np.isin(study.points.joint_indices, sorted(limbs))

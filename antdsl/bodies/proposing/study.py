@@ -30,10 +30,10 @@ class BodyMeasurements:
 
     `up`: the upward axis.
     `idle_clip`: the clip of the standing pose, or "".
-    `worlds`, `points`: joint matrices and points in the standing pose.
+    `worlds`, `points`: the world matrices of the joints, and the drawn points, in the standing pose.
     `motions`: the motions of all clips; `gaits`: the gaits of walking clips.
     `planted_shares`: for each clip, the fraction of its time in which feet are on the ground and do not move.
-    `length`: the length of a leg."""
+    `length`: the mean length of the legs."""
 
     body: Definition
     up: Floats
@@ -70,7 +70,7 @@ def _find_standing_pose(
 ) -> tuple[Floats, NDArray[np.float32], BodyPoints, LegSearchResult]:
     """Return the up axis, the world matrices of joints, the points and the legs in the standing pose.
 
-    Another axis than `up` is returned only if `up` gives fewer than two legs and the other axis gives two or more."""
+    The up axis is `up`, unless fewer than two legs are found with `up` and two or more with another axis."""
     worlds = sample_world_transforms(body, idle, np.zeros(1))[0]
     points = find_posed_points(body, worlds)
     others = [sign * axis for axis in np.eye(3)[[1, 2, 0]] for sign in (1.0, -1.0)]

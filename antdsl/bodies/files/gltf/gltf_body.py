@@ -35,8 +35,8 @@ def read_gltf(
 
     `read_sibling(path, cap)`: a function that returns at most `cap` bytes of a file. `path` is relative to this file.
     `rate`: approximate samples per second of animations; it is adjusted so that each animation ends on a sample.
-    `pose`: a rig with the rest pose that joints have where an animation has no keys for them. Joints that it lacks have the rest
-    pose of the file."""
+    `pose`: a rig. If an animation has no keys for a joint, the joint has its rest pose in this rig, or in the file if the rig
+    lacks the joint."""
     with np.errstate(all="ignore"):  # values that are not finite are reported where they are used
         try:
             return _read_definition(data, name, read_sibling, rate, pose)
@@ -124,7 +124,7 @@ def _build_rig(body: GltfBody, joint_nodes: list[int], parents: list[int]) -> Ri
 
 
 def _replace_rest_pose(rig: Rig, pose: Rig | None) -> Rig:
-    """Return the rig with the rest pose of `pose` for each joint that also exists there."""
+    """Return the rig with the rest pose of `pose` for every joint that both have."""
     if pose is None:
         return rig
     rest, known = rig.rest_matrices.copy(), {name: number for number, name in enumerate(pose.names)}

@@ -29,7 +29,7 @@ _WIDTH_BY_PATH = {"translation": 3, "rotation": 4, "scale": 3}
 def read_clips(
     file: GltfDocument, joint_names: Mapping[int, str], weights: Mapping[int, tuple[str, ...]], rig: Rig, rate: float
 ) -> list[Clip]:
-    """Return the clips of a file. Parts of a joint without keys have the rest pose of `rig`.
+    """Return the clips of a file. If a part of a joint's transform has no keys, it is that of the rest pose of `rig`.
 
     `joint_names`: joint names by node number.
     `weights`: by node number, the channels that weight the morph targets of the node's mesh.
@@ -61,7 +61,7 @@ def _read_clip(
     file: GltfDocument, animation: dict[str, Any], name: str, joint_names: Mapping[int, str],
     weights: Mapping[int, tuple[str, ...]], rig: Rig, rate: float, remaining_bytes: int,
 ) -> tuple[Clip | None, int]:  # fmt: skip
-    """Return an animation as a clip, or None if it moves nothing, and the number of bytes of its samples.
+    """Return an animation as a clip, and the number of bytes of its samples. The clip is None if the animation moves nothing.
 
     Raises BodyError if the samples need more than `remaining_bytes` bytes."""
     moved: dict[str, dict[str, _SamplerKeys]] = {}
@@ -194,7 +194,8 @@ class _SamplerKeys:
         return own[previous_key] + share[:, None] * (own[previous_key + 1] - own[previous_key])
 
     def _sample_spline(self, previous_key: NDArray[np.int64], share: Floats, step: Floats) -> Floats:
-        """Return values float64[F, width] of the Hermite spline."""
+        """Return the values float64[F, width] of a Hermite spline. `previous_key`: the key before each time. `share`: the
+        position between this key and the next one, 0 to 1. `step`: the time between the two keys."""
         t, d = share[:, None], step[:, None]
         t2, t3 = t * t, t * t * t
         start, leaving = self.values[previous_key, 1], self.values[previous_key, 2]

@@ -197,8 +197,8 @@ def _read_vertex_colours(file: GltfDocument, attributes: dict[str, Any], count: 
 def _compute_point_colours(body: GltfBody, pieces: _MeshPrimitives, counts: list[int]) -> NDArray[np.float32] | None:
     """Return the linear colours of all points of a mesh, float32[P, 3], without the base colours of materials.
 
-    Return None if no primitive has vertex colours or a texture. A point that several materials share has the texture of the first
-    one."""
+    Return None if no primitive has vertex colours or a texture. If a point belongs to several materials, the texture of the
+    first material is used."""
     file, known, is_coloured = body.file, body.file.get_top_list("materials"), False
     colours = []
     for number, count in enumerate(counts):
@@ -247,8 +247,8 @@ def _read_target(file: GltfDocument, target: dict[str, Any], key: str, count: in
 
 
 def _read_joint_weights(pieces: _MeshPrimitives, read_point_values: Callable[[str, int], Floats | None], count: int) -> None:
-    """Append the joints that each point follows, and their weights, to `pieces`. A file has four per point, or a multiple of
-    four."""
+    """Append the joints that each point follows, and their weights, to `pieces`. A glTF file has four joints per point, or a
+    multiple of four."""
     joints: list[NDArray[np.int64]] = []
     weights: list[Floats] = []
     while 4 * len(joints) < limits.MAX_JOINTS_PER_POINT:
@@ -290,8 +290,8 @@ def normalise_capture(
     """Scale the weights of each point so that they add up to 1. Return joints int32[P, K], weights float32[P, K], and the number
     of points without a joint.
 
-    Unused columns are removed. A point without a joint then follows joint 0. `count`: the number of joints. Raises BodyError for
-    a joint number out of range."""
+    Unused columns are removed. A point that had no joint follows joint 0 in the result. `count`: the number of joints. Raises
+    BodyError for a joint number out of range."""
     used = weights > 0
     if len(joints) and used.any() and (joints[used].min() < 0 or joints[used].max() >= count):
         raise BodyError(f"has a point that follows a joint outside of its skin, which has {count} joints", _EXPORT_HELP)
@@ -304,9 +304,10 @@ def normalise_capture(
 
 
 def build_rigid_capture(joint: str, points: int) -> SkinWeights:
-    """Return a capture that binds all points to one joint. The points must be in the space of this joint.
+    """Return the weights of a shape that follows a single joint, with all of its points. The points must be in the space of this
+    joint.
 
-    It makes a shape with morph targets move with its joint. `points`: the number of points."""
+    This makes a shape with morph targets move with its joint. `points`: the number of points."""
     return SkinWeights((joint,), np.zeros((points, 1), np.int32), np.ones((points, 1), np.float32), np.eye(4)[None])
 
 

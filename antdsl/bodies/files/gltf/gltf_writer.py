@@ -52,8 +52,8 @@ class GltfWriter:
         return self._lists[key][number]
 
     def add_extension(self, name: str, entry: JsonEntry) -> None:
-        """Add an entry for the extension `name` at the top level of the file. It is optional: readers that do not know it may
-        ignore it."""
+        """Add an entry for the extension `name` at the top level of the file. The extension is marked as optional: readers that
+        do not know it may ignore it."""
         self._extensions[name] = entry
 
     def add_accessor(
@@ -88,8 +88,8 @@ class GltfWriter:
         return self.add_part("accessors", entry)
 
     def _add_view(self, start: int, size: int, target: int, is_packed: bool) -> int:
-        """Return the number of a buffer view that contains `size` bytes from `start`. The last view is extended if both are
-        packed, else a new view is added."""
+        """Return the number of a buffer view that contains `size` bytes from `start`. If both this view and the last one are
+        packed, the last one is extended. Otherwise, a new view is added."""
         views = self._lists.get("bufferViews", [])
         if is_packed and self._packed_view is not None and self._packed_view == len(views) - 1:
             views[-1]["byteLength"] = start + size - views[-1]["byteOffset"]
@@ -146,8 +146,9 @@ class GltfShapeWriter:
         self._indices_by_material = self._add_material_triangles()
 
     def _add_capture(self) -> None:
-        """Add accessors for the joints that points follow and their weights. Each set has four joints per point, by descending
-        weight."""
+        """Add accessors for the joints that points follow, and for the weights of these joints.
+
+        Each pair of accessors has four joints per point. Joints are in descending order of weight."""
         capture = self.shape.capture
         if capture is None:
             return
@@ -186,8 +187,8 @@ class GltfShapeWriter:
         ]
 
     def add_mesh(self, name: str, materials: dict[str, int]) -> int:
-        """Add a mesh of the shape and return its number. `materials`: the number of each material by name; triangles of any other
-        material get none."""
+        """Add a mesh of the shape and return its number. `materials`: the numbers of materials by name. Triangles with other
+        materials get no material."""
         primitives = []
         for material, indices in self._indices_by_material:
             primitive: JsonEntry = {"attributes": self.attributes, "indices": indices}
@@ -202,8 +203,8 @@ class GltfShapeWriter:
         return self.writer.add_part("meshes", entry)
 
     def measure_radii(self, joints: tuple[str, ...]) -> NDArray[np.float64]:
-        """Return, for each of `joints`, the largest distance from it to a point that follows it, including offsets of morph
-        targets."""
+        """Return, for each of `joints`, its largest distance from a point that follows it. Offsets by morph targets are taken
+        into account."""
         capture, shape = self.shape.capture, self.shape
         assert capture is not None
         at = np.einsum("pkij,pj->pki", capture.inverse_matrices[capture.joints][..., :3, :3], shape.points.astype(np.float64))
@@ -215,7 +216,7 @@ class GltfShapeWriter:
         return np.array([by_name.get(name, 0.0) for name in joints])
 
     def measure_radius(self) -> float:
-        """Return the largest distance of a point from the origin, including offsets of morph targets."""
+        """Return the largest distance of a point from the origin. Offsets by morph targets are taken into account."""
         distances = np.sqrt((self.shape.points.astype(np.float64) ** 2).sum(axis=1))
         return float(distances.max(initial=0.0)) + self._measure_offsets()
 
@@ -226,7 +227,7 @@ class GltfShapeWriter:
 
     @property
     def capsule_joints(self) -> tuple[str, ...]:
-        """Return the names of the joints that at least one point follows."""
+        """Return the names of the joints that move at least one point of the shape."""
         capture = self.shape.capture
         assert capture is not None
         return tuple(capture.names[k] for k in np.unique(capture.joints[capture.weights > 0]).tolist())
@@ -243,10 +244,10 @@ class GltfShapeWriter:
 
 
 class MorphTargetWriter:
-    """The morph targets of a blend shape. It also computes their weights from channel values.
+    """Writer of the morph targets of a blend shape. It also computes the weights of the targets from channel values.
 
-    A target is the difference of an input, or of an in-between, from the base. glTF adds up weighted targets. So each in-between
-    is a separate target, with a weight that `compute_knot_shares` gives."""
+    Each input and each in-between becomes one target: its offset from the base. In-betweens need separate targets because glTF
+    can only add up weighted targets. `compute_knot_shares` gives the weights."""
 
     def __init__(self, body: Definition, shape: SkinShape) -> None:
         assert shape.blend is not None
@@ -266,8 +267,8 @@ class MorphTargetWriter:
 
     @staticmethod
     def _compute_offset(shape: SkinShape, target: SkinShape, attribute: str, is_blended: bool) -> NDArray[np.float32] | None:
-        """Return the offsets (P, 3) of `attribute` from a shape to a target. If it is not blended, return zeros for `P`, None for
-        `N`."""
+        """Return the offsets (P, 3) of `attribute` from a shape to a target. If the attribute is not blended, return zeros for
+        `P` and None for `N`."""
         if not is_blended or get_point_attribute(shape, attribute) is None or get_point_attribute(target, attribute) is None:
             return np.zeros((len(shape.points), 3), np.float32) if attribute == "P" else None
         assert shape.blend is not None
@@ -277,6 +278,7 @@ class MorphTargetWriter:
         return offsets
 
     def compute_weights(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the weights (n, targets) of the morph targets. `channels`: (n, C), the values of the rig's channels."""
+        """Return the weights (n, targets) of the morph targets of n agents or samples. `channels`: (n, C), the values of the
+        rig's channels."""
         shares = [compute_knot_shares(channels[:, number], knots) for number, knots in self._inputs]
         return np.concatenate(shares).T if shares else np.zeros((len(channels), 0), np.float32)
