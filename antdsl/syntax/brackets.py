@@ -107,8 +107,8 @@ class _ParenthesisPairer:
         return index
 
     def is_block_opening(self, index: int) -> bool:
-        """Return whether a parenthesis ends the first line of a block in place of a brace. The next line is then indented
-        more."""
+        """Return whether a parenthesis at the end of a line stands where the brace of a block should be. In this case, the next
+        line has a larger indent."""
         tokens = self.scan.tokens
         if index + 2 >= len(tokens) or tokens[index + 1].kind != "end":
             return False
@@ -125,8 +125,10 @@ class _ParenthesisPairer:
         return get_token_text(self.scan, next_line) in _LINE_WORDS
 
     def close_bracket(self, index: int, token: ScannedToken, text: str) -> bool:
-        """Pair a closing bracket with an open bracket. Brackets opened between them are reported as unclosed. Return False if
-        the closing bracket is surplus and must be omitted."""
+        """Pair a closing bracket with an open bracket, and return True. Brackets that were opened between the two are reported
+        as unclosed.
+
+        Return False if there is no matching open bracket. The caller must then omit the closing bracket."""
         expected_signs = [_CLOSING_BY_OPENING[get_token_text(self.scan, self.out[place])] for place in self.open]
         if text not in expected_signs:
             if self.is_closed_later(index, expected_signs[-1]):
@@ -169,7 +171,8 @@ class _ParenthesisPairer:
         return False
 
     def close_unclosed(self, index: int) -> int:
-        """Report and close a bracket that is still open at the end of its line and of the following lines with a larger indent.
+        """Report and close a bracket that is still open at the end of its statement: its line and the following lines with a
+        larger indent.
 
         Returns the index of the token at which pairing continues."""
         first, last = self.open[0], self.out[self.open[-1]]
@@ -216,7 +219,8 @@ class _OpenBrace:
 
 
 class _BracePairer:
-    """Pairing of `{ }`. If there are more braces of one kind, the indents of the lines decide where a brace is missing."""
+    """Pairing of `{` and `}`. If there are more of one kind than of the other, the indents of the lines show where a brace is
+    missing."""
 
     def __init__(self, scan: TokenScan, tokens: list[ScannedToken]) -> None:
         self.scan = scan
@@ -308,8 +312,8 @@ class _BracePairer:
         return False
 
     def repair_opening(self, token: ScannedToken) -> bool:
-        """Insert a missing `{` at the end of the line that begins a block and has the same indent as the `}`. Return whether
-        there is such a line."""
+        """Insert a missing `{` for a surplus `}`. It is inserted at the end of the line that begins the block, which has the
+        same indent as the `}`. Return whether there is such a line."""
         nothing_left = -1 if len(self.scan.report.diagnostics) < _MAX_BRACE_REPAIRS else len(self.out)
         for place in range(len(self.out) - 1, nothing_left, -1):
             candidate = self.out[place]
@@ -329,7 +333,7 @@ class _BracePairer:
         return self.drop_brace(token)
 
     def close_before_line(self) -> None:
-        """Report the innermost open brace as unclosed, and insert its `}` at the end of the last line read."""
+        """Report the innermost open brace as unclosed. Insert its `}` at the end of the last line that has been read."""
         entry = self.open_braces.pop()
         place = len(self.out)
         while place and self.out[place - 1].kind == "end":
@@ -347,7 +351,7 @@ def _report_unclosed(scan: TokenScan, token: ScannedToken, sign: str, end: int) 
 
 
 def _compute_line_indents(tokens: list[ScannedToken]) -> list[int]:
-    """Return, for each token, the indent of its line."""
+    """Return, for each token, the indent of the line on which it is."""
     indents, indent = [], 0
     for token in tokens:
         indent = token.indent if token.indent >= 0 else indent

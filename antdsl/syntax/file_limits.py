@@ -28,7 +28,7 @@ def add_sizes(first: FileElementCounts, second: FileElementCounts) -> FileElemen
 
 
 def is_within_limits(sizes: FileElementCounts) -> bool:
-    """Return whether the sizes are within the limits of one file."""
+    """Return whether the numbers of words, statements and species are within the limits of one file."""
     words, statements, species = sizes
     return words <= limits.MAX_FILE_TOKENS and statements <= limits.MAX_FILE_STATEMENTS and species <= limits.MAX_FILE_SPECIES
 

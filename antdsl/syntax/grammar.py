@@ -49,7 +49,8 @@ def make_tables_text() -> str:
 
 def number_tokens(table: dict[str, Any]) -> dict[str, Any]:
     """Return a parse table in which tokens are numbered by name. States are numbered in breadth-first order from the start
-    states, along token names. Lark's own numbers depend on memory addresses and differ between builds."""
+    states, with tokens in the order of their names. Lark's own numbers depend on memory addresses, so they differ between
+    builds."""
     names = sorted(table["tokens"].values())
     token = {old: names.index(name) for old, name in table["tokens"].items()}
     states = {

@@ -41,7 +41,8 @@ def cut_blocks(text: str) -> list[TextBlock] | None:
     """Return the blocks of a text, in order. Return None if the text must be parsed as a whole, for example because brackets are
     not paired.
 
-    Each item at the top level of the file is a block. A species has several blocks: its first line, and each of its members."""
+    Each item at the top level of the file is a block, except a species. A species consists of several blocks: its first line,
+    and each of its members."""
     tops, members = _find_bounds(text)
     if not tops or not _EDITION_PATTERN.match(text, 0, tops[0]):
         return None
@@ -54,10 +55,11 @@ def cut_blocks(text: str) -> list[TextBlock] | None:
 
 
 def _find_bounds(text: str) -> tuple[list[int] | None, dict[int, tuple[list[int], int]]]:
-    """Return the offsets at which the top-level items of a file begin, and the contents of their braces.
+    """Return the offsets at which the top-level items of a file begin, and the bounds of the lines in their braces. The first
+    result is None if the brackets are not paired.
 
-    The contents are stored by the offset of the opening brace. They are the offsets of the lines inside, and of the closing
-    brace. The first result is None if the brackets are not paired."""
+    The bounds are stored by the offset of the opening brace. They are the offsets of the lines inside the braces, and the offset
+    of the closing brace."""
     tops: list[int] = [0] if _find_first_word(text, 0) in _TOP_LEVEL_WORDS else []
     members: dict[int, tuple[list[int], int]] = {}
     stack: list[str] = []
@@ -153,7 +155,7 @@ class IncrementalParser:
     def _count_unchanged(self, blocks: list[TextBlock], texts: list[str]) -> tuple[int, int]:
         """Return how many blocks at the beginning of the file, and how many at its end, are unchanged.
 
-        Blocks are matched by their order, because blocks with equal texts differ in their locations."""
+        Blocks are compared in order. Equal texts at other positions do not count, because their locations differ."""
         cached_blocks, limit = self._cached_blocks, min(len(self._cached_blocks), len(blocks))
         head_count = tail_count = 0
         while head_count < limit and self._is_unchanged(cached_blocks[head_count], blocks[head_count], texts[head_count]):

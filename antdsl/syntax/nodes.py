@@ -284,7 +284,8 @@ class VerbLine:
 
 @make_node_class
 class Give:
-    """A gift, such as `give 1 load to nest` or `give all load to nest`. `amount`: None means all."""
+    """A line that gives an amount to an item, such as `give 1 load to nest` or `give all load to nest`. `amount`: None to give
+    all."""
 
     amount: Expr | None
     attribute: Name
@@ -297,7 +298,8 @@ Action = Assign | VerbLine | Give
 
 @make_node_class
 class Take:
-    """A line that takes from an item or a field. `amount`: None means all. Without an `attribute`, the item is removed."""
+    """A line that takes an amount from an item or a field. `amount`: None to take all. Without an `attribute`, the item is
+    removed."""
 
     amount: Expr | None
     attribute: Name | None
@@ -332,7 +334,8 @@ class Change:
     - `delay`: the time of `when after 0.5 s`, which has no `condition`.
     - `held`: how long the condition must have held.
     - `over`: the time in which the previous clip fades out.
-    - `any_except`: the states a, b of `from any except a, b when …`; None for a transition inside a state."""
+    - `any_except`: for a `from any` transition, the states after `except`, as in `from any except a, b when …`. None for a
+      transition inside a state."""
 
     interrupt: bool
     condition: Expr | None
@@ -600,7 +603,7 @@ class SpecLine:
 
     - `kind`: the word `for`, `seeds`, `pass`, `set`, `against`, `always`, `never`, `eventually`, `finally`, `sooner`, `within`,
       `goal`, `until` or `each`.
-    - `target`: what `set` sets, the species of `each` (a NameRef), or the scene of `against` (a Text).
+    - `target`: the name that `set` changes, the species of `each` (a NameRef), or the scene of `against` (a Text).
     - `time`: the time of `for` and `within`, or the tolerance of `goal`. A `for` without a condition sets the length of the run.
     - `condition`: the condition of an expectation, or the value of `seeds` (a number or a range), `pass` or `set`.
     - `lines`: the lines inside `each` or `against`. `held`: how long the condition must have held.
@@ -647,7 +650,7 @@ class File:
 
     @property
     def edition_number(self) -> int:
-        """Return the edition that the file names, or the newest edition if it names none or an unknown one."""
+        """Return the edition that the file names. If it names no edition or an unknown one, return the newest edition."""
         exists = self.edition is not None and self.edition.value in EDITIONS
         return int(self.edition.value) if self.edition is not None and exists else NEWEST_EDITION
 

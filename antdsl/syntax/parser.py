@@ -96,10 +96,10 @@ def parse(source: Source) -> tuple[n.File, Report]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParsedPart:
-    """The result of parsing some complete lines of a file separately.
+    """The nodes of some complete lines of a file that were parsed separately.
 
-    `edition`, `help`: the file's edition and help, if the part is the beginning of the file; otherwise None. `sizes`: its
-    numbers of words, statements and species."""
+    `edition`, `help`: if the lines are the beginning of the file, its edition and help; otherwise None. `sizes`: the numbers of
+    words, statements and species in the lines."""
 
     source: Source
     nodes: tuple[Any, ...]
@@ -112,7 +112,7 @@ class ParsedPart:
 
 
 def parse_part(source: Source, rule: str, *, is_file_start: bool = False) -> ParsedPart:
-    """Parse some complete lines of a file with a rule that depends on their context: `top`, or `member` inside a species.
+    """Parse some complete lines of a file. `rule`: the grammar rule for their context: `top`, or `member` inside a species.
 
     Braces in the lines must be paired. Lines that exceed the limits of a file are not read. `is_file_start`: whether they are
     the beginning of the file. Never raises an exception."""
@@ -134,7 +134,8 @@ def parse_part(source: Source, rule: str, *, is_file_start: bool = False) -> Par
 
 
 def _detect_other_language(text: str) -> str | None:
-    """Return the language of a JSON or YAML file that has the wrong extension, or None. The first line determines the result."""
+    """Return the language of a JSON or YAML file that has the extension of a program. Return None for any other text. The first
+    line decides."""
     first = text.lstrip("\ufeff \t\r\n")[:200]
     if re.match(r"""[\[{]\s*["{\[\]}]""", first):
         return "JSON"
@@ -248,8 +249,8 @@ class _FileParser:
         return self.scan.has_fault(offset, len(self.source.text) if stop < 0 else stop)
 
     def check_node(self, node: Any, line: SourceLine) -> list[Any]:
-        """Return the nodes of a line after checks that the grammar does not express: depth, results of behaviours, and unknown
-        properties."""
+        """Return the nodes of a line after checks that the grammar cannot express. They concern depth, results of behaviours,
+        and unknown properties."""
         if len(line.tokens) > limits.MAX_EXPRESSION_DEPTH:
             for span in find_too_deep_nodes(node):
                 message = f"this expression is more than {limits.MAX_EXPRESSION_DEPTH} operations deep"
@@ -353,10 +354,11 @@ class _FileParser:
         yield from self.iterate_bare_blocks(line, text, rule)
 
     def find_gap(self, line: SourceLine, text: MappedText, position: int) -> tuple[list[int], list[int], int]:
-        """Return possible start positions of the unreadable part of a line, possible end positions, and the start of its clause.
+        """Return the possible bounds of the unreadable part of a line: a list of start positions, a list of end positions, and
+        the start of its clause.
 
-        The unreadable part may begin or end at the separators around it, and at the ends of the line. The third result is the
-        beginning of the previous separator. One repair removes the clause from there on."""
+        The unreadable part may begin or end at the separators around it, and at the ends of the line. The clause starts at the
+        previous separator. One of the repairs removes everything from there on."""
         marks: list[tuple[int, int]] = []
         depth = 0
         for token in line.tokens:
@@ -374,8 +376,8 @@ class _FileParser:
         return [*lefts, *reversed(word_ends), 0], [*rights, len(text.text)], clause
 
     def iterate_bare_blocks(self, line: SourceLine, text: MappedText, rule: str) -> Iterator[MappedText]:
-        """Yield simplified texts for the first line of a block if this line is unreadable. They have only its first word, its
-        name and the braces."""
+        """Yield simplified texts that replace an unreadable first line of a block. They consist only of its first word, its name
+        and the braces."""
         words = [token for token in line.tokens if token.kind in ("word", "text")][:2]
         first = get_token_text(self.scan, line.tokens[0])
         if not line.groups or BODY_RULE_BY_LINE.get((rule, first)) is None or len(words) < 2:

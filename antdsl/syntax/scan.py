@@ -36,8 +36,8 @@ UNREADABLE_CHARACTER = "\ufffd"
 
 @dataclass(frozen=True, slots=True)
 class ScannedToken:
-    """A token. `kind`: word, number, text, sign, open, close or end. `indent`: the indent of the line for its first token, else
-    -1. `inserted_text`: the text of a missing bracket, which has no length in the source."""
+    """A token. `kind`: word, number, text, sign, open, close or end. `indent`: the indent of the line if this is its first
+    token, else -1. `inserted_text`: the text of a missing bracket that was inserted, which has no length in the source."""
 
     kind: str
     start: int
@@ -48,7 +48,7 @@ class ScannedToken:
 
 @dataclass(slots=True)
 class TokenScan:
-    """The result of scanning. `clean_characters`: a list of single characters until `text()` is called."""
+    """The tokens and text that scanning produces. `clean_characters`: a list of characters until `text()` is called."""
 
     source: Source
     report: Report
@@ -287,7 +287,7 @@ class _Scanner:
         return self.add_token("number", start, self.find_quantity_end(end))
 
     def mark_unreadable(self, start: int, end: int) -> int:
-        """Add a token for a number with an unknown unit. Checks of units ignore this token."""
+        """Add a token that stands for a number with an unknown unit. Checks of units ignore it."""
         self.token_scan.replace_by_blanks(start, end)
         self.token_scan.replace_characters(start, UNREADABLE_CHARACTER)
         return self.add_token("number", start, end)

@@ -24,8 +24,8 @@ SHAPE_PATTERNS: dict[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Verb:
-    """A verb. `shape`: a key of `SHAPE_PATTERNS`. `example_line`: an example line for help texts. `following_text`: words for
-    what follows the verb."""
+    """A verb of the language. `shape`: a key of `SHAPE_PATTERNS`. `example_line`: an example line for help texts.
+    `following_text`: words that say what follows the verb in a line."""
 
     word: str
     shape: str

@@ -38,7 +38,7 @@ class BracketSlot:
     - `leading_comments`: the comments on the lines before the content. `trailing_comment`: the comment after the content.
     - `inner_comments`: for each comment in the middle, the index of the next node, the comment, and whether the previous token
       is on the same line.
-    - `operands`: the content split at its operators, if there are comments between the operands.
+    - `operands`: the content, split at its operators; empty unless there are comments between the operands.
     - `is_indented`: whether the content is indented one level more, as for the body after `n in SET:`."""
 
     nodes: list[LayoutNode] = field(default_factory=list)
@@ -97,7 +97,7 @@ class BracketReader:
         self.last: ScannedToken | None = None
 
     def skip_comments_before(self, token: ScannedToken) -> None:
-        """Record that the comments up to `token`, the last token of a block, have already been placed."""
+        """Mark the comments before `token`, the last token of a block, as already placed."""
         self.last = token
 
     def read_node(self, tokens: Sequence[ScannedToken], index: int) -> tuple[LayoutNode, int]:
@@ -129,8 +129,8 @@ class BracketReader:
     def place_comment(
         self, comment: n.Comment, slots: list[BracketSlot], token: ScannedToken, remaining_comments: list[n.Comment]
     ) -> None:
-        """Assign a comment before `token` to one of the slots so far. If it comes after the last of them, add it to
-        `remaining_comments`."""
+        """Assign a comment before `token` to one of the slots that have been read. If the comment comes after the last slot, add
+        it to `remaining_comments`."""
         slot = slots[-1]
         assert self.last is not None
         is_on_same_line = "\n" not in self.scan.source.text[self.last.end : comment.span.start] and not remaining_comments
@@ -179,13 +179,13 @@ class BracketReader:
 
 
 def _is_comprehension(slot: BracketSlot) -> bool:
-    """Return whether the nodes of a slot are `n in SET:`, with the colon as the last node."""
+    """Return whether a slot is the beginning of a comprehension: `n in SET:`, with the colon as its last node."""
     second = slot.nodes[1] if len(slot.nodes) > 3 else None
     return isinstance(second, TokenLeaf) and second.text == "in"
 
 
 def split_operands(slot: BracketSlot) -> list[BracketSlot]:
-    """Return the content of a slot, split before its operators of lowest precedence. Without operators, this is a single part."""
+    """Return the content of a slot, split before its operators of lowest precedence. Without operators, there is one part."""
     for level in _PRECEDENCE_LEVELS:
         cuts = [
             k for k, node in enumerate(slot.nodes) if k and isinstance(node, TokenLeaf) and node.is_infix and node.text in level
@@ -258,8 +258,8 @@ def _collect_slot_comments(slot: BracketSlot) -> list[n.Comment]:
 
 
 def _set_flat_text(bracket: BracketGroup) -> BracketGroup:
-    """Store in the bracket its text on one line and whether it must be broken, so that they are computed only once. Return the
-    bracket."""
+    """Return the bracket after storing in it its text on one line, and whether it must be broken into several lines. So both are
+    computed only once."""
     bracket.is_forced_open = bool(bracket.end_comments) or any(slot.is_broken for slot in bracket.slots)
     bracket.flat_text = (
         bracket.opening.flat_text + " ".join(slot.flat_text for slot in bracket.slots) + bracket.closing_leaf.flat_text

@@ -34,7 +34,8 @@ class LayoutRow:
 def split_cells(statement: LayoutStatement) -> tuple[str, list[Sequence[LayoutNode | LayoutBlock]]]:
     """Return the kind of a one-line statement, and its cells. The last cell is the help text.
 
-    Statements of the same kind are aligned with each other. A statement without alignment marks has one cell."""
+    The cells of consecutive statements of the same kind are aligned with each other. A statement without alignment marks has one
+    cell."""
     parts, words = statement.parts, statement.first_words
     kind, mark = _find_alignment(statement.rule, words)
     if mark is None:
@@ -65,8 +66,8 @@ def _find_second_part(parts: Sequence[LayoutNode | LayoutBlock]) -> int | None:
 
 
 def _find_alignment(rule: str, words: Sequence[str]) -> tuple[str, AlignmentPointFinder | None]:
-    """Return the kind of a line, and the function that finds its alignment mark, from the line's rule and first words. The
-    function is None if the line has no mark."""
+    """Return the kind of a line, and a function that finds its alignment mark. Both depend on the line's rule and its first
+    words. The function is None for a line without a mark."""
     first = words[0] if words else ""
     if rule in ("world_item", "setting"):
         return rule, _find_second_part
@@ -86,7 +87,7 @@ def _find_alignment(rule: str, words: Sequence[str]) -> tuple[str, AlignmentPoin
 
 def _find_member_alignment(words: Sequence[str]) -> tuple[str, AlignmentPointFinder | None]:
     """Return the kind and the mark finder of a line in a species that begins with a name. Such a line sets an attribute or a
-    built-in property."""
+    built-in property. `words`: the first words of the line."""
     if words[0] in ("start", "on", "layers", "machine", "state", "fuzzy") and words[1:2] not in (["="], [":"]):
         return "plain", None
     return ("declaration", _find_sign("=")) if words[1:2] in (["="], [":"]) else ("given", _find_second_part)
@@ -111,7 +112,8 @@ def align_rows(rows: Sequence[LayoutRow], indent: int) -> list[str]:
 
 
 def _iterate_row_runs(rows: Sequence[LayoutRow]) -> Iterator[list[LayoutRow]]:
-    """Yield groups of rows on consecutive lines. A comment line is a separate group, and so is a statement of several lines."""
+    """Yield groups of consecutive rows that may be aligned with each other. A comment line is a separate group, and so is a
+    statement of several lines."""
     run: list[LayoutRow] = []
     for row in rows:
         if run and (row.has_blank_before or row.is_separate or run[-1].is_separate):

@@ -29,8 +29,8 @@ class CommentItem:
 
 @dataclass(slots=True)
 class LayoutBlock:
-    """The content between two braces. `is_one_line`: whether all statements were on one line. `opening_comment`: the comment
-    after `{`."""
+    """The content between two braces. `is_one_line`: whether all statements were on one line in the source. `opening_comment`:
+    the comment after `{`."""
 
     items: list[LayoutItem]
     is_one_line: bool
@@ -40,7 +40,7 @@ class LayoutBlock:
 @dataclass(slots=True)
 class LayoutStatement:
     """A statement: its words and brackets, with a `LayoutBlock` for each pair of braces. `rule`: the grammar rule for the lines
-    in its block. `comment`: the comment after the statement."""
+    in these braces. `comment`: the comment after the statement."""
 
     rule: str
     parts: list[LayoutNode | LayoutBlock]
@@ -97,7 +97,7 @@ def _find_call_ends_and_minus_signs(file: n.File) -> tuple[frozenset[int], froze
 
 
 def _find_called_name(part: object) -> n.Name | None:
-    """Return the function or verb that a node names if arguments in brackets may follow, else None."""
+    """Return the name of the function or verb of a node if arguments in brackets may follow this name. Otherwise return None."""
     if isinstance(part, n.VerbLine):
         return part.name if part.amount is None else None
     return part.event if isinstance(part, n.On) else part.name if isinstance(part, n.Behaviour) else None
@@ -117,7 +117,7 @@ class _ItemReader:
     used_comment_count: int = field(default=0)  # number of comments already placed
 
     def pop_comment_before(self, offset: int) -> n.Comment | None:
-        """Return the next comment and mark it as used, if it begins before an offset. Otherwise return None."""
+        """Return the next unused comment if it begins before an offset, and mark it as used. Otherwise return None."""
         comments = self.scan.comments
         if self.used_comment_count < len(comments) and comments[self.used_comment_count].span.start < offset:
             self.used_comment_count += 1
@@ -128,7 +128,7 @@ class _ItemReader:
         return self.scan.source.text.count("\n", start, end)
 
     def read_lines(self, lines: Sequence[SourceLine], rule: str, start: int, end: int) -> list[LayoutItem]:
-        """Return the statements and comments between two offsets. `rule`: the grammar rule of the lines."""
+        """Return the statements and comments between the offsets `start` and `end`. `rule`: the grammar rule of the lines."""
         item_list: list[LayoutItem] = []
         last = start  # end of the previous item
         for line in lines:
@@ -143,7 +143,9 @@ class _ItemReader:
         return bool(item_list) and self.count_line_ends(last, start) > 1
 
     def add_comments(self, item_list: list[LayoutItem], last: int, end: int) -> int:
-        """Add the comments before the offset `end`: to the last statement if they are on its line, else as separate lines.
+        """Add the comments before the offset `end`. A comment on the line of the last statement is added to that statement.
+        Other comments become separate lines.
+
         Return the end offset of the last comment."""
         while (comment := self.pop_comment_before(end)) is not None:
             text = comment.text.rstrip()
@@ -194,8 +196,8 @@ class _ItemReader:
         return LayoutBlock(item_list, self.is_one_line(group, item_list, head), head)
 
     def is_one_line(self, group: BraceGroup, item_list: list[LayoutItem], opening_comment: str | None) -> bool:
-        """Return whether a block may be on one line. Such a block has no line ends or comments, and no part that needs a
-        separate line."""
+        """Return whether a block may be on one line. It may if it has no line ends or comments in the source, and no part that
+        needs a separate line."""
         if not item_list and opening_comment is None:
             return True
         for item in item_list:

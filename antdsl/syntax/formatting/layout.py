@@ -42,7 +42,7 @@ def format(source: Source) -> tuple[str | None, Report]:
 def report_too_long(source: Source, text: str, report: Report) -> bool:
     """Return whether a formatted text exceeds the limits of a file. If so, report an error.
 
-    A text can become longer than its source through joined lines and added blanks."""
+    Formatting can make a text longer, because it joins lines and adds blanks."""
     line = max(text.split("\n"), key=len).strip()
     if len(line) > limits.MAX_LINE_CHARACTERS:
         message = f"line that begins with `{line[:40]}` would have more than {limits.MAX_LINE_CHARACTERS} characters"

@@ -70,14 +70,17 @@ def _format_statement(parts: Sequence[LayoutPart], indent: int) -> list[str]:
 
 
 def _format_piece(parts: Sequence[LayoutPart], start: int, end: int) -> str:
-    """Return the line from one broken block to the next, with the braces at its start and end."""
+    """Return the line between two broken blocks. It includes the closing brace of the first block and the opening brace of the
+    second one."""
     text = _format_flat(parts[start + 1 : end])
     return ("}" if start >= 0 else "") + text + (" {" if end < len(parts) and isinstance(parts[end], LayoutBlock) else "")
 
 
 def _format_sequence(parts: Sequence[LayoutPart], indent: int, column: int, suffix: int = 0) -> list[str]:
-    """Return the lines of successive parts. A bracket is broken if it does not fit on the line together with the text up to the
-    next bracket. `column`: the column of the first part. `suffix`: the number of characters after the last part."""
+    """Return the lines of successive parts. A bracket is broken into several lines if it does not fit on the line, together with
+    the text up to the next bracket.
+
+    `column`: the column of the first part. `suffix`: the number of characters after the last part."""
     lines = [""]
     for k, part in enumerate(parts):
         if isinstance(part, BracketGroup) and (
@@ -95,8 +98,8 @@ def _format_sequence(parts: Sequence[LayoutPart], indent: int, column: int, suff
 
 
 def _compute_required_width(parts: Sequence[LayoutPart], start: int, suffix: int) -> int:
-    """Return how many characters must fit on the line if the bracket at `start` is not broken. A help text at the end does not
-    count."""
+    """Return how many characters the line needs if the bracket at `start` is not broken. They end before the next bracket. A
+    help text at the end does not count."""
     count = len(_format_flat([parts[start]]))
     for part in parts[start + 1 :]:
         if isinstance(part, BracketGroup):

@@ -65,8 +65,8 @@ def _get_token_text(scan: TokenScan, token: ScannedToken) -> str:
 
 
 def _is_continuation(scan: TokenScan, tokens: list[ScannedToken], index: int, indent: int) -> bool:
-    """Return whether the line after a line end continues the line before it. `index`: the index of the line end. `indent`: the
-    indent of the line before."""
+    """Return whether the line after a line end continues the line before the line end. `index`: the index of the token of the
+    line end. `indent`: the indent of the line before."""
     if index + 1 >= len(tokens) or index == 0 or scan.source.text[tokens[index].start] != "\n":
         return False
     previous_token, following = tokens[index - 1], tokens[index + 1]

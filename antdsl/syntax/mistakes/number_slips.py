@@ -28,8 +28,8 @@ def find_comma_number(source: Source, comma: int) -> Span | None:
 
 
 def make_comma_diagnostic(span: Span, *, is_single_number: bool = True) -> Diagnostic:
-    """Return the error about a number with commas. `is_single_number`: whether it cannot be two numbers that a comma
-    separates."""
+    """Return the error about a number with commas. `is_single_number`: whether the text can only be a single number, not two
+    numbers with a comma between them."""
     text = span.text
     plain_number, dotted = text.replace(",", ""), text.replace(",", ".")
     thousands, is_single = _THOUSANDS_PATTERN.fullmatch(text), text.count(",") == 1 and "." not in text
@@ -51,8 +51,8 @@ def make_comma_diagnostic(span: Span, *, is_single_number: bool = True) -> Diagn
 
 
 def find_number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str] | None:
-    """Return the message, the correct end and the help for an invalid number that ends at the offset `end`. Return None for a
-    valid number."""
+    """Return what is wrong with a number that ends at the offset `end`: the message, the offset at which the number should end,
+    and the help. Return None for a valid number."""
     glued = _GLUED_TEXT_PATTERN.match(characters, end)
     rest = glued.group() if glued else ""
     complete_text = f"{piece}{rest}"[:80]

@@ -109,7 +109,8 @@ def _report_invisible(scan: TokenScan) -> None:
 def _report_conflicts_and_fences(scan: TokenScan) -> None:
     """Report the lines of merge conflicts and Markdown fences, and replace them by blanks.
 
-    The first version in a conflict remains. The second one is replaced by blanks, so that the rest of the file can be checked."""
+    Of the two versions in a conflict, the first one remains. The second one is replaced by blanks too, so that the rest of the
+    file can be checked."""
     if "<<<<<<<" in scan.source.text or ">>>>>>>" in scan.source.text:
         drop_from = -1
         for match in _MERGE_CONFLICT_PATTERN.finditer(scan.source.text):
@@ -154,8 +155,8 @@ def _report_long_lines(scan: TokenScan) -> None:
 
 
 def find_ascii_lookalike(character: str) -> str | None:
-    """Return the ASCII letter, digit or `_` that a character looks like, or None. The result is None for accented letters,
-    because authors use them on purpose."""
+    """Return the ASCII letter, digit or `_` that a character looks like, or None. Accented letters also give None, because
+    authors use them on purpose."""
     if character < "\x80":
         return character
     digit = unicodedata.decimal(character, None)
@@ -172,7 +173,7 @@ _SUGGESTED_WORD_PATTERN = re.compile("write `([a-z]+)`")
 
 
 def make_replacement_word(help: str, previous_character: str, next_character: str) -> str | None:
-    """Return the word that replaces a sign. It has a blank on each side on which the adjacent character is part of a word."""
+    """Return the word that replaces a sign. On each side, a blank is added if the character there is part of a word."""
     match = _SUGGESTED_WORD_PATTERN.fullmatch(help)
     if match is None:
         return None

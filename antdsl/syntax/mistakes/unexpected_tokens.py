@@ -328,7 +328,8 @@ def _make_fix_after_previous(unexpected: UnexpectedToken, text: str) -> Fix:
 
 
 def is_line_start(unexpected: UnexpectedToken) -> bool:
-    """Return whether the unexpected token is a word that may begin a line, and the previous token may end one."""
+    """Return whether a line end is missing before the unexpected token: the token is a word that may begin a line, and the
+    previous token may end one."""
     words = LINE_WORDS_BY_RULE[unexpected.rule]
     assigns = bool(words) and unexpected.token_kind == "word" and unexpected.following_text in _SIGNS_AFTER_TARGET
     return (unexpected.token_text in words or assigns) and "$END" in unexpected.expected_terminals
