@@ -24,8 +24,10 @@ PASSES: tuple[Callable[[Plan], Plan], ...] = (
 
 
 def optimise_plan(plan: Plan, *, thorough: bool = True) -> Plan:
-    """Return the plan after all passes. `plan`: a newly lowered plan. The plan is verified before the first pass and after each
-    pass or, if `thorough` is false, only after the last pass, which is faster."""
+    """Return the plan after all passes. `plan`: a newly lowered plan.
+
+    If `thorough` is true, the plan is verified before the first pass and after each pass. If it is false, it is verified only
+    after the last pass, which is faster."""
     if thorough:
         verify_plan(plan)
     for run in PASSES:

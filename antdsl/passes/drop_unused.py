@@ -21,7 +21,7 @@ def drop_unused_stores(plan: Plan) -> Plan:
     """Return an equivalent plan without temporary registers that are never read. Attributes and memories remain, because they
     are part of the agent's state.
 
-    Nodes that only these stores used are removed by the next pass that rebuilds nodes."""
+    Nodes that only the removed stores used are removed by the next pass that rebuilds nodes."""
     return replace(plan, species={name: _drop_unused_in_species(s) for name, s in plan.species.items()})
 
 

@@ -19,7 +19,8 @@ _PAIR_OPERATIONS = frozenset(("pair.x", "pair.y", "pair.z", "other"))
 
 
 def hoist_factors(plan: Plan, tracked_nodes: dict[PlanNode, PlanNode] | None = None) -> Plan:
-    """Return the plan with products and quotients per pair reordered, so that the agent's factors are multiplied once per agent.
+    """Return the plan with the factors of products and quotients per pair reordered. Factors that depend only on the agent are
+    then multiplied once per agent instead of once per pair.
 
     `tracked_nodes`: see `rebuild_plan`."""
     return rebuild_plan(plan, _reorder_product, tracked_nodes)
@@ -38,7 +39,8 @@ def _reorder_product(b: PlanBuilder, op: str, args: tuple[PlanNode, ...], attrs:
 
 
 def _build_product(b: PlanBuilder, args: tuple[PlanNode, ...]) -> PlanNode:
-    """Return the product of all factors of the operands, in the order component * (pair scalars * (agent factors))."""
+    """Return the product of all factors of the operands. The order of multiplication is component * (pair scalars * (agent
+    factors))."""
     factors, negative = _collect_factors(args)
     agent = [n for n in factors if not _is_computed_per_pair(n)]
     pair = [n for n in factors if _is_computed_per_pair(n)]

@@ -55,8 +55,8 @@ def rebuild_plan(plan: Plan, make_node: NodeMaker | None = None, tracked_nodes: 
 
 
 def _renumber_nodes(plan: Plan, tracked_nodes: dict[PlanNode, PlanNode]) -> Plan:
-    """Return the plan without nodes that became unused by folding. A new PlanBuilder made all nodes, so no two nodes are
-    equal."""
+    """Return the plan without nodes that became unused by folding, and with new numbers. All nodes come from a new PlanBuilder,
+    so no two nodes are equal."""
     new: dict[PlanNode, PlanNode] = {}
     for number, node in enumerate(collect_required_nodes([*list_root_nodes(plan), *tracked_nodes.values()])):
         args = tuple(new[a] for a in node.args)
