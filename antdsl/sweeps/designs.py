@@ -31,10 +31,11 @@ class SamplingDesign:
     None for a grid.
     `description`: a short text for help texts.
     `count_meaning`: the meaning of `count`, for help texts; empty if the design takes no count.
-    `points_per_unit`: if given, the design has `count` × (factors + `points_per_unit`) points; if None, `count` points.
+    `points_per_unit`: if set, the number of points is `count` × (factors + `points_per_unit`). If None, it is `count`.
     `needs_power_of_two`: whether the count must be a power of two.
     `needs_ranges`: whether each factor must be a range of values.
-    `analysis`: computes the importance of each factor from the results; None if the design does not allow it."""
+    `analysis`: the method that computes the importance of each factor from the results; None if the design does not allow this.
+    """
 
     name: str
     description: str

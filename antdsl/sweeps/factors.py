@@ -34,7 +34,7 @@ class Factor:
 
     def format_value_at(self, share: float) -> str:
         """Return the value at a position in the range or in the list of levels, as text. `share`: the position, from 0 (first)
-        to 1 (last). In a list, each level covers an equal part of 0 to 1."""
+        to 1 (last). In a list of levels, each level covers an equal part of the range 0 to 1."""
         if self.levels:
             return self.levels[min(floor(share * len(self.levels)), len(self.levels) - 1)]
         return self._format_value(self.low + share * (self.high - self.low))

@@ -50,7 +50,7 @@ class FinishedRunStore:
         return measures
 
     def count_other_runs(self, jobs: Iterable[SweepJob]) -> int:
-        """Return the number of finished runs in the folder that belong to none of these jobs."""
+        """Return how many finished runs in the folder belong to none of these jobs."""
         return len({path.stem for path in self.runs.glob("*.json")} - {job.key for job in jobs})
 
     def write_measures(self, job: SweepJob, measures: Mapping[str, Any]) -> None:

@@ -101,7 +101,7 @@ def build_jobs(
     grants: Mapping[str, Path],
 ) -> tuple[list[SweepJob], Report]:
     """Return all runs of a sweep, and a report that lists each problem with a scene or value once. Runs are ordered by seed, so
-    that a stopped sweep has results of every variation."""
+    that a sweep that is stopped early has results for every variation."""
     report = Report()
     shots: list[tuple[SceneVariation, FrameRange, Scene, Mapping[str, str]]] = []
     parsed = SharedParsedFiles()
@@ -128,9 +128,10 @@ def build_jobs(
 
 
 def find_start_hashes(shot: Shot) -> Mapping[str, str]:
-    """Return hashes of the start state that a scene reads from another cache, by name; empty if it does not use one.
+    """Return hashes of the start state that a scene reads from another cache, by name. The result is empty if the scene does not
+    start from a cache.
 
-    This also records that files of that cache are read (`scene.paths.record_requested_paths`)."""
+    This also records that files of the other cache are read (`scene.paths.record_requested_paths`)."""
     folder = find_start_cache(shot)
     if folder is not None:
         record_request(folder / MANIFEST_FILE_NAME, shot.scene.roots.folder)

@@ -44,7 +44,7 @@ def run_jobs(
     """Run jobs and yield each outcome as soon as its run ends. The next job is taken from `jobs` only when a process is free.
 
     `report_frame`: called from time to time with a job and its current frame.
-    `report_note`: called with a sentence for each way in which a run deviates from the request.
+    `report_note`: called with a sentence about each difference between a run and the request.
     """
     tasks = (Task(job.key, measure_job, job.make_document()) for job in jobs)
     for outcome in run_tasks(
@@ -58,8 +58,8 @@ def run_jobs(
 def measure_job(document: Mapping[str, Any], worker: WorkerContext) -> dict[str, Any]:
     """Simulate the run of a job and return its measures by name. A measure is a number, or None if its event did not happen.
 
-    Data that is computed from meshes stays in the process for its next run. Equal jobs with the same antdsl give equal measures,
-    except `seconds`, `fps` and `processor`.
+    The process stores data that it has computed from meshes for its next run. With the same version of antdsl, equal jobs give
+    equal measures, except `seconds`, `fps` and `processor`.
     """
     built: BindingCache = worker.cached_values.setdefault("built", BindingCache())
     job = SweepJob.from_document(document)
@@ -125,7 +125,7 @@ def _read_amounts(world: World) -> Iterator[tuple[str, float]]:
 
 
 def _record_empty(world: World, empty_frames: dict[str, int | None]) -> None:
-    """Record the current frame for each amount that is 0 for the first time."""
+    """Record the current frame for each amount that has become 0 for the first time."""
     for name, amount in _read_amounts(world):
         if amount > 0:
             empty_frames.setdefault(name, None)

@@ -24,7 +24,8 @@ INSTALL_HINT = "plots need matplotlib: pip install 'antdsl[plots]'"
 
 
 def draw_measures(results: Sequence[RunResult], measures: Sequence[str], path: Path) -> None:
-    """Write one PNG with a panel per measure. Runs in which the measured event did not happen are drawn above a dashed line."""
+    """Write one PNG with a panel for each measure. A run in which the measured event did not happen is drawn above a dashed
+    line."""
     labels = list(dict.fromkeys(job.label for job, _ in results))
     height = max(2.0, 0.45 * len(labels) + 1.0)
     with open_figure(9.0, height * len(measures), path) as figure:
@@ -58,11 +59,11 @@ def _draw_panel(panel: Axes, results: Sequence[RunResult], labels: Sequence[str]
 def draw_factors(
     study: SweepStudy, results: Sequence[RunResult], measures: Sequence[str], effects: Sequence[FactorEffect], path: Path
 ) -> None:
-    """Write one PNG with a row per measure and a column per range. If the importance of factors is known, a last column displays
-    it.
+    """Write one PNG with a row per measure and a column per factor with a range. If the importance of factors is known, an
+    additional last column displays it.
 
-    Each dot is the median over a point's seeds, with the quartiles. The line and the band are the median and the quartiles of
-    all points in a part of the range.
+    Each dot is the median over the seeds of one point, with the quartiles. The line is the median of all points in a part of the
+    range, and the band shows their quartiles.
     """
     columns = len(study.range_factors) + bool(effects)
     names = [str(scene) for scene in study.scenes]

@@ -122,10 +122,10 @@ def find_effects(
     medians: Mapping[tuple[str, str], float],
     measures: Sequence[str],
 ) -> tuple[list[FactorEffect], list[str]]:
-    """Return the effect of each factor on each measure, and a text for each measure of which the effects are unknown.
+    """Return the effect of each factor on each measure, and a sentence about each measure for which the effects are unknown.
 
     `names`: the names of the factors.
-    `shares`: the position in each factor's range, 0 to 1 (points, factors).
+    `shares`: for each point and factor, the position in the factor's range, 0 to 1.
     `scenes`: for each scene name, the labels of the design's points in order.
     `medians`: the median of a measure over seeds, by label and measure."""
     effect_list: list[FactorEffect] = []

@@ -21,7 +21,7 @@ class MeasureSeries:
         self.document: dict[str, list[Any]] = {"frame": [], **{name: [] for name in names}}
 
     def add_frame(self, frame: int, values: Mapping[str, float | int | None]) -> None:
-        """Add the measures of a frame. In long runs, some frames are left out."""
+        """Add the measures of one frame. In long runs, only frames at regular intervals are stored."""
         if values and (frame - self.first) % self.stride == 0:
             self.document["frame"].append(frame)
             for name, value in values.items():

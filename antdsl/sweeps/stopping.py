@@ -25,8 +25,10 @@ _RUN_COUNT_GROWTH = Fraction(3, 2)  # growth of the number of runs from one chec
 
 
 def compute_interval_rank(count: int, error_probability: Fraction = 1 - CONFIDENCE_LEVEL) -> int:
-    """Return the rank l of the narrowest allowed interval, which reaches from the l-th smallest to the l-th largest draw. The
-    interval misses the median with a probability of at most `error_probability`. Return 0 if `count` draws are too few."""
+    """Return the rank l of the narrowest allowed interval for the median. The interval reaches from the l-th smallest to the
+    l-th largest draw, and misses the median with a probability of at most `error_probability`.
+
+    Return 0 if `count` draws are too few for such an interval."""
     rank, cumulative = 0, 0
     while 2 * (cumulative + math.comb(count, rank)) <= error_probability * 2**count:
         cumulative += math.comb(count, rank)
@@ -35,8 +37,8 @@ def compute_interval_rank(count: int, error_probability: Fraction = 1 - CONFIDEN
 
 
 def find_interval(values: Sequence[float], error_probability: Fraction = 1 - CONFIDENCE_LEVEL) -> tuple[float, float] | None:
-    """Return the lower and the upper end of the median's interval, or None if there are too few values. An infinite value means
-    that the measured event did not happen."""
+    """Return the lower and the upper end of the confidence interval of the median. Return None if there are too few values. An
+    infinite value means that the measured event did not happen."""
     place = compute_interval_rank(len(values), error_probability)
     if not place:
         return None
@@ -48,8 +50,8 @@ def find_interval(values: Sequence[float], error_probability: Fraction = 1 - CON
 class CheckSchedule:
     """A schedule for checking an interval: the numbers of runs after which it is checked, and the error probability per check.
 
-    An interval that is checked repeatedly until it is narrow misses the median more often than one that is checked once. So all
-    checks share the total error probability (Bonferroni).
+    A sweep stops as soon as a check finds the interval narrow enough. With repeated checks, the interval misses the median more
+    often than with a single one. Therefore all checks share the total error probability (Bonferroni).
     """
 
     run_counts: tuple[int, ...]
@@ -57,8 +59,8 @@ class CheckSchedule:
 
 
 def plan_checks(max_runs: int) -> CheckSchedule | None:
-    """Return a schedule of checks, or None if `max_runs` runs are too few. Each check has 1.5 times as many runs as the one
-    before."""
+    """Return a schedule of checks. Each check has 1.5 times as many runs as the previous one. Return None if `max_runs` runs are
+    too few for any check."""
     for count in range(1, max_runs + 1):
         doubt = (1 - CONFIDENCE_LEVEL) / count
         min_runs = next((n for n in range(1, max_runs + 1) if compute_interval_rank(n, doubt)), None)
@@ -79,10 +81,10 @@ def find_min_runs() -> int:
 
 @dataclass(frozen=True, slots=True)
 class WidthGoal:
-    """The requested width of a median's interval.
+    """A limit on the width of the confidence interval of a measure's median.
 
-    `measure`: the beginning of a measure's name.
-    `max_width`: the largest width.
+    `measure`: a prefix of the names of measures.
+    `max_width`: the widest acceptable interval.
     `is_relative`: whether `max_width` is a fraction of the median's absolute value.
     """
 
@@ -91,7 +93,7 @@ class WidthGoal:
     is_relative: bool = False
 
     def is_reached(self, interval: tuple[float, float], median: float) -> bool:
-        """Return whether an interval is as narrow as requested. `median`: the estimated median inside the interval."""
+        """Return whether an interval is narrow enough for this goal. `median`: the estimated median inside the interval."""
         low, high = interval
         if low == high:
             return True  # all values are equal, or the event never occurs
@@ -100,8 +102,8 @@ class WidthGoal:
 
 @dataclass(frozen=True, slots=True)
 class MedianEstimate:
-    """An estimate of the median of one measure of one variation. `median`: the estimate after `runs` runs. `low`, `high`: the
-    ends of the interval that contains the median. `met`: whether the interval is as narrow as requested."""
+    """An estimate of the median of a measure in one variation. `median`: the estimate after `runs` runs. `low`, `high`: the ends
+    of its confidence interval. `met`: whether the interval is as narrow as requested."""
 
     label: str
     measure: str
@@ -116,8 +118,8 @@ class MedianEstimate:
 class SweepJobChooser:
     """Chooses the jobs that a sweep still needs.
 
-    `jobs`: all jobs that may run, ordered by seed. `width_goals`: the requested widths of intervals. Without goals, all jobs are
-    needed."""
+    `jobs`: all jobs that may run, ordered by seed. `width_goals`: the widest acceptable intervals of medians. Without goals, all
+    jobs are needed."""
 
     jobs: Sequence[SweepJob]
     width_goals: Sequence[WidthGoal] = ()
@@ -133,7 +135,8 @@ class SweepJobChooser:
             self._schedule = plan_checks(max(map(len, self._jobs_by_label.values())))
 
     def iterate_needed_jobs(self) -> Iterator[SweepJob]:
-        """Yield the next needed job until none is left. Ask for the next job only when a process is free."""
+        """Yield the needed jobs one by one, until none is left. Request the next job only when a process is free, so that
+        earlier results can show that it is no longer needed."""
         for job in self.jobs:
             if job.key not in self._measures and job.label not in self._final_counts:
                 yield job
@@ -153,15 +156,15 @@ class SweepJobChooser:
 
     @property
     def counted_jobs(self) -> list[SweepJob]:
-        """Return the jobs that count in the table: all that have measures. Of a complete variation, only the jobs up to its
-        completion count."""
+        """Return the jobs that count in the table, which all have measures. Of a variation that was completed early, only the
+        jobs up to its completion count."""
         counted_keys = {
             job.key for label, jobs in self._jobs_by_label.items() for job in jobs[: self._final_counts.get(label, len(jobs))]
         }
         return [job for job in self.jobs if job.key in counted_keys and self._measures.get(job.key) is not None]
 
     def list_known_medians(self) -> list[MedianEstimate]:
-        """Return an estimate for every measure with a requested width, from the final intervals."""
+        """Return an estimate of the median for each measure with a width goal. The estimates come from the final intervals."""
         if self._schedule is None:
             return []
         return [
@@ -171,12 +174,12 @@ class SweepJobChooser:
         ]
 
     def list_missing_measures(self) -> list[str]:
-        """Return the measures of the width goals that no run has reported; [] until the first run has ended."""
+        """Return the measures in the width goals that no run has reported. The result is [] until the first run has ended."""
         names = self._collect_measure_names() if self.width_goals else ()
         return [w.measure for w in self.width_goals if names and not any(name.startswith(w.measure) for name in names)]
 
     def list_measure_prefixes(self) -> list[str]:
-        """Return, without duplicates, the part before the first dot of each reported measure's name."""
+        """Return the prefixes of all reported measures: the part of the name before the first dot. Duplicates are removed."""
         return list(dict.fromkeys(name.split(".")[0] for name in self._collect_measure_names()))
 
     def _collect_measure_names(self) -> dict[str, None]:
@@ -184,7 +187,8 @@ class SweepJobChooser:
         return {name: None for measures in self._measures.values() if measures is not None for name in measures}
 
     def _find_medians_after(self, label: str, run_count: int) -> list[MedianEstimate]:
-        """Return an estimate for each measure of a variation with a requested width, from its first `run_count` runs."""
+        """Return an estimate of the median for each measure of a variation that has a width goal. Only the variation's first
+        `run_count` runs are used."""
         assert self._schedule is not None
         ended = [each for job in self._jobs_by_label[label][:run_count] if (each := self._measures.get(job.key)) is not None]
         entries: list[MedianEstimate] = []

@@ -26,8 +26,8 @@ REQUEST_FILE_NAME = "asked.json"
 
 @dataclass(frozen=True, slots=True)
 class SweepStudy:
-    """A sweep to run: its points, its scenes and its variations. A variation is a scene with the values of a point. No variation
-    occurs twice."""
+    """A sweep to run: its points, its scenes and its variations. A variation combines a scene with the values of a point. All
+    variations are different."""
 
     chosen_points: ChosenPoints
     scenes: tuple[Path, ...]
@@ -40,12 +40,12 @@ class SweepStudy:
 
     @property
     def unit_by_factor(self) -> dict[str, str]:
-        """Return the units of the ranges, by the names of their factors."""
+        """Return the units of the factors that have a range, by the names of these factors."""
         return {factor.name: factor.unit for factor in self.range_factors}
 
     def find_effects(self, table: Sequence[MeasureStatistics], measures: Sequence[str]) -> tuple[list[FactorEffect], list[str]]:
-        """Return the effect of each factor on each measure, and a note for each measure of which the effects are unknown. Both
-        are empty if the design has no analysis."""
+        """Return the effect of each factor on each measure, and a note for each measure for which the effects are unknown. Both
+        results are empty if the design has no analysis."""
         design, shares = self.chosen_points.design, self.chosen_points.shares
         if design.analysis is None or shares is None:
             return [], []
@@ -60,7 +60,8 @@ class NoStoredSweepError(Exception):
 
 
 class SweepRequest(BaseModel):
-    """The command-line arguments that define which runs exist, which of them count in the table, and what the table shows."""
+    """The command-line arguments of a sweep. They define which runs exist, which of them count in the table, and what the table
+    shows."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 

@@ -27,8 +27,8 @@ MACHINE_DEPENDENT_MEASURES = ("seconds", "fps")  # they depend on the machine
 class MeasureStatistics:
     """The statistics of one measure over the runs of one variation. The field names are the columns of written files.
 
-    `runs`: the number of runs. `happened`: the number of runs in which the measured event happened. The value is infinite in
-    other runs, so quantiles may be infinite. `least`, `most`: the smallest and the largest value."""
+    `runs`: the number of runs. `happened`: the number of runs in which the measured event happened. In the other runs, the value
+    is infinite, so quantiles may be infinite too. `least`, `most`: the smallest and the largest value."""
 
     label: str
     measure: str
@@ -42,8 +42,9 @@ class MeasureStatistics:
 
 
 def compute_quantile(values: Sequence[float], share: float) -> float:
-    """Return a quantile of sorted values by linear interpolation. The result is infinite if a value next to it is infinite.
-    `share`: the position of the quantile, 0 to 1."""
+    """Return a quantile of sorted values by linear interpolation. `share`: the position of the quantile, 0 to 1.
+
+    The result is infinite if a value next to this position is infinite."""
     place = share * (len(values) - 1)
     low, high = math.floor(place), math.ceil(place)
     if low == high or values[low] == values[high]:
@@ -64,8 +65,8 @@ def build_rows(results: Iterable[RunResult]) -> list[MeasureStatistics]:
 
 
 def _make_row(label: str, name: str, values: list[float], runs: int) -> MeasureStatistics:
-    """Return the table row of one measure of one variation. A run that does not report the measure, for example because no agent
-    took a certain transition, counts as 0."""
+    """Return the table row for one measure of one variation. A run may not report the measure, for example because no agent took
+    a certain transition. Its value then counts as 0."""
     # a missing count, such as that of a transition that never occurred, is 0
     values = sorted(values + [0.0] * (runs - len(values)))
     median, lower, upper = (compute_quantile(values, share) for share in (0.5, 0.25, 0.75))
@@ -73,8 +74,10 @@ def _make_row(label: str, name: str, values: list[float], runs: int) -> MeasureS
 
 
 def choose_measures(table: Sequence[MeasureStatistics], prefixes: Sequence[str]) -> list[str]:
-    """Return the measures to display: those with names that begin with one of `prefixes`. Without prefixes, they are the
-    program's own measures, else the frames at which amounts ran out, else the motion measures."""
+    """Return the measures to display: those with names that begin with one of `prefixes`.
+
+    Without prefixes, they are the measures that the program declares. If it declares none, they are the frames at which amounts
+    ran out, or else the motion measures."""
     names = list(dict.fromkeys(row.measure for row in table))
     if not prefixes:
         declared = [name for name in names if name.startswith(_DECLARED_PREFIX)]
@@ -116,7 +119,8 @@ def _format_number(value: float) -> str:
 
 
 def format_csv_table(table: Sequence[MeasureStatistics]) -> str:
-    """Return the table as CSV, with one line per variation and measure. A value is empty if its event never happened."""
+    """Return the table as CSV, with one line per variation and measure. If the event of a measure never happened, its values are
+    empty."""
     lines: list[list[object]] = [[column.name for column in fields(MeasureStatistics)]]
     for row in table:
         lines.append(["" if v is None else f"{v:.9g}" if isinstance(v, float) else v for v in _make_finite_entry(row).values()])
@@ -124,7 +128,8 @@ def format_csv_table(table: Sequence[MeasureStatistics]) -> str:
 
 
 def collect_runs(results: Sequence[RunResult], units: Mapping[str, str] | None = None) -> dict[str, list[Any]]:
-    """Return the columns of the table of runs: label, scene, seed, varied values and all measures. Missing values are None.
+    """Return the columns of the table of runs, by name: label, scene, seed, varied values and all measures. Missing values are
+    None.
 
     `units`: the unit of each varied value that is written as a plain number, by name."""
     identities = [identify_run(job, units or {}) for job, _ in results]
@@ -138,7 +143,7 @@ def collect_runs(results: Sequence[RunResult], units: Mapping[str, str] | None =
 
 
 def collect_run_series(results: Sequence[RunResult], units: Mapping[str, str] | None = None) -> dict[str, list[Any]]:
-    """Return the columns of the table of frames: label, scene, seed, varied values, frame and measures."""
+    """Return the columns of the table of frames, by name: label, scene, seed, varied values, frame and measures."""
     return collect_series([(identify_run(job, units or {}), measures) for job, measures in results])
 
 
@@ -167,7 +172,7 @@ def format_columns(columns: Mapping[str, Sequence[Any]]) -> str:
 
 
 def format_known_medians(medians: Sequence[MedianEstimate]) -> str:
-    """Return one line per median, with the interval that contains it and whether this is as narrow as requested."""
+    """Return one line per median, with its confidence interval and whether this interval is as narrow as requested."""
     lines = ["Medians, with 95 % between"]
     label_width, width = (max(map(len, words)) for words in zip(*((k.label, k.measure) for k in medians), strict=True))
     for each in medians:
