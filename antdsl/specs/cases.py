@@ -28,10 +28,10 @@ class SpecFailure:
     """An expectation of a spec that was not met.
 
     - `values`: for each value in the condition, its text in the source and its formatted value.
-    - `agent`: the species and id of the first agent that failed, for a condition about each agent.
+    - `agent`: for a condition about each agent, the species and id of the first agent that failed.
     - `other_count`: the number of other agents that failed in the same frame.
     - `agents`: the ids of agents that failed, at most MAX_NAMED_AGENTS.
-    - `wait_start_frame`: the frame in which the agent's expired waiting time began.
+    - `wait_start_frame`: the frame in which the waiting time that has expired began.
     - `states_and_position`: names and texts that describe the agent's states and position."""
 
     message: str
@@ -61,7 +61,7 @@ class GoalValue:
 class SavedFrames:
     """A cache with the frames from `first_frame` to `frame`, in which the failure occurred.
 
-    - `folder`: the folder of the cache; None if it could not be written. `note`: the reason for this; "" without one.
+    - `folder`: the folder of the cache; None if the cache could not be written. `note`: in this case, the reason, otherwise "".
     - `view_command`: a command that displays the frames. `resume_command`: a command that continues the run from them."""
 
     folder: Path | None
@@ -84,8 +84,8 @@ class ComparisonShot:
 class SpecCase:
     """One spec with one seed.
 
-    - `outcome`: passed, failed, allowed or waiting. An allowed case has failed, but enough other seeds have passed. A waiting
-      case has not run to its end.
+    - `outcome`: passed, failed, allowed or waiting. An allowed case has failed, but enough other seeds of the spec have passed.
+      A waiting case has not yet run to its end.
     - `goals`: the values of its goals, after the last frame.
     - `frames`: the number of judged frames. `seconds`: the duration of the run."""
 
@@ -139,8 +139,8 @@ def collect_cases(
 
 
 class CaseFinder:
-    """Finds the cases to run. Each scene is opened once for each set of changed params. `params`: values that override those of
-    all scenes."""
+    """Finds the cases to run. Each scene is opened once for each set of changed params. `params`: values that override the
+    params of all scenes."""
 
     def __init__(
         self, grants: dict[str, Path], parsed_files: ParsedFileCache, report: Report, params: Mapping[str, str] | None = None
@@ -151,16 +151,18 @@ class CaseFinder:
         self.scene_and_spec_by_key: dict[tuple[Path, Span], tuple[Path, Spec]] = {}
 
     def add_spec(self, file: Path, spec: Spec) -> None:
-        """Add a spec with its scene. A spec that several paths contain is added only once. `file`: the path that the user named.
-        If it is a scene, only specs that run on this scene are added."""
+        """Add a spec with its scene. A spec that is reached by several paths is added only once.
+
+        `file`: the path that the user named. If it is a scene, the spec is added only if it runs on this scene."""
         program_path = Path(spec.span.source.path)
         scene = self._find_scene(program_path, spec, file)
         if scene is not None and (file.suffix == ".ant" or scene.resolve() == file.resolve()):
             self.scene_and_spec_by_key.setdefault((scene.resolve(), spec.span), (scene, spec))
 
     def _find_scene(self, program_path: Path, spec: Spec, file: Path) -> Path | None:
-        """Return the scene of a spec, or None. A spec without `on` runs on the scene that the user named, or on `scene.yaml`
-        next to the program."""
+        """Return the path of the scene on which a spec runs, or None. `file`: the path that the user named.
+
+        A spec without `on` runs on the scene that the user named, or on `scene.yaml` next to the program."""
         folder = program_path.resolve().parent
         if spec.scene is None:
             if file.suffix != ".ant":
@@ -201,7 +203,7 @@ class CaseFinder:
         return list(made.values())
 
     def _find_comparison_shot(self, scene: Path, spec: Spec) -> ComparisonShot | None:
-        """Return the reference run of a spec; None if the spec has none, or if its scene has errors.
+        """Return the reference run of a spec. Return None if the spec has none, or if the scene of the reference run has errors.
 
         The params that the spec changes also apply to the reference run, except those that its `against` block changes."""
         assert spec.reference_run is not None
@@ -238,7 +240,7 @@ class CaseFinder:
 
 
 def _find_same_spec(program: Program, spec: Spec) -> Spec | None:
-    """Return the spec in another compiled program that comes from the same source location, or None."""
+    """Return the spec of another compiled program that has the same source location as `spec`, or None if there is none."""
     place = (spec.span.source, spec.span.start)
     return next((each for each in program.specs if (each.span.source, each.span.start) == place), None)
 

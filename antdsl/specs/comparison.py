@@ -19,7 +19,8 @@ JudgementKey = tuple[str, int]
 
 
 class ReferenceRunRecord:
-    """A record of the values in a spec's reference run. Call `record_frame` at each frame of that run, from the first on.
+    """A record of the values in a spec's reference run. Call `record_frame` at each frame of the reference run, starting with
+    the first.
 
     Frames are counted from the first frame of each run, because the two scenes may have different frame numbers. `dt`: seconds
     per frame."""
@@ -37,7 +38,7 @@ class ReferenceRunRecord:
         self.blank_values = {each.name: np.float32(np.nan) for each in plan.reference_values}
 
     def record_frame(self, world: World) -> None:
-        """Record the numbers of this frame, and whether the condition of a `sooner` holds for the first time."""
+        """Record the numbers of this frame. For each `sooner` line, also record the first frame in which its condition holds."""
         self.evaluator.evaluate_frame(world, self.blank_values)
         self.values_by_frame.append(
             {each.name: self.evaluator.evaluate_node(world, each.value) for each in self.plan.reference_values}
@@ -49,16 +50,16 @@ class ReferenceRunRecord:
                 self.steps_by_line.setdefault(place, world.frame - self.first)
 
     def get_reference_values(self, frame: int) -> Mapping[str, Any]:
-        """Return the values of the reference run in a frame, counted from its first frame. Beyond its last frame, the last
-        values are returned."""
+        """Return the values of the reference run in a frame. `frame`: counted from the first frame of that run. Beyond its last
+        frame, return the values of its last frame."""
         return self.values_by_frame[min(frame, len(self.values_by_frame) - 1)]
 
     def find_steps_until_held(self, line: JudgementPlan) -> int | None:
-        """Return the number of steps after which the condition of a `sooner` held in the reference run, or None if it never
-        held."""
+        """Return after how many steps of the reference run the condition of a `sooner` first held, or None if it never held."""
         return self.steps_by_line.get(_make_line_key(line))
 
 
 def _make_line_key(line: JudgementPlan) -> JudgementKey:
-    """Return a key for a line of a spec: its location in the source, which is the same in both runs."""
+    """Return a key for a line of a spec. It is the line's location in the source, which is the same in the reference run and in
+    the judged run."""
     return line.span.source.path, line.span.start

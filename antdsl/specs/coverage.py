@@ -18,8 +18,8 @@ CoverageKey = tuple[str, int, str]  # source, offset in it, name
 class CoverageEntry:
     """A state or a transition, and how often it occurred.
 
-    `name`: such as `forager.main.search` for a state, and `forager.main.search->approach#1` for a transition. `count`: for a
-    state, the number of agents in it, summed over all frames; for a transition, how many times agents took it."""
+    `name`: the qualified name, such as `forager.main.search` for a state, or `forager.main.search->approach#1` for a transition.
+    `count`: for a state, the number of agents in it, summed over all frames; for a transition, how many times agents took it."""
 
     name: str
     span: Span
@@ -53,7 +53,8 @@ class SpecCoverage:
         return sum(each.count > 0 for each in all) / len(all) if all else 1.0
 
     def watch_world(self, world: World, program: Program) -> None:
-        """Count the states in this world and the transitions of its later steps, from the current frame on."""
+        """Start to count for a world, from the current frame on: the states of its agents, and the transitions in its later
+        steps."""
         machines = [self._make_machine_coverage(s.name, m) for s in program.species.values() for m in s.machines]
         for machine in machines:
             states = world.populations[machine.species].now.get(f"{machine.name}.state")
@@ -88,7 +89,8 @@ def _count_all_changes(world: World, machines: list[_MachineCoverageTable]) -> N
 
 
 def _count_changes(world: World, machine: _MachineCoverageTable) -> None:
-    """Count the transitions of a machine in a step. Call this after all agents have acted, but before dead agents are removed.
+    """Count the transitions of a machine that happened in a step. Call this after all agents have acted, but before dead agents
+    are removed.
 
     Transitions are numbered as in `plan.machines`."""
     population = world.populations[machine.species]

@@ -50,16 +50,17 @@ class FailureSnapshot:
 
 
 class StateSnapshots:
-    """Stores the most recent periodic copy of a run's state.
+    """Stores one copy of a run's state: the most recent of the copies that are made at intervals.
 
-    If the scene has animation, the first copy is stored instead, because such a run can continue only from its first frame."""
+    If the scene has animation, it stores the first copy instead, because such a run can continue only from its first frame."""
 
     def __init__(self, setting: WorldSetting) -> None:
         self.keeps_first_copy = bool(setting.motion) or any(camera.is_moving for camera in setting.cameras.values())
         self.last: Arrays | None = None
 
     def store_copy(self, world: World) -> None:
-        """Store a copy of the state if one is due. Call this at each frame, after judging it."""
+        """Store a copy of the state, if enough frames have passed since the last copy. Call this at each frame, after judging
+        it."""
         if self.last is None or (not self.keeps_first_copy and world.frame >= int(self.last["frame"]) + COPY_INTERVAL_FRAMES):
             self.last = take_checkpoint(world)
 
@@ -80,8 +81,8 @@ class FailureSaver:
     def save_failure(
         self, run: SpecRun, case: SpecCase, failure_point: FailureSnapshot, binding_cache: BindingCache
     ) -> SavedFrames:
-        """Simulate the frames before a failure again, and write them to a cache. If this fails, the `note` of the result says
-        why."""
+        """Simulate the frames before a failure again, and write them to a cache. If this is not possible, the `note` of the
+        result says why."""
         self.count += 1
         if self.count > MAX_STORED_CASES:
             return SavedFrames(None, f"not saved: only the first {MAX_STORED_CASES} are")
@@ -142,7 +143,8 @@ def make_folder_name(name: str) -> str:
 
 
 def _format_flag_value(shot: Shot, value: Expr) -> str:
-    """Return a changed value in the form that `--set` accepts: as in the source, or as a computed number with its unit."""
+    """Return the value of a `set` line in the form that `--set` accepts. It is the text in the source, or a computed number with
+    its unit."""
     text = "".join(value.span.text.split())
     try:
         parse_quantity(text)

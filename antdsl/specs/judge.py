@@ -23,9 +23,11 @@ _NUMBER_PATTERN = re.compile(NUMBER_REGEX)
 
 
 class SpecJudge:
-    """Judges one spec over a run. Call `judge_frame` at each frame, from the first on, until `is_over` is true. `failures`: the
-    failures in the order of detection. `fulfilled_at_start`: the lines with `within` or `eventually` that already hold in the
-    first frame, and therefore test nothing. A spec that compares two runs also needs the record of its reference run."""
+    """Judges one spec over a run. Call `judge_frame` at each frame, starting with the first, until `is_over` is true.
+
+    `failures`: the failures in the order of detection. `fulfilled_at_start`: the lines with `within` or `eventually` that
+    already hold in the first frame, and therefore test nothing. A spec that compares two runs also needs the record of its
+    reference run."""
 
     def __init__(self, plan: SpecPlan, world: World, last: int, compared_run: ReferenceRunRecord | None = None) -> None:
         self.plan, self.first, self.reference_run = plan, world.frame, compared_run
@@ -90,12 +92,12 @@ class SpecJudge:
         )
 
     def _evaluate_condition(self, world: World, node: ir.PlanNode | str) -> bool:
-        """Return whether a condition on aggregates holds. If a value in it is NaN, it does not hold."""
+        """Return whether a condition on aggregates holds. If a value in it is NaN, the condition does not hold."""
         assert isinstance(node, ir.PlanNode)
         return bool(self.evaluator.evaluate_node(world, node))
 
     def _find_released(self, line: JudgementLine, ids: AgentIds) -> NDArray[np.bool_]:
-        """Return, for each agent, whether an `until` of the same block has held in an earlier frame, bool[n]."""
+        """Return, for each agent, whether an `until` in the same block as the line has held in an earlier frame, bool[n]."""
         free = np.zeros(len(ids), np.bool_)
         for other in self.lines:
             if other.plan.kind == "until" and other.plan.block_number == line.plan.block_number:
@@ -103,7 +105,9 @@ class SpecJudge:
         return free
 
     def _judge_sooner(self, line: JudgementLine, observation: FrameObservation) -> AgentIds:
-        """Return the ids that fail a `sooner` line. Its condition must hold earlier in this run than in the reference run.
+        """Return the ids of the agents that fail a `sooner` line. Its condition must hold earlier in this run than in the
+        reference run.
+
         Frames are counted from the first frame of each run."""
         assert self.reference_run is not None
         holds = bool(len(line.find_failed(observation)))
@@ -125,8 +129,8 @@ class SpecJudge:
     def _format_values(
         self, world: World, spec_world: World, plan: JudgementPlan, row: int | None
     ) -> tuple[tuple[str, str], ...]:
-        """Return the source text and the formatted value of each value that a line reads. `row`: the row of the agent that
-        failed; None for a line about an aggregate."""
+        """Return the values that a line reads, each with its source text. `row`: the row of the agent that failed; None for a
+        line about aggregates."""
         reading_values: list[tuple[ReadingPlan, Any]] = []
         for reading in plan.readings:
             if reading.node is not None:
@@ -138,7 +142,8 @@ class SpecJudge:
     def _record_failure(self, world: World, spec_world: World, line: JudgementLine, agents: AgentIds) -> None:
         """Record the failure of a line, and stop judging the line.
 
-        The recorded values are the aggregates, or those of the agent with the smallest id that failed."""
+        For a line about aggregates, the recorded values are the aggregates. Otherwise, they are the values of the failed agent
+        with the smallest id."""
         line.is_undecided = False
         plan, fps = line.plan, float(world.setting.fps)
         first_agent = int(agents.min())
@@ -163,8 +168,8 @@ class SpecJudge:
 
 
 def find_last_frame(plan: SpecPlan, world: World, last_scene_frame: int) -> int:
-    """Return the last frame of a spec that begins at the world's current frame. It is the last frame of the scene, or the end of
-    the spec's `for`."""
+    """Return the last frame of a spec that begins at the world's current frame. It is given by the spec's `for`, or else it is
+    the last frame of the scene."""
     steps = count_duration_steps(world, plan.duration)
     return last_scene_frame if steps is None else world.frame + steps
 
@@ -172,7 +177,8 @@ def find_last_frame(plan: SpecPlan, world: World, last_scene_frame: int) -> int:
 def _format_readings(world: World, reading_values: list[tuple[ReadingPlan, Any]], line: str) -> tuple[tuple[str, str], ...]:
     """Return, for each reading, its text in the program and its formatted value.
 
-    All digits are shown if two different values, or a value and a number in the line, would otherwise look equal."""
+    If two different values, or a value and a number in the line, would look equal when rounded, all of their digits are shown.
+    """
     texts = [" ".join(reading.span.text.split()) for reading, _ in reading_values]
     values = [format_value(world, value, reading.type, reading.unit) for reading, value in reading_values]
     written_numbers = {float(number) for number in _NUMBER_PATTERN.findall(line)}

@@ -32,7 +32,7 @@ class FrameObservation:
     - `first_frames`: the first frame of each agent.
     - `condition_holds`: whether the condition of the line holds.
     - `start_condition_holds`: whether the condition of its `when` holds; None without a `when`.
-    - `is_released`: whether an `until` of the same block has held for the agent before."""
+    - `is_released`: whether an `until` in the same block has held for the agent in an earlier frame."""
 
     frame: int
     is_final: bool
@@ -46,7 +46,7 @@ class FrameObservation:
 def observe_aggregate(
     frame: int, is_final: bool, first_frame: int, is_fulfilled: bool, start_holds: bool | None
 ) -> FrameObservation:
-    """Return the observation of one frame for a line about aggregates."""
+    """Return the observation of one frame for a line about aggregates. It has a single row."""
     since_flags = None if start_holds is None else np.array([start_holds])
     return FrameObservation(
         frame,
@@ -71,12 +71,13 @@ def count_duration_steps(world: World, time: ir.PlanNode | None) -> int | None:
 class JudgementLine:
     """The state of judging one line of a spec over a run. Arrays are indexed by agent id.
 
-    - `steps`, `held_steps`: the durations of the line and of its `held`, in steps; None without one.
+    - `steps`, `held_steps`: the duration of the line, and the duration of its `held`, in steps; None if absent.
     - `is_undecided`: whether the line is still being judged. `failure_reason`: the reason of the last failure, as text.
     - `is_fulfilled`: whether each agent has fulfilled the line.
     - `count`: the number of consecutive frames in which the condition has held.
     - `previous_start_condition`: whether the condition of the `when` held in the previous frame.
-    - `pending_since_frames`: the frame in which each agent's current waiting time began; _NO_FRAME_NUMBER without one.
+    - `pending_since_frames`: the frame in which each agent's current waiting time began; _NO_FRAME_NUMBER for agents that are
+      not waiting.
     - `waiting_ids`: the ids of the agents that were waiting in the previous frame."""
 
     plan: JudgementPlan
@@ -93,7 +94,7 @@ class JudgementLine:
     def find_failed(self, observation: FrameObservation) -> AgentIds:
         """Return the ids of the agents that fail in this frame.
 
-        This sets `failure_reason` to a text; it is "" if the only reason is that the condition is false."""
+        This also sets `failure_reason`, which is "" if the only reason is that the condition is false."""
         self.failure_reason = ""
         if self.held_steps is not None:
             self.held_step_counts = extend_table_for_ids(self.held_step_counts, observation.ids, 0)
@@ -106,14 +107,16 @@ class JudgementLine:
         return _JUDGE_BY_KIND[self.plan.kind](self, observation)
 
     def is_fulfilled_at_start(self, observation: FrameObservation) -> bool:
-        """Return whether a line that waits for its condition is already fulfilled for all its agents in the first frame."""
+        """Return whether a line that waits for its condition is already fulfilled in the first frame, for all agents that it
+        concerns."""
         waits = (
             self.plan.kind in ("within", "eventually") and observation.start_condition_holds is None and self.held_steps is None
         )
         return waits and len(observation.ids) > 0 and bool(observation.condition_holds.all())
 
     def find_start_frame(self, agent: int) -> int | None:
-        """Return the frame in which an agent's expired waiting time began, or None if the line has no `when`."""
+        """Return the frame in which the expired waiting time of an agent began. Return None if the line has no `when`, or the
+        agent was not waiting."""
         is_pending = self.plan.start_condition is not None and agent < len(self.pending_since_frames)
         return (
             int(self.pending_since_frames[agent]) if is_pending and self.pending_since_frames[agent] != _NO_FRAME_NUMBER else None
@@ -146,8 +149,8 @@ def _judge_finally(line: JudgementLine, observation: FrameObservation) -> AgentI
 
 
 def _judge_for(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Return the ids of agents for which the condition does not hold, although the duration after their first frame has not
-    ended."""
+    """Return the ids of agents for which the condition is false although it must still hold. It must hold for the line's
+    duration, counted from the agent's first frame."""
     assert line.steps is not None
     last = observation.first_frames + line.steps
     if line.plan.species is None and (observation.frame >= last).all() and observation.condition_holds.all():
@@ -182,8 +185,8 @@ def _judge_eventually(line: JudgementLine, observation: FrameObservation) -> Age
 
 
 def _update_waiting_agents(line: JudgementLine, observation: FrameObservation) -> BoolArray:
-    """Return whether the condition of the `when` has become true for each agent in this frame, bool[n]. The current values are
-    stored for the next frame."""
+    """Return whether the condition of the `when` has become true for each agent in this frame, bool[n]. Its current values are
+    stored for the comparison in the next frame."""
     assert observation.start_condition_holds is not None
     line.previous_start_condition, line.pending_since_frames = (
         extend_table_for_ids(line.previous_start_condition, observation.ids, False),
@@ -195,8 +198,8 @@ def _update_waiting_agents(line: JudgementLine, observation: FrameObservation) -
 
 
 def _judge_since_within(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Return the ids that fail a `when` with `within` or `eventually`. If waiting times overlap, only the first counts, and all
-    end with it."""
+    """Return the ids of the agents that fail a `when` with `within` or `eventually`. If several waiting times of an agent
+    overlap, only the first counts. All of them end with it."""
     comes = _update_waiting_agents(line, observation)
     pending: AgentIds = line.pending_since_frames[observation.ids]
     pending = np.where(comes & (pending == _NO_FRAME_NUMBER), observation.frame, pending)
@@ -220,7 +223,8 @@ def _judge_since_within(line: JudgementLine, observation: FrameObservation) -> A
 
 
 def _judge_since_for(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Return the ids that fail a `when` with `for`. If several durations overlap, only the last counts, because it ends last."""
+    """Return the ids of the agents that fail a `when` with `for`. If several durations of an agent overlap, only the last
+    counts, because it ends last."""
     assert line.steps is not None
     comes = _update_waiting_agents(line, observation)
     line.pending_since_frames[observation.ids[comes]] = observation.frame
@@ -229,7 +233,8 @@ def _judge_since_for(line: JudgementLine, observation: FrameObservation) -> Agen
 
 
 def _find_ids_where_condition_holds(line: JudgementLine, observation: FrameObservation) -> AgentIds:
-    """Return the ids for which the condition of an `until` or `sooner` holds. The caller decides whether these agents fail."""
+    """Return the ids of the agents for which the condition of an `until` or `sooner` holds. The caller decides whether these
+    agents fail."""
     return observation.ids[observation.condition_holds]
 
 

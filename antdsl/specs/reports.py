@@ -115,8 +115,8 @@ def _make_location_entry(span: Span | None) -> dict[str, Any] | None:
 def format_junit_report(cases: Sequence[SpecCase], report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
     """Return the results as JUnit XML, with one suite for each program.
 
-    Waiting and allowed cases count as skipped. Golden runs have a separate suite, and so have errors in files that prevented
-    specs from running."""
+    Waiting and allowed cases count as skipped. Golden runs have a separate suite. So do errors in files because of which specs
+    could not run."""
     errors = [d for d in report.sort_by_place() if d.severity == "error"]
     differ = [result for result in goldens if result.outcome == "differs"]
     root = ElementTree.Element(

@@ -45,8 +45,8 @@ class RunContext:
 
 
 def run_cases(runs: Iterable[SpecRun], context: RunContext) -> None:
-    """Simulate all runs and set the outcome of each case. Problems in a run, including faults, fail only the cases of this
-    run."""
+    """Simulate all runs and set the outcome of each case. If a run has a problem, such as a fault, only the cases of this run
+    fail."""
     for run in runs:
         started = perf_counter()
         moments: dict[int, FailureSnapshot] = {}
@@ -77,8 +77,8 @@ def _fail_cases(run: SpecRun, failure: SpecFailure) -> None:
 
 
 def _judge_run(run: SpecRun, work: RunContext, failure_points: dict[int, FailureSnapshot]) -> None:
-    """Simulate a run and judge its cases. `failure_points`: receives the first failure of each case, by the `id()` of the
-    case."""
+    """Simulate a run and judge its cases. `failure_points`: receives the data of the first failure of each case, by the `id()`
+    of the case."""
     rivals = _run_compared(run, work)
     try:
         world = _make_world(run.shot, run.seed, work)
@@ -147,8 +147,9 @@ def _describe_fault(stop: FaultStop, prefix: str) -> SpecFailure:
 
 
 def _run_compared(run: SpecRun, work: RunContext) -> dict[int, ReferenceRunRecord]:
-    """Simulate the reference runs of a run's cases, and return their records by the `id()` of the case. Cases with the same
-    reference shot share one simulation. A fault in it fails these cases."""
+    """Simulate the reference runs for the cases of a run. Return their records by the `id()` of the case.
+
+    Cases with the same reference shot share one simulation. If it ends in a fault, all of these cases fail."""
     compared_runs: dict[int, ReferenceRunRecord] = {}
     for shot in {
         id(case.comparison_shot.shot): case.comparison_shot.shot for case in run.cases if case.comparison_shot is not None
@@ -163,7 +164,8 @@ def _run_compared(run: SpecRun, work: RunContext) -> dict[int, ReferenceRunRecor
 
 
 def _simulate_compared(run: SpecRun, work: RunContext, shot: Shot, cases: list[SpecCase]) -> dict[int, ReferenceRunRecord]:
-    """Simulate one reference run for several cases, up to the last frame that any of them needs. Return their records."""
+    """Simulate one reference run for several cases, up to the last frame that one of the cases needs. Return the records by the
+    `id()` of the case."""
     world = _make_world(shot, run.seed, work)
     first = world.frame
     rivals = {

@@ -23,7 +23,8 @@ def format_case_line(case: SpecCase) -> str:
 
 
 def describe_failed_case(case: SpecCase) -> str:
-    """Return the line of a case, its failures with location, frame, agent and values, and the command to view it."""
+    """Return text about a failed case: its line, its failures with location, frame, agent and values, and the command that
+    displays it."""
     lines = [format_case_line(case), *(f"  {line}" for failure in case.failures for line in describe_failure(failure))]
     return "\n".join(lines + ([] if case.saved_frames is None else [f"  {line}" for line in _describe_saved(case.saved_frames)]))
 
@@ -108,8 +109,10 @@ def describe_counts(cases: Sequence[SpecCase], error_count: int, goldens: Sequen
 
 
 def describe_coverage(coverage: SpecCoverage) -> str:
-    """Return a line for each state and transition, with its count, in the order of the program. The count of a state is the
-    number of agents per frame; that of a transition is the number of agents that took it."""
+    """Return a line for each state and transition, with its count, in the order of the program.
+
+    The count of a state is a sum over all frames of the number of agents in it. The count of a transition is how many times
+    agents took it."""
     both = [(each, "state") for each in coverage.states.values()] + [(each, "change") for each in coverage.changes.values()]
     both.sort(key=lambda pair: (pair[0].span.source.path, pair[0].span.start, pair[1] == "change"))
     wide = max((len(f"{each.count:,}") for each, _ in both), default=0)
@@ -132,7 +135,7 @@ def describe_uncovered(coverage: SpecCoverage) -> str:
 
 
 def _shorten_name(name: str) -> str:
-    """Return a name without its internal parts: the machine `main`, and the number of a first transition."""
+    """Return a name without parts that mean nothing to authors: the machine `main`, and the number of a first transition."""
     return name.replace(".main.", ".").removesuffix("#1").replace("->", " -> ")
 
 

@@ -43,8 +43,8 @@ def describe_states_and_position(world: World, species: str, row: int) -> tuple[
 
 
 def format_position(position: Iterable[float], origin: Iterable[float], unit_mm: float) -> str:
-    """Return a position as text: coordinates in a unit of `unit_mm` mm. `position`: in mm, relative to `origin`. Coordinates
-    have four significant digits of this relative value, and at least one digit after the point."""
+    """Return a position as text: coordinates in a unit of `unit_mm` mm. `position`: in mm, relative to `origin`. Coordinates are
+    rounded to four significant digits of `position`, but at least to one decimal place."""
     return ", ".join(_format_coordinate(float(x) / unit_mm, float(o) / unit_mm) for x, o in zip(position, origin, strict=True))
 
 

@@ -32,7 +32,7 @@ _HASH_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingerprintColumn:
-    """One attribute, with the values of all agents of a species, all items of a name, or all cells of a field.
+    """One attribute of all agents of a species, all items of a group, or all cells of a field, with its values.
 
     Agents are sorted by id. `report_rank`: the position in reports. `is_opaque`: whether the values mean nothing to a reader.
     `item_names`: the names of items by number."""
@@ -66,7 +66,7 @@ class FingerprintColumn:
         return int(bits.sum(dtype=np.uint64)), int(((self.ids + 1).astype(np.uint64) * bits).sum(dtype=np.uint64))
 
     def find_only_change(self, old_sums: tuple[int, int]) -> tuple[int, Any] | None:
-        """Return the row and the recorded value of the only value that differs, or None if several differ.
+        """Return the row and the recorded value of a single changed value. Return None if more than one value differs.
 
         `old_sums`: the sum and the weighted sum of the recorded values."""
         new_sums = self.compute_sums()
@@ -86,8 +86,8 @@ class FingerprintColumn:
         return format_value(world, value, self.type, self.unit)
 
     def summarise_values(self, world: World) -> str:
-        """Return a summary of the values as text. It lists the values if there are few. Otherwise it is the number of agents in
-        each state, the number for which a condition holds, or the mean."""
+        """Return a summary of the values as text. If there are few values, it lists them. Otherwise, it is the number of agents
+        in each state, the number for which a condition holds, or the mean."""
         if self.is_opaque or not len(self.values):
             return ""
         if len(self.values) <= _MAX_LISTED_VALUES:
@@ -137,7 +137,7 @@ def _compute_part_digests(world: World) -> dict[str, bytes]:
 
 
 def _make_agent_columns(world: World, program: Program, population: Population) -> list[FingerprintColumn]:
-    """Return a column for each value that the author has named, and one column for all memories and footings together."""
+    """Return one column for each value with a name in the program, and one column for all memories and footings together."""
     rows = population.get_rows_by_id()
     ids, name = population.ids[rows], population.name
     species = program.species[name]
@@ -189,7 +189,8 @@ def _make_column(
 
 
 def digest_agents(world: World, population: Population, program: Program) -> str:
-    """Return a text with four hexadecimal digits for each of the agents that `choose_sample_indices` selects."""
+    """Return a digest of agents as text, with four hexadecimal digits for each of the agents that `choose_sample_indices`
+    selects."""
     mixed = np.zeros(len(population), np.uint64)
     for column in _make_agent_columns(world, program, population):
         mixed = (mixed ^ column.convert_to_bits()) * _HASH_MULTIPLIER
@@ -198,7 +199,8 @@ def digest_agents(world: World, population: Population, program: Program) -> str
 
 
 def choose_sample_indices(count: int) -> NDArray[np.int64]:
-    """Return the indices of the agents that a digest covers, when agents are sorted by id. `count`: the number of all agents."""
+    """Return the indices of the agents that a digest covers. They are indices into the agents sorted by id. `count`: the number
+    of all agents."""
     return np.unique(np.arange(MAX_SAMPLED_AGENTS) * count // MAX_SAMPLED_AGENTS) if count else np.zeros(0, np.int64)
 
 
@@ -206,8 +208,9 @@ def choose_sample_indices(count: int) -> NDArray[np.int64]:
 class StateDifference:
     """An attribute of which values differ from those of the golden run.
 
-    `member`: the agent, item or cell that differs, or some of the agents that differ; "" if unknown. `current_value`,
-    `old_value`: the value in this run and in the golden run, in the form that authors write; "" if unknown."""
+    `member`: the name of the agent, item or cell that differs. It may also list some of several agents that differ. It is "" if
+    unknown. `current_value`, `old_value`: the value in this run and in the golden run, in the form that authors write; "" if
+    unknown."""
 
     owner: str
     attribute: str
@@ -226,7 +229,7 @@ class StateDifference:
 def find_differences(
     world: World, program: Program, recorded_sums: Mapping[str, tuple[str, str, str]], recorded_digests: Mapping[str, str]
 ) -> list[StateDifference]:
-    """Return all attributes that differ, the most informative first.
+    """Return all attributes that differ from a recording, the most informative first.
 
     `recorded_sums`: for each column key, the recorded sum, weighted sum and summary. `recorded_digests`: the recorded digests of
     agents, by species."""
@@ -259,7 +262,8 @@ def find_differences(
 def _has_other_agents(
     current_columns: Mapping[str, FingerprintColumn], recorded_sums: Mapping[str, tuple[str, str, str]], species: str
 ) -> bool:
-    """Return whether the agents of a species are not the same as in the recording, so that their values cannot be compared."""
+    """Return whether the agents of a species are different agents from those in the recording, so that their values cannot be
+    compared."""
     key = f"{species}.id"
     return (
         key in current_columns
@@ -298,7 +302,7 @@ def _find_member_name(column: FingerprintColumn, row: int) -> str:
 
 
 def _find_differing_agents(world: World, program: Program, name: str, recorded_digest: str) -> str:
-    """Return the names of the agents that differ according to the digest. Return "" if the digest covers other agents."""
+    """Return the names of the agents that differ according to the digest, or "" if the recorded digest is for other agents."""
     population = world.populations[name]
     rows, digest = choose_sample_indices(len(population)), digest_agents(world, population, program)
     if len(digest) != len(recorded_digest):

@@ -16,8 +16,8 @@ GoldenKey = tuple[Path, tuple[tuple[str, str], ...]]
 class GoldenComparison:
     """Compares the runs of one `antdsl test` with golden runs, or records new golden runs.
 
-    - `update`: whether to record runs instead of comparing them. Only the first seed of each scene and each set of changed
-      params is recorded.
+    - `update`: whether to record runs instead of comparing them. For each scene and each set of changed params, only the first
+      seed is recorded.
     - `report`: problems with golden files. `files`: the contents of golden files, by path; None for a missing file."""
 
     update: bool = False

@@ -42,8 +42,8 @@ class GoldenModel(BaseModel):
 class GoldenFrame(GoldenModel):
     """A frame of a golden run.
 
-    `parts`: for each column key, its sum, weighted sum and summary. A column that has not changed since the last frame with
-    `parts` is omitted. `agents`: the digests of agents, by species."""
+    `parts`: for each column key, its sum, weighted sum and summary. Columns that have not changed since the last frame with
+    `parts` are omitted. `agents`: the digests of agents, by species."""
 
     frame: int
     hash: GoldenText
@@ -69,16 +69,16 @@ class GoldenFile(GoldenModel):
 
 
 class GoldenError(Exception):
-    """Error for a file that is not a golden file. The message can be understood without context."""
+    """Error for a file that is not a valid golden file. The message can be understood without context."""
 
 
 @dataclass(slots=True)
 class GoldenResult:
-    """The result of comparing a run with its golden run, or of recording it.
+    """The result of comparing a run with its golden run, or of recording the run as a golden run.
 
     - `outcome`: "same", "differs", "written" or "waiting". `message`: the reason as text, if there is one.
     - `frame`: the first frame that differs. `detail_frame`: the frame in which `differences` were found.
-    - `origin`: the environment in which the golden run was recorded, unless it is the current one.
+    - `origin`: the environment in which the golden run was recorded, if it differs from the current one.
     - `frames`: the number of compared frames."""
 
     scene: Path
@@ -113,7 +113,7 @@ def find_golden_path(scene: Path) -> Path:
 
 
 def describe_environment() -> dict[str, str]:
-    """Return the versions and the system on which results depend, by name."""
+    """Return the versions and the system that may influence results, by name."""
     return {
         "antdsl": __version__, "python": platform.python_version(), "numpy": np.__version__,
         "system": f"{platform.system()} {platform.machine()}",
@@ -152,7 +152,8 @@ def write_golden(path: Path, runs: Iterable[GoldenRun]) -> None:
 
 
 class GoldenRecorder:
-    """Records a golden run while a run is simulated. It does not prolong the run. `frames`: the approximate number of frames."""
+    """Records a golden run while a run is simulated. The run does not last longer because of this. `frames`: the approximate
+    number of frames."""
 
     is_over = True
 
