@@ -40,7 +40,7 @@ class History(Protocol):
         """Return the state hash of a frame, or None if it is unknown."""
 
     def apply_interventions(self, world: World) -> None:
-        """Apply the external changes that the run received at the world's frame, before its next step."""
+        """Apply the external changes that the run received at the current frame of the world. Call this before the next step."""
 
     def make_missing_error(self, frame: int) -> ExplainError:
         """Return the error for a frame that has no undamaged checkpoint before it."""
@@ -143,8 +143,8 @@ def open_shot(
 
 
 def _find_scene(cache: Cache) -> Path:
-    """Return the path of the scene file that made a cache. The stored relative path is tried from each folder above the cache,
-    then from the working directory."""
+    """Return the path of the scene file that made a cache. The cache stores a relative path. This path is tried from each folder
+    above the cache, then from the working directory."""
     name = Path(cache.manifest.scene).name
     folder = cache.folder.resolve()
     then = Path(os.path.normpath(folder / cache.manifest.scene_path)) if cache.manifest.scene_path else None

@@ -51,10 +51,10 @@ def _build_layer_report(world: World, mode: str, note: LayerNote, trace: AgentTr
 
 
 def _grant_push(mode: str, push: PushVector, size: np.float32, budget: np.float32) -> PushVector:
-    """Return the part of a layer's push that takes effect.
+    """Return the part of a layer's push that takes effect. `mode`: how layers are combined. `size`: the length of the push.
 
     If pushes are summed, it is the complete push. With a priority budget, the push is shortened to the remaining `budget`. If
-    the first layer takes all, it is shortened to length 1. `size`: the length of the push."""
+    the first layer takes all, it is shortened to length 1."""
     if mode == "sum":
         return push
     limit = budget if mode == "budget" else _F32(1)
@@ -69,12 +69,12 @@ def compute_length(push: PushVector) -> np.float32:
 
 
 def read_total_push(trace: AgentTrace) -> PushVector:
-    """Return the sum of the pushes of all layers, read from the register that moves the agent."""
+    """Return the sum of the pushes of all layers. It is read from the register that moves the agent."""
     return np.array([trace.end_registers[f"push.{axis}"] for axis in AXES], _F32)
 
 
 def find_steering_lines(species: str, notes: SourceNotes, trace: AgentTrace, sites: tuple[str, ...]) -> tuple[SteeringLine, ...]:
-    """Return the `steer` and `face` lines that ran. `sites`: prefixes of the code sites to include."""
+    """Return the `steer` and `face` lines that ran. `sites`: prefixes of the code sites to include. Other lines are omitted."""
     steer_lines = []
     for note in notes.steers:
         if note.site.startswith(sites) and all(node in trace.values for node in note.push):

@@ -72,7 +72,7 @@ def _describe_target(machine: MachinePlan, t: model.Transition) -> str:
 
 
 def _build_claim_result(world: World, population: Population, taken_change: ChangeNote, trace: AgentTrace) -> ClaimResult | None:
-    """Return the result of the claim that a transition made, or None if the agent made no claim."""
+    """Return the result of the claim that a transition made. Return None if the agent made no claim for it."""
     entry = next((each for each in trace.claims if each.statement.site == taken_change.transition.key), None)
     if entry is None:
         return None
@@ -98,14 +98,14 @@ def _build_claim_result(world: World, population: Population, taken_change: Chan
 
 
 def _compute_claim_draw(world: World, population: Population, entry: ClaimEntry, row: int) -> float:
-    """Return the random number, from 0 to 1, that decides the position of the agent's claim among all claims."""
+    """Return the random number, from 0 to 1, that determines when the agent's claim was granted among all claims."""
     ids = population.ids[row : row + 1]
     words = randomness.draw_four_words(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)
     return float(words[0][0]) / float(np.uint64(1) << np.uint64(32))
 
 
 def _build_choice_result(machine: MachinePlan, note: ChoiceNote, trace: AgentTrace, new_state: int) -> ChoiceResult | None:
-    """Return the random choice among the states of a `choose`, or None if no choice was computed."""
+    """Return the random choice that a transition with `choose` made among states. Return None if no choice was computed."""
     if note.draw not in trace.values:
         return None
     total = sum(float(trace.values[node]) for _, node in note.weights)

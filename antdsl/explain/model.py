@@ -27,8 +27,8 @@ class ExpressionPart:
 
     - `text`: the part as in the source. `value`: its value in `unit`. `shown`: the value as text, in the form that authors
       write.
-    - `role`: "draw" for the random number of a `chance`, "bar" for the limit with which this number is compared. "joined" for a
-      part that only joins other parts by `and`, `<` or similar words. "" for all other parts."""
+    - `role`: "draw" for the random number of a `chance`, and "bar" for the limit with which this number is compared. "joined"
+      for a part that only joins other parts, such as `and` or `<`. "" for all other parts."""
 
     text: str
     value: PlainValue
@@ -42,8 +42,8 @@ class ExpressionPart:
 class TimerReading:
     """A timer of a transition.
 
-    `what`: "held" (in steps), or "after" or "at least" (seconds in the state). `has`, `needs`: the elapsed and the required
-    time. `holds`: whether the required time has elapsed."""
+    `what`: "held", "after" or "at least". `has`, `needs`: the elapsed and the required time. They are in steps for "held",
+    otherwise in seconds since the agent entered the state. `holds`: whether the required time has elapsed."""
 
     what: str
     has: float
@@ -58,7 +58,7 @@ class TransitionReport:
 
     - `kind`: interrupt, from any, or when.
     - `held`: whether the condition was true. `fires`: whether the condition was true and all timers had elapsed.
-    - `wins`: whether the machine took this transition."""
+    - `wins`: whether this is the transition that the machine took."""
 
     place: SourceLocation
     kind: str
@@ -74,8 +74,9 @@ class TransitionReport:
 @dataclass(frozen=True, slots=True)
 class ClaimResult:
     """The result of one claim by the agent. `amount`: the requested amount; None means everything. `draw`: a random number;
-    claims with smaller numbers are granted first. `won`: whether the claim was granted. `items`, `item`, `attribute`: what
-    was claimed; for a claim from a field, the first two are the name of the field and `attribute` may be empty."""
+    claims with smaller numbers are granted first. `won`: whether the claim was granted. `items`, `item`, `attribute`: the
+    group, the item and the attribute from which the amount was claimed. For a claim from a field, `items` and `item` are the
+    name of the field, and `attribute` may be empty."""
 
     items: str
     item: str
@@ -90,8 +91,8 @@ class ClaimResult:
 class ChoiceResult:
     """A random choice among states.
 
-    `draw`: the random number, from 0 to 1. `bars`: the range 0 to 1 is divided among the states; these are the upper limits of
-    their parts. `chosen`: the chosen state."""
+    `draw`: the random number, from 0 to 1. `bars`: the range 0 to 1 is divided into one part for each state; these are the upper
+    limits of the parts. `chosen`: the chosen state."""
 
     draw: float
     bars: tuple[tuple[str, float], ...]
@@ -103,7 +104,7 @@ class MachineStep:
     """The decisions of one machine in a step.
 
     - `before`, `after`: the states before and after the step. `since`: the seconds that the agent has spent in `before`.
-    - `looked`: the transitions that were checked, in order. `changed`: whether one of them was taken."""
+    - `looked`: the transitions that were checked, in order. `changed`: whether the machine took one of these transitions."""
 
     machine: str
     before: str
@@ -121,7 +122,7 @@ class LayerReport:
 
     - `state`: "pushed", "nothing" (the push was zero), "off" (the condition was false) or "no strength" (earlier layers used
       all).
-    - `left`: the strength that earlier layers have left over, from 0 to 1.
+    - `left`: the strength that earlier layers have left over for this one, from 0 to 1.
     - `push`: the push that the layer requested. `length`: its length.
     - `given`: the part of the push that took effect. `share`: the length of this part, as a fraction of the complete budget.
     - `cut`: the length by which the push was reduced."""
@@ -139,7 +140,8 @@ class LayerReport:
 
 @dataclass(frozen=True, slots=True)
 class SteeringLine:
-    """A `steer` or `face` line that ran, and its push. `part`: `state`, or `layers` for a line of a layer."""
+    """A `steer` or `face` line that ran, and the push that it requested. `part`: `state` for a line of a state, or `layers` for
+    a line of a layer."""
 
     text: str
     push: FloatTriple
@@ -163,7 +165,7 @@ class NearbyObject:
 class ObservedSet:
     """A set of agents or items that the agent has searched.
 
-    The fields are the text of the set in the program, the species or items, the number of members, and the nearest members."""
+    The fields are: the text of the set in the program, the species or items, the number of members, and the nearest members."""
 
     asked: str
     of: str
@@ -173,7 +175,7 @@ class ObservedSet:
 
 @dataclass(frozen=True, slots=True)
 class SenseReading:
-    """The reading of a sense. `kind`: ray, obstacle, curve, flow, map or field. `shown`: the result in words."""
+    """The reading of a sense. `kind`: ray, obstacle, curve, flow, map or field. `shown`: the result as text."""
 
     kind: str
     name: str
@@ -217,10 +219,11 @@ class StateInterval:
 class Explanation:
     """The report on one agent in the step to `frame`.
 
-    - `hash`: the hash of the complete state at `frame`, equal to that of the cache.
+    - `hash`: the hash of the complete state at `frame`. It is equal to the hash in the cache.
     - `checkpoint`: the frame from which the run was simulated again.
     - `mode`: how the layers are combined.
-    - `strip`: the states of each machine over time; for a cache, only those of the first machine.
+    - `strip`: the states of each machine over time. If the run is read from a cache, there are only the states of the first
+      machine.
     - `alive`: the first and the last frame in which the agent lives. `notes`: sentences about the scene's notes that direct the
       agent.
     - `push`: the combined push, without a unit; its length is at most 1.

@@ -30,10 +30,11 @@ def explain_agent_in_cache(
 ) -> Explanation:
     """Return what an agent did in the step that leads to `frame`, and why. Nothing is written.
 
-    The step is simulated again from the nearest checkpoint, and must give the state hash in the cache. Raises ExplainError if it
-    does not or the request is wrong, and CacheError for a damaged frame.
+    The run is simulated again from the nearest checkpoint up to this step. The result must have the state hash in the cache.
+    Raises ExplainError if the hash differs or the request is wrong, and CacheError for a damaged frame.
 
-    `species`: optional if the scene has only one. `scene`: optional if the file is near the cache."""
+    `species`: may be None if the scene has only one species. `scene`: may be None if the scene file can be found from the cache.
+    """
     name = _require_species(cache, species)
     _require_frame(cache, frame)
     stretches, alive = read_state_timeline(cache, name, agent)
@@ -81,7 +82,8 @@ def _require_alive(
     state_intervals: tuple[StateInterval, ...],
     lifetime: tuple[int, int] | None,
 ) -> None:
-    """Raise ExplainError if the agent did not exist in the previous frame. Frames without ids are not checked."""
+    """Raise ExplainError if the agent did not exist in the frame before `frame`. If this frame stores no ids, nothing is
+    checked."""
     if "id" not in cache.manifest.attributes:
         return
     if lifetime is None:
@@ -108,7 +110,8 @@ def _describe_agents(cache: Cache, species: str, agent: int, frame: int) -> str:
 
 
 def make_absence_error(replay: StepReplay, species: str, agent: int, frame: int) -> ExplainError:
-    """Return the error for an agent that was not traced because it was dead, in quarantine, or guided by the scene."""
+    """Return the error for an agent that was not traced. The reason may be that it was dead, in quarantine, or guided by the
+    scene."""
     world = replay.restore_step_start(frame)
     population = world.populations[species]
     row = int(population.find_rows(np.array([agent]))[0])

@@ -45,7 +45,7 @@ class ReplayedStep(Generic[T]):
 class StepReplay:
     """An object that replays the steps of a run. If frames are requested in ascending order, each is simulated only once.
 
-    Raises ExplainError where a checkpoint is missing, or where a state differs from the known state of the run."""
+    Raises ExplainError if a checkpoint is missing, or if a state differs from the known state of the run."""
 
     def __init__(self, history: History) -> None:
         self.history, self.shot = history, history.shot
@@ -58,7 +58,7 @@ class StepReplay:
     def _build_annotated_plan(self) -> Plan:
         """Return the plan of the program, with notes that link its nodes to the program text.
 
-        Only the pass that changes rounding is applied, so that all blocks give the same bits as in the run."""
+        Of the passes, only the one that changes rounding is applied. So all blocks give the same bits as in the run."""
         scene, program = self.shot.scene, self.shot.program
         orders = {
             name: order for name in scene.model.layers if (order := resolve_layer_order(scene, program, name)[0]) is not None
@@ -72,7 +72,7 @@ class StepReplay:
         return hoist_factors(noted, self.replacement_by_node)
 
     def restore_step_start(self, frame: int) -> World:
-        """Return the world at the start of the step that leads to `frame`, that is, at the end of the previous frame."""
+        """Return the world at the start of the step that leads to `frame`. This is the world at the end of the previous frame."""
         world = self._world
         if world is None or not self._checkpoint <= world.frame <= frame - 1 or self._has_nearer_checkpoint(world.frame, frame):
             world = self._restore_checkpoint(frame - 1)
@@ -85,8 +85,10 @@ class StepReplay:
         return world
 
     def replay_step(self, frame: int, agents: Sequence[tuple[str, int]], read_trace: TraceReader[T]) -> ReplayedStep[T]:
-        """Replay the step that leads to `frame` and trace the given agents (species, id). `read_trace`: called with the trace of
-        each agent, while other agents, items and fields are still in their state at the start of the step."""
+        """Replay the step that leads to `frame` and trace the given agents (species, id).
+
+        `read_trace`: called with the trace of each agent. At this time, all other agents, items and fields are still in their
+        state at the start of the step."""
         world = self.restore_step_start(frame)
         self.history.apply_interventions(world)
         self._world = None  # until the step is complete
@@ -113,7 +115,7 @@ class StepReplay:
         return any(start_frame < point < frame for point in self.history.checkpoint_frames())
 
     def _restore_checkpoint(self, frame: int) -> World:
-        """Return a world with the state of the last undamaged checkpoint at or before `frame`."""
+        """Return a world with the state of the last checkpoint at or before `frame` that is not damaged."""
         for point in reversed([point for point in self.history.checkpoint_frames() if point <= frame]):
             world = self.history.restore_world(point)
             if world is not None:
@@ -122,7 +124,7 @@ class StepReplay:
         raise self.history.make_missing_error(frame)
 
     def _require_known_hash(self, world: World) -> str:
-        """Return the state hash of the world. Raises ExplainError if the history knows another hash for this frame."""
+        """Return the state hash of the world. Raises ExplainError if the history has a different hash for this frame."""
         world_hash = state_hash(world)
         if self.history.find_hash(world.frame) not in (None, world_hash):
             self._world = None

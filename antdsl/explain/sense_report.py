@@ -53,7 +53,7 @@ def read_field_values(world: World, population: Population, row: int) -> tuple[t
 
 
 def list_sense_readings(trace: AgentTrace) -> tuple[SenseReading, ...]:
-    """Return the readings of the other senses that the agent queried at its position."""
+    """Return the readings of senses other than sets, which the agent queried at its position."""
     return tuple(
         sense
         for node, value in sorted(trace.senses.items(), key=lambda pair: pair[0].number)
@@ -72,8 +72,8 @@ def _build_sense_readings(node: PlanNode, value: Any) -> Iterator[SenseReading]:
 
 
 def _describe_sense(row: rows.SenseRow, values: tuple[bool | float, ...]) -> str:
-    """Return the reading of a sense as text, formatted by the template in its table row, or as a list of numbers without a
-    template."""
+    """Return the reading of a sense as text. The template in the sense's table row formats it. Without a template, it is a list
+    of numbers."""
     if row.empty_trace and not values[0]:
         return row.empty_trace
     if row.trace:
@@ -83,7 +83,7 @@ def _describe_sense(row: rows.SenseRow, values: tuple[bool | float, ...]) -> str
 
 
 def list_random_draws(trace: AgentTrace) -> tuple[RandomDraw, ...]:
-    """Return the random draws of the agent, with their code sites."""
+    """Return the random draws of the agent. Each has the stable name of the code site that requested it."""
     drawn_numbers = []
     for node, value in trace.draw_values.items():
         index = node.attrs[1] if node.op == "draw" else 0
@@ -93,6 +93,6 @@ def list_random_draws(trace: AgentTrace) -> tuple[RandomDraw, ...]:
 
 
 def _find_node_text(node: PlanNode) -> str:
-    """Return the program or library text that made a query. Long text is shortened."""
+    """Return the text in the program or library that made a query. Long text is shortened."""
     text = "" if node.span is None else " ".join(node.span.text.split())
     return text if len(text) <= _MAX_TEXT_CHARACTERS else text[: _MAX_TEXT_CHARACTERS - 1].rstrip() + "…"

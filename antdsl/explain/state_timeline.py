@@ -11,10 +11,11 @@ _FRAME_ARRAYS = frozenset(("id", "state", "species"))
 
 
 def read_state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[StateInterval, ...], tuple[int, int] | None]:
-    """Return the intervals of frames in which the first machine was in one state, and the frames of the agent's life.
+    """Return the intervals of frames in which the first machine of an agent was in one state. Also return the first and the last
+    frame of the agent's life.
 
-    The second result is the first and the last frame, or None if the agent is in no frame. If the cache stores no states, each
-    interval has the state "". Raises CacheError if a frame is damaged."""
+    The second result is None if the agent is in no frame. If the cache stores no states, each interval has the state "". Raises
+    CacheError if a frame is damaged."""
     names = [entry.name for entry in cache.manifest.species]
     number = names.index(species)
     machine = next(iter(cache.manifest.species[number].machines), None)
@@ -26,7 +27,8 @@ def read_state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[S
 
 
 def merge_state_frames(machine: str, frame_states: Iterable[tuple[int, str]]) -> tuple[StateInterval, ...]:
-    """Return one interval for each run of consecutive frames with the same state. `frame_states`: (frame, state), ascending."""
+    """Return one interval for each run of consecutive frames with the same state. `frame_states`: pairs (frame, state), with
+    frames ascending."""
     parts: list[StateInterval] = []
     for frame, state in frame_states:
         if parts and parts[-1].state == state and parts[-1].last == frame - 1:

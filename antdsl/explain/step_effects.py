@@ -25,9 +25,9 @@ from antdsl.specs.value_text import format_position
 def list_changes(
     world: World, population: Population, species: Species, trace: AgentTrace, agent: int
 ) -> tuple[ChangedValue, ...]:
-    """Return the changes of an agent's stored registers, in the order of the program; () for a dead agent.
+    """Return how an agent's stored registers changed in the step, in the order of the program. Return () for a dead agent.
 
-    `world`, `population`: as they are after the step."""
+    `world`, `population`: in their state after the step."""
     row = int(population.find_rows(np.array([agent]))[0])
     return () if row < 0 else tuple(_find_changed_registers(world, population, species, trace, row))
 
@@ -35,7 +35,7 @@ def list_changes(
 def _find_changed_registers(
     world: World, population: Population, species: Species, trace: AgentTrace, row: int
 ) -> Iterator[ChangedValue]:
-    """Yield the changes of an agent's stored registers. `row`: its row after the step."""
+    """Yield an agent's stored registers that the step has changed, with both values. `row`: the agent's row after the step."""
     types = {a.name: a.type for a in species.attributes}
     for name, register in population.plan.registers.items():
         if register.role in ("temp", "pair") or name.endswith((".y", ".z", ".next")):
@@ -75,7 +75,7 @@ def _find_changed_registers(
 
 
 def _find_pair_values(registers: Mapping[str, Any], slots: list[tuple[str, str]]) -> dict[int, Any]:
-    """Return the values that the agent stores for each other agent, by the id of the other agent."""
+    """Return the values that the agent stores about other agents, by the id of the other agent."""
     return {
         int(registers[id_register]): registers[value_register]
         for id_register, value_register in slots
@@ -93,7 +93,8 @@ def _describe_value(world: World, value: Any, type: ValueType, unit: str) -> tup
 
 
 def _read_vector_registers(population: Population, stem: str, row: int) -> dict[str, Any]:
-    """Return the components of one agent's vector register, by name. `stem`: the common start of their names."""
+    """Return the components of one agent's vector register, by component name. `stem`: the common beginning of the names of the
+    three registers."""
     return {f"{stem}.{axis}": population.now[f"{stem}.{axis}"][row] for axis in AXES}
 
 
@@ -151,7 +152,8 @@ def describe_effects(effects: EffectRequests) -> tuple[str, ...]:
 
 
 def _describe_request(row: EffectRow, entry: RequestEntry) -> str:
-    """Return a text about one request, made from the template in its table row; "" if the request has no effect."""
+    """Return a sentence about one request. It is made from the template in the request's table row. It is "" if the request has
+    no effect."""
     if row.hides_zero_in_trace and not float(entry.get_required_operand(0)[0]):
         return ""
     args = dict(zip(row.operand_names, entry.args, strict=True))

@@ -36,16 +36,17 @@ class LocatedExplanation:
 
 
 def explain_agents(replay: StepReplay, frame: int, agents: Sequence[tuple[str, int]]) -> list[Explanation | None]:
-    """Return what each agent (species, id) did in the step that leads to `frame`, without its states over time. The entry is
-    None for an agent that was dead at the start of the step, or in quarantine. Raises ExplainError if the step cannot be
-    simulated again."""
+    """Return, for each agent (species, id), what it did in the step that leads to `frame`. Its states over time are not
+    included. The entry of an agent that was dead at the start of the step, or in quarantine, is None. Raises ExplainError if
+    the step cannot be simulated again."""
     return [None if each is None else each.explanation for each in explain_agents_with_positions(replay, frame, agents)]
 
 
 def explain_agents_with_positions(
     replay: StepReplay, frame: int, agents: Sequence[tuple[str, int]]
 ) -> list[LocatedExplanation | None]:
-    """Return the results of `explain_agents`, each with the positions of the agent and what it considered."""
+    """Return the results of `explain_agents`. Each is completed with the positions of the agent and of everything that it
+    considered."""
 
     def explain_agent(world: World, population: Population, trace: AgentTrace) -> tuple[AgentTrace, LocatedExplanation]:
         return trace, LocatedExplanation(_build_explanation(replay, frame, world, population, trace), *_find_positions(trace))
@@ -63,7 +64,8 @@ def explain_agents_with_positions(
 
 
 def _find_positions(trace: AgentTrace) -> tuple[FloatTriple, tuple[FloatTriple, ...]]:
-    """Return the agent's position at the start of the step, and the positions of what it considered, without duplicates."""
+    """Return the agent's position at the start of the step. Also return the positions of the agents and items that it
+    considered, without duplicates."""
     position = to_float_triple(trace.start_registers[f"position.{axis}"] for axis in AXES)
     near = [
         member
@@ -75,7 +77,7 @@ def _find_positions(trace: AgentTrace) -> tuple[FloatTriple, tuple[FloatTriple, 
 
 
 def _has_collided(handler: Handler, trace: AgentTrace) -> bool:
-    """Return whether a collision handler has run because the agent began to touch another one."""
+    """Return whether a collision handler has run because the agent has just begun to touch another agent."""
     if handler.event != "collision":
         return False
     return any(
@@ -84,7 +86,7 @@ def _has_collided(handler: Handler, trace: AgentTrace) -> bool:
 
 
 def _build_explanation(replay: StepReplay, frame: int, world: World, population: Population, trace: AgentTrace) -> Explanation:
-    """Return the explanation of a step except the effects on the agent, which `_add_effects` adds."""
+    """Return the explanation of a step, without the effects of the step on the agent. `_add_effects` adds these."""
     program = replay.shot.program.species[population.name]
     notes = replay.notes[population.name]
     machines = tuple(build_machine_step(world, population, machine, notes, trace) for machine in population.plan.machines)
@@ -139,7 +141,8 @@ def _list_scene_notes(replay: StepReplay, world: World, population: Population, 
 
 
 def _find_active_sites(species: Species, machines: Sequence[MachineStep]) -> tuple[str, ...]:
-    """Return the code sites that run for this agent in the step. The default site is included if no current state steers."""
+    """Return the code sites that run for this agent in the step. If none of its current states steers, the site of the default
+    push is included."""
     sites = [f"{species.name}.{m.machine}.{m.after}#" for m in machines]
     sites += [f"{species.name}.{m.machine}.{m.after}.enter#" for m in machines if m.changed]
     sites.append(f"{species.name}.layers.face#")
@@ -153,7 +156,7 @@ def _find_active_sites(species: Species, machines: Sequence[MachineStep]) -> tup
 
 
 def _add_effects(replay: StepReplay, world: World, trace: AgentTrace, explanation: Explanation) -> Explanation:
-    """Return the explanation, completed with the effects of the step. For an agent that died in the step, only add a note."""
+    """Return the explanation with the effects of the step added. For an agent that died in the step, add only a note."""
     population = world.populations[explanation.species]
     row = int(population.find_rows(np.array([explanation.agent]))[0])
     if row < 0:

@@ -55,7 +55,8 @@ def _format_report_lines(explanation: Explanation) -> Iterator[str]:
 
 
 def _format_place(place: SourceLocation) -> str:
-    """Return the file name and line number of a location. Folders are left out, because the name is enough to find the file."""
+    """Return the file name and line number of a location as text. The folder is left out, because the file name is enough to
+    find the file."""
     return f"{PurePath(place.file).name}:{place.line}"
 
 
@@ -118,7 +119,7 @@ def _format_transition_lines(transition: TransitionReport, hide_condition: bool)
 
 
 def _format_condition_lines(part: ExpressionPart, indent: str) -> Iterator[str]:
-    """Yield the lines of a condition and its parts. A test of whether a thing exists is shown as the thing itself."""
+    """Yield the lines of a condition and its parts. If a part tests whether a thing exists, the thing itself is displayed."""
     if len(part.parts) == 1 and part.parts[0].text == part.text:
         part = part.parts[0]
     if part.role in ("draw", "bar"):
@@ -159,7 +160,8 @@ def _format_push_lines(explanation: Explanation) -> Iterator[str]:
 
 
 def _format_strength_bar(layer: LayerReport) -> str:
-    """Return a bar of text that shows the part of the strength that a layer used, after the part that earlier layers used."""
+    """Return a text bar that shows how much of the strength a layer used. This part comes after the part that earlier layers
+    used."""
     granted = round(min(layer.share, 1.0) * _BAR_CHARACTERS)
     if layer.share > 0:
         granted = max(granted, 1)

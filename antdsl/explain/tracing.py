@@ -28,8 +28,8 @@ class AgentTrace:
 
     - `row`: the row of the agent in its population.
     - `start_registers`, `end_registers`: the registers of the agent at the start of the step, and after all blocks.
-    - `values`, `draw_values`: the values of nodes that have notes, and of random draws.
-    - `set_members`, `senses`: the members of searched sets, and the results of other senses.
+    - `values`: the values of nodes that have notes. `draw_values`: the values of random draws.
+    - `set_members`: the members of the sets that the agent searched. `senses`: the results of other senses.
     - `claims`: the claims of the agent, in text order. `effects`: its other requests to the world."""
 
     row: int
@@ -61,7 +61,8 @@ class TracedAgent(AgentRun):
         self.trace = AgentTrace(row, {name: array[0] for name, array in registers.items()}, {})
 
     def run_step_blocks(self) -> AgentTrace:
-        """Run the blocks of a step in order. Claims get the results that they have in the world's own step."""
+        """Run the blocks of a step in order. The claims of the agent get the results that they had in the actual step of the
+        world. Return the trace."""
         for block in STEP_BLOCKS:
             self.run(block, self.plan)
             if block == "decide":
@@ -74,7 +75,8 @@ class TracedAgent(AgentRun):
         return self.trace
 
     def _fill_impossible_changes(self) -> None:
-        """Compute the values of transitions that can never happen. No register stores these values, so they were not recorded."""
+        """Compute the values of transitions that can never happen. They are missing in the record, because no register stores
+        them."""
         for note in self.notes.changes:
             if note.state.index == int(self.trace.start_registers[f"{note.machine}.state"]):
                 for node in list_change_nodes(note):
@@ -96,8 +98,8 @@ class TracedAgent(AgentRun):
         return self.trace.set_members[node]
 
     def _record_block_values(self, block: str) -> None:
-        """Record the values that a block has computed. Skipped values are left out, such as senses of a layer without
-        strength."""
+        """Record the values that a block has computed. Values that were not computed, such as the senses of a layer without
+        strength, are omitted."""
         for node, value in self.values.items():
             if node.op in SENSE_BY_OPERATION:
                 self.trace.senses[node] = value
@@ -140,7 +142,7 @@ def trace_agent(
 
 
 def list_part_nodes(note: ExpressionNote | None) -> list[ir.PlanNode]:
-    """Return all nodes of a condition's part, from its note."""
+    """Return all nodes that have values in a note about a condition, including its parts."""
     if note is None:
         return []
     return [*note.nodes, *(node for part in note.parts for node in list_part_nodes(part))]
@@ -159,7 +161,7 @@ def list_layer_nodes(note: LayerNote) -> list[ir.PlanNode]:
 
 
 def list_act_nodes(notes: SourceNotes) -> list[ir.PlanNode]:
-    """Return the nodes with notes that run when an agent acts: `steer` and `face` lines, and choices of a state."""
+    """Return the nodes with notes that run in the block `act`: those of `steer` and `face` lines, and of choices of a state."""
     chosen = [node for note in notes.choices.values() for node in (note.draw, *(n for _, n in note.weights))]
     steered = [
         node for note in notes.steers for node in (*note.push, *([] if note.condition_value is None else [note.condition_value]))
