@@ -307,8 +307,7 @@ def _add_legs(
 
 
 def _make_leg(name: str, leg: LegCandidate, joints: Sequence[str]) -> dict[str, str]:
-    """Return the entry of `legs` for a leg. In the entry of a leg with an ankle, the foot joint is the joint of the toes if
-    there is one."""
+    """Return the entry of `legs` for a leg. For a leg with an ankle, the foot joint is the joint of the toes if there is one."""
     entry = {"name": name, "upper": joints[leg.upper], "lower": joints[leg.lower]}
     return entry | ({"ankle": joints[leg.ankle], "foot": joints[leg.ball]} if leg.ankle >= 0 else {"foot": joints[leg.foot]})
 
@@ -361,8 +360,7 @@ def _make_gait(name: str, speed: float, stride: float, duty: float, lift: float,
 
 
 def _add_capsule(proposal: BodyFileProposal, study: BodyMeasurements, front: Floats) -> None:
-    """Add `capsule` to the proposal. It is the box of the trunk in the standing pose. Legs and outstretched arms are not part of
-    the trunk."""
+    """Add `capsule` to the proposal: the box of the trunk in the standing pose. Legs and outstretched arms do not count."""
     rig, search = study.body.rig, study.leg_search
     limbs = {k for leg in search.legs for k in range(len(rig.names)) if is_below(rig, k, leg.chain[0])}
     own = ~np.isin(study.points.joint_indices, sorted(limbs))

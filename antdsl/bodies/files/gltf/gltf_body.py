@@ -35,8 +35,8 @@ def read_gltf(
 
     `read_sibling(path, cap)`: a function that returns at most `cap` bytes of a file. `path` is relative to this file.
     `rate`: approximate samples per second of animations; it is adjusted so that each animation ends on a sample.
-    `pose`: a rig. If an animation has no keys for a joint, the joint has its rest pose in this rig, or in the file if the rig
-    lacks the joint."""
+    `pose`: a rig. If an animation has no keys for a joint, the joint has its rest pose in this rig. If
+    the rig lacks the joint, it has its rest pose in the file."""
     with np.errstate(all="ignore"):  # values that are not finite are reported where they are used
         try:
             return _read_definition(data, name, read_sibling, rate, pose)
