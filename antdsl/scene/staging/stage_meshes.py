@@ -64,8 +64,8 @@ def stage_mesh(staging: SceneStaging, name: str, value: MeshThing | HeightThing 
 
 
 def _read_static_mesh(staging: SceneStaging, name: str, value: MeshThing) -> tuple[RawMesh, None] | None:
-    """Return the mesh in a file that is the same for all frames, and None as its motion. After an error, return None instead of
-    the pair."""
+    """Return the mesh in a single file, and None as its motion, because it is static. After an error, return None instead of the
+    pair."""
     data = staging.read_file(value.mesh, limits.MAX_MESH_BYTES, "world", name, "mesh")
     if data is None:
         return None
