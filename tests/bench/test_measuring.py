@@ -236,7 +236,7 @@ def test_the_page_is_what_its_measurements_say(monkeypatch: pytest.MonkeyPatch) 
     written: list[str] = []
     monkeypatch.setattr(Path, "write_text", lambda self, text, **_: written.append(text))
     page.write(measurements)
-    assert written == [page.PAGE.read_text(encoding="utf-8")]
+    assert written == [each.read_text(encoding="utf-8") for each in page.PAGES]
 
 
 def test_what_the_cases_need_ships() -> None:

@@ -334,7 +334,7 @@ def trait_arrays(worn: BodyOutfit, plays: tuple[MachineClips, ...], driven: Pose
     body_traits, differ = find_traits(worn), worn.definition.variation
     parts = [
         *compute_blend_weights(
-            worn, body_traits, plays, len(driven.variation_draws.ids), driven.channels, leans(12)[:, :2] / 127
+            worn, body_traits, plays, len(driven.variation_draws.ids), driven.channels, leans(len(plays[0].clip))[:, :2] / 127
         ).T
     ]
     parts += [draw_group_scale(differ, name, driven.variation_draws) for name in body_traits.scales]

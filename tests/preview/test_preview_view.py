@@ -42,6 +42,7 @@ def settled(preview: PreviewPage) -> None:
     previous_count, still = -1, 0
     for _ in range(240):
         preview.page.wait_for_timeout(250)
+        preview.page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
         now = preview.now("pictures")
         still = still + 1 if now == previous_count else 0
         if still == 3:  # on a busy machine two pictures may be that far apart
