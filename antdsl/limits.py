@@ -105,6 +105,8 @@ MAX_QUERY_NEIGHBOURS: Final = 256  # of one agent in one question, the nearest
 MAX_CANDIDATES_IN_RADIUS: Final = 8192  # others within the radius of one agent in one query, from which the nearest are chosen
 MAX_SUBSTEPS: Final = 64  # of one step of a scene
 MAX_FIELD_CELLS: Final = 20_000_000  # of one field
+MAX_FIELD_STARTS: Final = 1_000  # starting values of one field in a scene
+MAX_FIELD_START: Final = 1e9  # of one cell
 MAX_FLOW_POINTS: Final = 4_000_000  # points in which one flow is computed
 
 # preview

@@ -255,5 +255,5 @@ def setting(who: str, life: Life, kind: str = "still", seed: int = 0) -> WorldSe
     params["egg.life"] = life.until if ends else ENDLESS
     base_setting = random_extremes.setting(extremes)
     plain = {"damp": PaintedValues("ground", np.abs(base_setting.surfaces["ground"].vertices[:, 1]) / 8)}
-    start = {"trail": FieldStartData(0.5, (0.0, 0.0, 0.0), 40.0)}
+    start = {"trail": (FieldStartData(0.5, (0.0, 0.0, 0.0), 40.0),)}
     return replace(base_setting, crowds=crowds, params=params, maps=plain, field_start=start)

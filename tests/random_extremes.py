@@ -215,7 +215,7 @@ def setting(extremes: Extremes, agents: int = 21) -> WorldSetting:
             "flows": {"drift": SpreadFlowData("toward", goal, radius=90.0)},
             "maps": {"damp": PaintedValues("ground", lay)},
             "solids": {"hill": SolidData(MeshData(*meshes.box((-70, -20, -70), (-30, 25, -30))), 4.0)},
-            "field_start": {"trail": FieldStartData(float(draw.choice([0.5, 1e30, 1e-40, 1e-310])), (0.0, 0.0, 0.0), 40.0)},
+            "field_start": {"trail": (FieldStartData(float(draw.choice([0.5, 1e30, 1e-40, 1e-310])), (0.0, 0.0, 0.0), 40.0),)},
         }
     if extremes.kind == "moving":
         poses = np.repeat(np.eye(3, 4)[None], 30, axis=0)

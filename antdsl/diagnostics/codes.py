@@ -135,7 +135,7 @@ CODE_DESCRIPTIONS: dict[str, str] = {
     "wide-radius": "the radius of a neighbour search includes all agents",
     # --- scenes ---
     "bad-mesh": "a mesh file is unreadable, has no faces, has invalid values, or is a solid that is not closed",
-    "bad-paint": "a file lacks the painted values of a flow or map, or has another number of values than the surface",
+    "bad-paint": "a file lacks the values of a flow, map or field, or its values do not suit the surface or the field",
     "bad-path": "a path leads out of the scene's folder, or has an unsupported form",
     "bad-points": "a file of points is not a list of `[x, y, z]`",
     "bad-seam": "a surface of a periodic world ends at a side of its box, or does not continue on the opposite side",
@@ -159,7 +159,7 @@ CODE_DESCRIPTIONS: dict[str, str] = {
     "not-a-file": "a path leads to a folder, a pipe or a device",
     "odd-scale": "a surface is hardly larger than its agents, or far too large, or voxels are too coarse for them",
     "odd-size": "size, height or radius of a species and its body differ by more than a factor of 2",
-    "off-surface": "an item or a crowd is on a surface that is neither above nor below it",
+    "off-surface": "an item, a crowd or a field's starting value is at a place without a surface",
     "out-of-range": "a value is outside its allowed range",
     "root-not-granted": "a path begins with a root that the user has not granted",
     "scene-syntax": "the scene is not valid YAML for a scene",

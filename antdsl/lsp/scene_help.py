@@ -107,7 +107,8 @@ def _propose_keys(workspace: Workspace, document: OpenDocument, path: tuple[str,
     elif path[-1:] == ("each",) and path[:1] == ("crowd",):
         yield from _propose_initial_values(workspace, document)
     elif path[:1] == ("fields",):
-        yield from _propose_model_fields(scene_model.FieldStart)
+        items = [item for each in scene_model.FIELD_START_MODELS.values() for item in _propose_model_fields(each)]
+        yield from {item.label: item for item in items}.values()
     elif path == ("output", "attributes"):
         yield from (CompletionItem(name, "property", "attribute of a frame") for name in COLUMN_BY_ATTRIBUTE)
     else:

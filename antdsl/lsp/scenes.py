@@ -158,9 +158,12 @@ def _index_fields(index: SceneIndex, node: DocumentNode) -> None:
     """Record the names of fields in the scene, and the things around which their initial values are placed."""
     for name, span, value in _list_mapping_entries(node):
         index.add_occurrence(span, ("field", name))
-        for key, _, inner in _list_mapping_entries(value):
-            if key == "around":
-                _index_named_thing(index, key, inner, set())
+        for part in value.items if isinstance(value, SequenceNode) else (value,):
+            for key, _, inner in _list_mapping_entries(part):
+                if key == "values":
+                    _index_file(index, inner)
+                elif key in ("around", "on"):
+                    _index_named_thing(index, key, inner, set())
 
 
 def _index_layers(index: SceneIndex, node: DocumentNode) -> None:

@@ -288,6 +288,8 @@ SCENE_KEY_HELP = {
     "height": WordHelp("a 16-bit image, or an array of an .npz file", _HEIGHT_SAMPLE),
     "extent": WordHelp("the size along x and along the other horizontal axis", _HEIGHT_SAMPLE),
     "offset": WordHelp("a height that is added to all heights", _HEIGHT_SAMPLE),
+    "start": WordHelp("the value of a field's cells at the start", "fields: {trail: {start: 1, around: home, radius: 30 mm}}"),
+    "values": WordHelp("an image or array of values over the ground", "fields: {grass: {values: meadow.png, scale: 3}}"),
     "voxel": WordHelp("the size of a solid's voxels", "world: {hill: {mesh: hill.ply, voxel: 2 mm}}"),
     "keys": WordHelp("places at frames", "world: {lorry: {mesh: lorry.ply, keys: {1: {at: [0, 0, 0]}, 48: {at: [20, 0, 0]}}}}"),
     "attributes": WordHelp("the attributes in the frames of the cache", "output: {attributes: [P, v, id, state]}"),

@@ -37,7 +37,7 @@ from antdsl.preview.precompiled_shot import describe_changed_files
 from antdsl.preview.timeline import SimulationSegment, Timeline, find_nearest_checkpoint
 from antdsl.reload import describe_migration
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step
-from antdsl.runtime.binding.start_findings import find_unreachable_target_warnings
+from antdsl.runtime.binding.start_findings import find_start_warnings
 from antdsl.runtime.profiling import StepMeter
 
 _RESTARTED_TEXT = "simulated again from the first frame"
@@ -295,7 +295,7 @@ class PreviewSession:
             world = bind(shot.plan, shot.setting, self.options, binding_cache=self.compiler.binding_cache)
         except BindError as why:
             return EditOutcome(why.report)
-        report.extend(find_unreachable_target_warnings(shot.scene, world))
+        report.extend(find_start_warnings(shot.scene, world))
         self.timeline = self.timeline.make_empty_successor(_RESTARTED_TEXT)
         stretch = SimulationSegment(shot, world.frame, "from the first frame", world.origin, choices, disabled_layers)
         self.timeline.start_stretch(stretch, world)
@@ -354,7 +354,7 @@ class PreviewSession:
         if world is None:
             self.seek(frame)
             return EditOutcome(report)
-        report.extend(find_unreachable_target_warnings(shot.scene, world))
+        report.extend(find_start_warnings(shot.scene, world))
         lines = [f"layer `{layer}` no longer exists" for _, layer in missing_layers]
         line = " · ".join([describe_migration(migration), *lines, *describe_switched_notes(old_notes, self.notes)])
         disabled_layers = {key: path for key, path in disabled_layers.items() if key not in missing_layers}

@@ -196,7 +196,8 @@ def _migrate_fields(old_world: World, world: World, migration: Migration) -> Non
     """Copy the amounts of fields that have the same cells. A field of which the initial value was changed is not copied."""
     for name, now in world.fields.items():
         old_field = old_world.fields.get(name)
-        starts = [setting.field_start.get(name) for setting in (old_world.setting, world.setting)]
+        program_name = world.plan.fields[name].vector_field or name
+        starts = [setting.field_start.get(program_name) for setting in (old_world.setting, world.setting)]
         if (
             old_field is None
             or not _is_same_grid(old_world, world, name)

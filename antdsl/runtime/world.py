@@ -265,6 +265,7 @@ class World:
     detail_levels: DetailLevels | None = None
     notes: ActiveNotesRun | None = None  # None: the scene has none
     overcrowded_lines: list[OvercrowdedCrowd] = field(default_factory=list)  # crowd lines without space for all agents
+    unreached_field_starts: list[tuple[str, int]] = field(default_factory=list)  # field, and index of a value without cells
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step after the phase `act`
     feet: dict[str, FeetState] = field(default_factory=dict)  # by body key; only those with computed feet
     legs_by_species: dict[str, LegsOfBody] = field(default_factory=dict)  # legs and gaits, by body key

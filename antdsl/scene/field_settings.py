@@ -103,12 +103,14 @@ def check_field_dynamics(scene: Scene, program: Program, report: Report) -> None
         if isinstance(part, EffectRequest) and part.op in laying
     }
     for name, field in program.fields.items():
-        if name not in laid and field.has_vectors:
+        if name in laid or name in scene.model.fields:
+            continue
+        if field.has_vectors:
             report.warning(
                 "unlaid-field", f"no agent lays the field `{name}`", field.span,
                 f"write `deposit {name} heading * 1 /s` in a state",
             )  # fmt: skip
-        elif name not in laid and name not in scene.model.fields:
+        else:
             report.warning(
                 "unlaid-field", f"no agent lays the field `{name}`, and the scene does not start it", field.span,
                 f"write `deposit {name} 1 /s` in a state, or in the scene `fields: {{{name}: {{start: 1}}}}`",

@@ -42,7 +42,7 @@ _MISPLACED_KEY_HELP = {
 
 
 # of tags in unions; no key of a scene ends so
-_UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here", "-selector", "-region", "-edit", "-draw", "-facing")
+_UNION_TAG_SUFFIXES = ("-thing", "-camera", "-here", "-selector", "-region", "-edit", "-draw", "-facing", "-start")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -313,6 +313,7 @@ def _list_allowed_keys(path: tuple[PathKey, ...], further_models: Mapping[str, t
         "stagger": Stagger,
         **{f"{key}-draw": each for key, each in RANDOM_VALUE_MODELS.items()},
         "fields": scene_model.FieldStart,
+        **scene_model.FIELD_START_MODELS,
         **{make_note_tag(verb): model for verb, model in NOTE_MODELS.items()},
         **scene_model.MODEL_BY_PATH,
     }

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
 from antdsl import limits
 from antdsl.diagnostics.suggestion import find_nearest_name
@@ -92,15 +92,66 @@ else:
     WorldThing = Annotated[Union[(*_FORMS, _ITEMS)], Discriminator(_find_thing_type_tag)]
 
 
+FieldNumber = Annotated[float, BeforeValidator(parse_number_between(0, limits.MAX_FIELD_START))]
+FieldFactor = Annotated[float, BeforeValidator(parse_number_between(-limits.MAX_FIELD_START, limits.MAX_FIELD_START))]
+
+
+def _find_field_value_tag(value: Any) -> str:
+    return "vector" if isinstance(value, list) else "number"
+
+
+FieldValue = Annotated[
+    Annotated[FieldNumber, Tag("number")] | Annotated[tuple[FieldFactor, FieldFactor, FieldFactor], Tag("vector")],
+    Discriminator(_find_field_value_tag),
+]
+
+
 class FieldStart(ScenePart):
-    """The values of a field at the start.
+    """A starting value of a field: a number, or a vector in the scene's axes.
 
-    `start`: the value everywhere or, with `radius`, only within this distance of a point or an item.
-    `around`: this point or item (default: the origin)."""
+    `start`: the value, everywhere, or only within `radius` of a point or an item.
+    `around`: the point or item (default: the origin). `on`: only the cells of this surface."""
 
-    start: Annotated[float, BeforeValidator(parse_number_between(0, 1e9))]
+    start: FieldValue
     around: PointOrName | None = None
     radius: PositiveLength | None = None
+    on: SceneName | None = None
+
+
+class FieldGrid(ScenePart):
+    """Starting values of a field from a grid that lies over the ground like a picture: a grey image or an array of a file.
+
+    `extent`: the size along x and the other level axis (default: of the field's surfaces). `at`: the grid's centre.
+    `scale`, `offset`: the value of a sample of 1, and what is added to all values.
+    `array`, `layer`: the array of an .npz file, and its first index if it has one dimension too many.
+    `on`: only the cells of this surface."""
+
+    values: FilePath
+    extent: tuple[PositiveLength, PositiveLength] | None = None
+    at: PointValue | None = None
+    scale: FieldFactor = 1.0
+    offset: FieldFactor = 0.0
+    array: SceneName | None = None
+    layer: Annotated[int, BeforeValidator(parse_integer_between(0, 100_000))] | None = None
+    on: SceneName | None = None
+
+
+def _find_field_start_tag(value: Any) -> str:
+    if isinstance(value, list):
+        return "several-start"
+    return "grid-start" if isinstance(value, dict) and "values" in value else "value-start"
+
+
+FIELD_START_MODELS: dict[str, type[ScenePart]] = {"value-start": FieldStart, "grid-start": FieldGrid}  # by tag
+_OneFieldStart = Annotated[
+    Annotated[FieldStart, Tag("value-start")] | Annotated[FieldGrid, Tag("grid-start")], Discriminator(_find_field_start_tag)
+]
+_SeveralFieldStarts = Annotated[tuple[_OneFieldStart, ...], Field(max_length=limits.MAX_FIELD_STARTS), Tag("several-start")]
+FieldStarts = Annotated[
+    Annotated[FieldStart, Tag("value-start")] | Annotated[FieldGrid, Tag("grid-start")] | _SeveralFieldStarts,
+    Discriminator(_find_field_start_tag),
+    AfterValidator(lambda value: value if isinstance(value, tuple) else (value,)),
+]
 
 
 class LevelOfDetail(ScenePart):
@@ -165,7 +216,7 @@ class SceneModel(ScenePart):
     crowd: tuple[CrowdLine, ...] = ()
     notes: Annotated[tuple[AnyNote, ...], Field(max_length=limits.MAX_NOTES)] = ()
     set: dict[str, AnyQuantity] = {}
-    fields: dict[SceneName, FieldStart] = {}
+    fields: dict[SceneName, FieldStarts] = {}
     layers: dict[SceneName, tuple[str, ...]] = {}
     camera: CameraValue | None = None
     cameras: Cameras = {}

@@ -205,11 +205,32 @@ class LegsData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldStartData:
-    """The value of a field at the first frame: in all cells, or only within `radius` mm of `around`."""
+    """A value of a field at the first frame: in all cells, or only within `radius` mm of `around`.
 
-    value: float
+    `value`: a number, or a vector in the scene's axes. `on`: the surface of the cells; None for all surfaces of the field."""
+
+    value: float | PointMm
     around: PointMm | None = None
     radius: float | None = None
+    on: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldGridData:
+    """Values of a field at the first frame, in a grid that lies over the ground like a picture.
+
+    `values`: float64[rows, columns], or float64[rows, columns, 3] of vectors.
+    `extent`: the size (mm) along x and along the other level axis; None for the extent of the surfaces.
+    `centre`: in mm; None for the middle of the surfaces.
+    `on`: as in `FieldStartData`."""
+
+    values: NDArray[np.float64]
+    extent: tuple[float, float] | None = None
+    centre: PointMm | None = None
+    on: str | None = None
+
+
+FieldStarts = tuple[FieldStartData | FieldGridData, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,6 +280,7 @@ class WorldSetting:
     `up`: a unit vector.
     `params`: by qualified name (`forager.smell`); absent params have their default.
     `first_frame`: the number of the first simulated frame.
+    `field_start`: by field; later values replace earlier ones.
     `motion`: the motion of meshes, items and curves.
     `cameras`: the cameras that do not depend on agents, by name.
     `uses_rays`: whether agents find the ground by two rays per step instead of walking from triangle to triangle.
@@ -294,7 +316,7 @@ class WorldSetting:
     maps: Mapping[str, PaintedValues] = field(default_factory=dict)
     crowds: tuple[CrowdData, ...] = ()
     params: Mapping[str, float] = field(default_factory=dict)
-    field_start: Mapping[str, FieldStartData] = field(default_factory=dict)
+    field_start: Mapping[str, FieldStarts] = field(default_factory=dict)
     solids: Mapping[str, SolidData] = field(default_factory=dict)
     motion: GeometryMotion = field(default_factory=GeometryMotion)
     cameras: Mapping[str, CameraData] = field(default_factory=dict)

@@ -58,7 +58,7 @@ def scene(
             flows={"drift": SpreadFlowData("tangent", FlowTarget(ROAD, np.zeros(len(ROAD)), is_line=True), 60.0)},
             items={"food": (ItemData("crumb", (food[0], 0.0, food[1]), 2.0),)},
             crowds=crowds,
-            field_start={"trail": FieldStartData(1.0, (0.0, 0.0, 60.0), 30.0)},
+            field_start={"trail": (FieldStartData(1.0, (0.0, 0.0, 60.0), 30.0),)},
         ),
     )
 

@@ -35,7 +35,7 @@ def pasture(sheep: int, tufts: int = 0, growth: float = 0.0, seed: int = 1) -> t
         seed=seed,
         surfaces={"meadow": MeshData(*meshes.grid(290.0, 6))},
         crowds=(crowd(sheep, "sheep", radius=60), crowd(tufts, "tuft", radius=120)),
-        field_start={"grass": FieldStartData(3.0, None, None)},
+        field_start={"grass": (FieldStartData(3.0, None, None),)},
         params={"tuft.growth": growth},
     )
     return passes.optimise_plan(lowered), setting
@@ -105,7 +105,7 @@ def play(lines: str, at: list[tuple[float, float]], steps: int, start: float, de
     optimised_plan = passes.optimise_plan(plan_of(text, WORLD))
     ground = {"ground": MeshData(*meshes.grid(60.0, 4))}
     setting = WorldSetting(seed=7, surfaces=ground, crowds=(crowd(at=at),),
-                      field_start={"grass": FieldStartData(start, None, None)}, items={"food": ()})  # fmt: skip
+                      field_start={"grass": (FieldStartData(start, None, None),)}, items={"food": ()})  # fmt: skip
     hashes, world = set(), None
     for options in OPTION_SETS:
         world = bind(optimised_plan, setting, options)
@@ -194,7 +194,7 @@ def test_an_agent_that_is_run_again_gets_all_that_it_was_given() -> None:
     text = "species a { load = 0.1; seen = 0\nstart p\nstate p { when true take all load from grass -> q { seen = load } }\n"
     optimised_plan = passes.optimise_plan(plan_of(text + "state q { when false -> p } }", WORLD))
     setting = WorldSetting(seed=7, surfaces={"ground": MeshData(*meshes.grid(60.0, 4))}, crowds=(crowd(at=[(0, 0)] * 2),),
-                      field_start={"grass": FieldStartData(1.3, None, None)}, items={"food": ()})  # fmt: skip
+                      field_start={"grass": (FieldStartData(1.3, None, None),)}, items={"food": ()})  # fmt: skip
     world, again = bind(optimised_plan, setting), []
 
     def watch(world: World) -> None:

@@ -45,7 +45,7 @@ def place() -> dict[str, object]:
         "obstacles": {"stones": MeshData(*meshes.ball(15.0, (40, 5, 10), 6))},
         "curves": {"way_in": np.array([[-80.0, 0, -80], [0, 0, 10], [80, 0, 60]])},
         "items": {"food": (item("f", 20, -20, 8, load=5), item("g", -40, 10, 8, load=2.5)), "nest": (item("n", 0, 0, 12),)},
-        "field_start": {"trail": FieldStartData(0.5, (0.0, 0.0, 0.0), 40.0)},
+        "field_start": {"trail": (FieldStartData(0.5, (0.0, 0.0, 0.0), 40.0),)},
         "seed": 9,
     }
 

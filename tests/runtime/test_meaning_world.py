@@ -177,7 +177,7 @@ start p
 state p { when frame == 3 -> q { spawn a } }
 state q { when age > 100 s -> p } }"""
     history = play(text, crowd(2, at=[(0, 0), (90, 0)]), steps=4, world=FIELDS, surfaces=GROUND,
-                field_start={"half": FieldStartData(2.0, (0.0, 0.0, 0.0), 50.0)})  # fmt: skip
+                field_start={"half": (FieldStartData(2.0, (0.0, 0.0, 0.0), 50.0),)})  # fmt: skip
     assert history["seen"] == pytest.approx([2, 0, 2 * 2**-0.3, 0])
 
 

@@ -90,7 +90,7 @@ def surfaces_setting(count: int = 60, shift: float = 0.0, **setting_arguments):
         crowds=(
             CrowdData("ant", count, PlacementData(surfaces=("ground",), disc_centre=(20.0 + shift, 0.0, shift), radius=60.0)),
         ),
-        field_start={"trail": FieldStartData(0.5, (shift, 0.0, -60.0 + shift), 30.0)},
+        field_start={"trail": (FieldStartData(0.5, (shift, 0.0, -60.0 + shift), 30.0),)},
     )
     return WorldSetting(**{**default_setting, **setting_arguments})
 

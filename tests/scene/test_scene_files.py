@@ -256,7 +256,7 @@ def test_a_scene_becomes_a_setting_in_millimetres(folder: Path) -> None:
     assert setting.unit_mm == 10 and setting.first_frame == 1 - 7 and setting.seed == 3 and setting.dt == 0.04
     apple = setting.items["food"][0]
     assert apple.position[0] == 100 and apple.radius == 5 and apple.attributes == {"load": 40}
-    assert abs(setting.surfaces["ground"].vertices).max() == 1000 and setting.field_start["trail"].value == 0.5
+    assert abs(setting.surfaces["ground"].vertices).max() == 1000 and setting.field_start["trail"][0].value == 0.5
     assert setting.crowds[0].place.disc_centre == apple.position and setting.crowds[0].place.radius == 20
     assert setting.curves["way"][1].tolist() == [500, 0, 0]
     assert {"ant.ant", "ground.ply", "way.json", "<steering>", "scene"} <= set(shot.inputs)

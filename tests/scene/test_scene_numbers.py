@@ -28,13 +28,14 @@ use steering
 world { surface ground; surface hills; obstacle rock; curve line; items food { load = 3 }; flow drift; flow away; flow rim
   flow guide; flow brush; flow home; map paint; lamp bulb }
 field trail on ground { half_life 3 s; diffuse 4 mm^2/s; cell 4 mm }
+field way: push on ground { half_life 3 s; cell 9 mm }
 species walker {
   param pace = 20 mm/s in 5 mm/s .. 50 mm/s
   size 4 mm
   load = 0
   max_speed pace
   state stroll { steer wander(swing: 60 deg) + along(drift) + along(away) + along(rim) + along(guide) + along(brush) + along(home)
-    deposit trail 4 /s }
+    deposit trail 4 /s; deposit way heading * 1 /s }
   layers { separate(radius: 8 mm); state }
 }
 """
@@ -101,7 +102,11 @@ notes:
   - {thin: rows, to: 90 %, near: [1, 2, 3], within: 500 mm, most: 40}
   - {thin: rows, to: 90 %, near: [1, 2, 3], farthest: 40}
 set: {walker.pace: 30 mm/s}
-fields: {trail: {start: 2, around: [1, 2, 3], radius: 30 mm}}
+fields:
+  trail:
+    - {start: 2, around: [1, 2, 3], radius: 30 mm}
+    - {values: start.npz, layer: 1, scale: 2, offset: 1, extent: [70 mm, 80 mm], at: [1, 2, 3]}
+  way: {start: [1, 2, 3]}
 camera: {at: [0, 130, 190], look_at: [1, 2, 3], focal: 35 mm}
 light: {sun: 50 %, sky: 60 %, haze: 70 %, lamps: 80 %, elevation: 30 deg, azimuth: 100 deg}
 lod: {near: 100 mm, far: 200 mm}
@@ -134,6 +139,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Image.fromarray(np.arange(64, dtype=np.uint16).reshape(8, 8) * 500).save(folder / "hills.png")
     np.savez(folder / "brush.npz", brush=np.ones((81, 3), np.float32))
     np.savez(folder / "paint.npz", paint=np.ones(81, np.float32))
+    np.savez(folder / "start.npz", np.ones((2, 3, 4)))
     return folder
 
 

@@ -223,13 +223,13 @@ def _begin_recording(
     from antdsl.outputs.cache_start import StartError
     from antdsl.outputs.recording import begin_recording
     from antdsl.runtime import BindError
-    from antdsl.runtime.binding.start_findings import find_unreachable_target_warnings
+    from antdsl.runtime.binding.start_findings import find_start_warnings
 
     try:
         with explain_cache_errors(), show_set_up(quiet):
             recording = begin_recording(shot, folder, options, resume=resume, force=force)
         if recording.resumed_from is None and shot.scene.model.start is None:
-            print_report(find_unreachable_target_warnings(shot.scene, recording.world), to_stderr=True)
+            print_report(find_start_warnings(shot.scene, recording.world), to_stderr=True)
         for note in recording.notes:
             print_note(note, to_stderr=True)
         return recording

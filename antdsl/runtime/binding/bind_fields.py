@@ -17,8 +17,9 @@ from antdsl.fields.vector_field import VectorField
 from antdsl.plan import ir
 from antdsl.plan.field_components import name_field_components
 from antdsl.runtime.binding.binding_cache import BindingCache
+from antdsl.runtime.binding.field_starts import find_start_values
 from antdsl.scene.field_settings import compute_max_diffusion
-from antdsl.scene.setting import FieldStartData, MeshData
+from antdsl.scene.setting import MeshData
 
 if TYPE_CHECKING:
     from antdsl.runtime.world import World
@@ -69,9 +70,13 @@ def bind_fields(
             deposits_first=plan.deposits == "first",
             has_signed_amounts=bool(plan.vector_field),
         )
-        start = world.setting.field_start.get(plan.name)
-        if start is not None:
-            _set_start_amounts(field, start, world)
+        own_meshes = {name: mesh for name in plan.surfaces if (mesh := meshes.get(name)) is not None}
+        component = name_field_components(plan.vector_field).index(plan.name) if plan.vector_field else None
+        for number, start in enumerate(world.setting.field_start.get(plan.vector_field or plan.name, ())):
+            found, start_values = find_start_values(world, field.cells, start, own_meshes, component)
+            field.amounts[found] = start_values
+            if not len(found) and len(field.cells) and not component:
+                world.unreached_field_starts.append((plan.vector_field or plan.name, number))
         world.fields[plan.name] = field
         world.field_rates[plan.name] = (np.float32(keep), diffuse)
         components = name_field_components(plan.vector_field)
@@ -110,13 +115,3 @@ def _check_field_settings(
         )
         return False
     return True
-
-
-def _set_start_amounts(field: PheromoneField, start: FieldStartData, world: World) -> None:
-    """Set the start amounts of a field's cells."""
-    if start.around is None:
-        field.amounts[:] = start.value
-        return
-    away = field.cells.compute_offsets(field.cells.position, np.asarray([start.around], np.float64) - world.origin)
-    distance = np.sqrt((away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2])
-    field.amounts[distance <= (np.inf if start.radius is None else start.radius)] = start.value

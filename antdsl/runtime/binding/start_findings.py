@@ -1,4 +1,5 @@
-"""Warnings about the start of crowds, after binding: too little space for all agents, or no path to the target of a flow."""
+"""Warnings about the start, after binding: too little space for all agents, no path to the target of a flow, or starting values
+of fields outside the ground."""
 
 from __future__ import annotations
 
@@ -23,10 +24,14 @@ _UNREACHABLE_HELP = (
 )
 
 
-def find_unreachable_target_warnings(scene: Scene, world: World) -> Report:
-    """Return warnings about the start of a world's crowds, each with its location in the scene."""
+def find_start_warnings(scene: Scene, world: World) -> Report:
+    """Return warnings about the crowd and the fields of a world, each located in the scene."""
     report = find_crowding_warnings(scene, world)
     report.extend(find_far_targets(scene, world))
+    for name, number in world.unreached_field_starts:
+        help = "write a larger `radius` or `extent`, move it, or check the `units` of the mesh"
+        words = f"no cell of `{name}` is there, so this starting value has no effect"
+        report.warning("off-surface", words, scene.find_span("fields", name, number), help)
     for name, flow in world.setting.flows.items():
         if not isinstance(flow, SolvedFlowData) or name not in world.flows:
             continue

@@ -17,10 +17,11 @@ from antdsl.scene import field_settings
 from antdsl.scene.camera_models import CAMERA_VIEWS, DEFAULT_CAMERA_NAME, FollowCamera, PlacedCamera, UsdCamera
 from antdsl.scene.checks.entry_checks import WorldEntryCheck, check_dimension, check_file, convert_constant, report_unknown_name
 from antdsl.scene.checks.existence_checks import check_absent_species, check_body_files, check_dark_lamps
+from antdsl.scene.checks.field_checks import check_field_start
 from antdsl.scene.checks.shape_checks import collect_item_declarations
 from antdsl.scene.checks.step_checks import check_avoidance_steps, check_step_lengths
 from antdsl.scene.checks.wrap_checks import check_wrap
-from antdsl.scene.crowds.crowd_checks import check_around, check_crowd, count_agents
+from antdsl.scene.crowds.crowd_checks import check_crowd, count_agents
 from antdsl.scene.document import PathKey
 from antdsl.scene.field_settings import check_field_dynamics
 from antdsl.scene.load import Scene
@@ -128,13 +129,12 @@ def _format_bound(bound: Constant | None, name: str) -> str:
 
 
 def _check_fields(scene: Scene, program: Program, report: Report) -> None:
-    for name, start in scene.model.fields.items():
-        if name not in program.fields:
+    for name, starts in scene.model.fields.items():
+        declared = program.fields.get(name)
+        if declared is None:
             report_unknown_name(report, scene, ("fields", name), "no program has a field", program.fields)
-        elif program.fields[name].has_vectors:
-            message = f"`start` is a number, but the cells of `{name}` hold vectors"
-            report.error("wrong-value", message, scene.find_span("fields", name, "start"), "leave it out: vectors begin as 0")
-        check_around(scene, report, start.around, start.radius, "fields", name)
+        for number, start in enumerate(starts):
+            check_field_start(scene, report, start, declared, "fields", name, number)
 
 
 def resolve_layer_order(scene: Scene, program: Program, species: str) -> tuple[list[str] | None, list[int]]:

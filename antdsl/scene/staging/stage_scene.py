@@ -35,9 +35,10 @@ from antdsl.scene.staging.periodic_surfaces import fit_surfaces_to_box
 from antdsl.scene.staging.size_checks import check_sizes
 from antdsl.scene.staging.stage_cameras import stage_cameras
 from antdsl.scene.staging.stage_crowd import stage_crowd
+from antdsl.scene.staging.stage_fields import stage_field_starts
 from antdsl.scene.staging.stage_flows import check_density_maps, stage_flow, stage_map
 from antdsl.scene.staging.stage_meshes import stage_mesh, stage_solid
-from antdsl.scene.staging.stage_shapes import convert_length, stage_point
+from antdsl.scene.staging.stage_shapes import convert_length
 from antdsl.scene.staging.stage_things import stage_curve
 from antdsl.scene.thing_models import UP_VECTORS
 
@@ -163,14 +164,7 @@ def build_setting(
     check_density_maps(staging)
     check_crowds(staging, crowds)
     cameras = stage_cameras(staging)
-    starts = {
-        name: setting_data.FieldStartData(
-            start.start,
-            stage_point(staging, item_points, start.around, start.radius, "fields", name),
-            convert_length(scene, start.radius),
-        )
-        for name, start in model.fields.items()
-    }
+    starts = stage_field_starts(staging, item_points)
     if not staging.report.ok:
         return None, staging.report, staging.hashes
     dt = float(1 / model.fps)
