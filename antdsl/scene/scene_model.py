@@ -143,15 +143,18 @@ def _find_field_start_tag(value: Any) -> str:
 
 
 FIELD_START_MODELS: dict[str, type[ScenePart]] = {"value-start": FieldStart, "grid-start": FieldGrid}  # by tag
-_OneFieldStart = Annotated[
-    Annotated[FieldStart, Tag("value-start")] | Annotated[FieldGrid, Tag("grid-start")], Discriminator(_find_field_start_tag)
-]
-_SeveralFieldStarts = Annotated[tuple[_OneFieldStart, ...], Field(max_length=limits.MAX_FIELD_STARTS), Tag("several-start")]
-FieldStarts = Annotated[
-    Annotated[FieldStart, Tag("value-start")] | Annotated[FieldGrid, Tag("grid-start")] | _SeveralFieldStarts,
-    Discriminator(_find_field_start_tag),
-    AfterValidator(lambda value: value if isinstance(value, tuple) else (value,)),
-]
+
+if TYPE_CHECKING:
+    FieldStarts = tuple[FieldStart | FieldGrid, ...]
+else:
+    _ONE = tuple(Annotated[each, Tag(tag)] for tag, each in FIELD_START_MODELS.items())
+    _LINE = Annotated[Union[(*_ONE,)], Discriminator(_find_field_start_tag)]
+    _LINES = Annotated[tuple[_LINE, ...], Field(max_length=limits.MAX_FIELD_STARTS), Tag("several-start")]
+    FieldStarts = Annotated[
+        Union[(*_ONE, _LINES)],
+        Discriminator(_find_field_start_tag),
+        AfterValidator(lambda value: value if isinstance(value, tuple) else (value,)),
+    ]
 
 
 class LevelOfDetail(ScenePart):

@@ -73,8 +73,9 @@ def _find_samples(
         return none, none, np.zeros(len(cells), np.bool_)
     low, high = np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)
     box = None if world.periodic is None else world.periodic.box
-    for axis in () if box is None else box.axes:
-        low[axis], high[axis] = box.low[axis], box.low[axis] + box.widths[axis]
+    if box is not None:
+        for axis in box.axes:
+            low[axis], high[axis] = box.low[axis], box.low[axis] + box.widths[axis]
     down = 2 if world.setting.up[1] else 1  # the axis of the rows; they go along +z, or along -y if z points up
     is_inside, indices = np.ones(len(cells), np.bool_), []
     for k, (axis, count) in enumerate(((down, grid.values.shape[0]), (0, grid.values.shape[1]))):
