@@ -155,7 +155,9 @@ def _index_changed_values(index: SceneIndex, node: DocumentNode) -> None:
 
 
 def _index_fields(index: SceneIndex, node: DocumentNode) -> None:
-    """Record the names of fields in the scene, and the things around which their initial values are placed."""
+    """Record the names of fields in the scene, and the things and files that their starting values name."""
+    world = index.document.entries.get("world") if index.document is not None else None
+    things = {name for name, _, _ in _list_mapping_entries(world)}
     for name, span, value in _list_mapping_entries(node):
         index.add_occurrence(span, ("field", name))
         for part in value.items if isinstance(value, SequenceNode) else (value,):
@@ -163,7 +165,7 @@ def _index_fields(index: SceneIndex, node: DocumentNode) -> None:
                 if key == "values":
                     _index_file(index, inner)
                 elif key in ("around", "on"):
-                    _index_named_thing(index, key, inner, set())
+                    _index_named_thing(index, key, inner, things if key == "on" else set())
 
 
 def _index_layers(index: SceneIndex, node: DocumentNode) -> None:
