@@ -170,8 +170,8 @@ def test_a_grid_over_a_periodic_world_has_a_sample_for_each_cell(tmp_path: Path)
 
 
 def test_a_disc_reaches_across_the_seam(tmp_path: Path) -> None:
-    food, way = "{start: 3, around: [8, 0, 8], radius: 3 mm}", "{start: [1, 0, 0], around: [8, 0, 0], radius: 1 mm}"
-    keys = f"fields: {{food: {food}, way: {way}}}\n"
+    discs = {"food": "{start: 3, around: [8, 0, 8], radius: 3 mm}", "way": "{start: [1, 0, 0], around: [8, 0, 0], radius: 1 mm}"}
+    keys = f"fields: {{food: {discs['food']}, way: {discs['way']}}}\n"
     shot = open_world(tmp_path, PERIODIC, "count: 3, place: {on: ground}", keys=keys)
     world = bind(shot.plan, shot.setting)
     table = read_table(world)
@@ -212,10 +212,10 @@ def test_a_reload_starts_only_changed_fields_again(tmp_path: Path) -> None:
     for _ in range(3):
         step(world)
     np.save(tmp_path / "food.npy", SAMPLES + 1)
-    after, migration = migrate_world(world, *(lambda s: (s.plan, s.setting))(open_shot(scene)))
+    new_world, migration = migrate_world(world, *(lambda s: (s.plan, s.setting))(open_shot(scene)))
     assert migration.reset_fields == ["food"]
-    np.testing.assert_array_equal(read_table(after), SAMPLES + 1)
-    np.testing.assert_array_equal(after.vector_fields["way"].vectors, world.vector_fields["way"].vectors)
+    np.testing.assert_array_equal(read_table(new_world), SAMPLES + 1)
+    np.testing.assert_array_equal(new_world.vector_fields["way"].vectors, world.vector_fields["way"].vectors)
     scene.write_text(scene.read_text().replace("start: [1, 0, 0]", "start: [1, 0, 1]"))
     _, migration = migrate_world(world, *(lambda s: (s.plan, s.setting))(open_shot(scene)))
     assert sorted(migration.reset_fields) == ["food", "way.x", "way.y", "way.z"]

@@ -90,7 +90,7 @@ def test_the_command_prints_it_and_loads_no_geometry(tmp_path: Path) -> None:
     lines = process.stdout.splitlines()
     assert lines[-1] == "0 []", process.stderr
     assert re.match(
-        r"examples/foraging/forager.ant: forager, \d+ bytes an agent \(\d+ attributes, \d+ memory\), \d+ more", lines[0]
+        r"examples/foraging/forager.ant: forager, \d+ bytes per agent \(\d+ attributes, \d+ memory\), \d+ more", lines[0]
     )
     names = ["state", "search", "turn_home", "approach", "carry", "set_out", "follow_trail", "every"]
     assert [line.split()[0] for line in lines[1:9]] == names

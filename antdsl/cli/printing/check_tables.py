@@ -140,7 +140,7 @@ def _describe_memory(program: Program) -> dict[str, str]:
         size = count_bytes_by_purpose(species)
         role_sizes = [f"{size[role]} {words}" for role, words in _ROLE_PHRASES.items() if size[role] or role != "pair"]
         of_all = sum(size[role] for role in _ROLE_PHRASES)
-        memory_words[name] = f", {of_all} bytes an agent ({', '.join(role_sizes)}), {size['temp']} more in a step"
+        memory_words[name] = f", {of_all} bytes per agent ({', '.join(role_sizes)}), {size['temp']} more in a step"
     return memory_words
 
 

@@ -73,9 +73,9 @@ def bind_fields(
         own_meshes = {name: mesh for name in plan.surfaces if (mesh := meshes.get(name)) is not None}
         component = name_field_components(plan.vector_field).index(plan.name) if plan.vector_field else None
         for number, start in enumerate(world.setting.field_start.get(plan.vector_field or plan.name, ())):
-            found, start_values = find_start_values(world, field.cells, start, own_meshes, component)
-            field.amounts[found] = start_values
-            if not len(found) and len(field.cells) and not component:
+            cell_rows, start_values = find_start_values(world, field.cells, start, own_meshes, component)
+            field.amounts[cell_rows] = start_values
+            if not len(cell_rows) and len(field.cells) and not component:
                 world.unreached_field_starts.append((plan.vector_field or plan.name, number))
         world.fields[plan.name] = field
         world.field_rates[plan.name] = (np.float32(keep), diffuse)

@@ -35,16 +35,16 @@ def find_start_values(
     if isinstance(start, FieldGridData):
         reached = meshes if start.on is None else {name: mesh for name, mesh in meshes.items() if name == start.on}
         rows, columns, is_inside = _find_samples(world, cells, start, reached)
-        found = np.flatnonzero(chosen & is_inside)
-        values = start.values[rows[found], columns[found]]
-        return found, values if component is None else values[:, component]
+        cell_rows = np.flatnonzero(chosen & is_inside)
+        values = start.values[rows[cell_rows], columns[cell_rows]]
+        return cell_rows, values if component is None else values[:, component]
     if start.around is not None:
         away = cells.compute_offsets(cells.position, np.asarray([start.around], np.float64) - world.origin)
         distance = np.sqrt((away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2])
         chosen &= distance <= (np.inf if start.radius is None else start.radius)
-    found = np.flatnonzero(chosen)
+    cell_rows = np.flatnonzero(chosen)
     value = start.value if component is None else np.asarray(start.value)[component]
-    return found, np.full(len(found), value, np.float64)
+    return cell_rows, np.full(len(cell_rows), value, np.float64)
 
 
 def _find_cells_on(cells: SurfaceCells, mesh: MeshData) -> Flags:
@@ -55,8 +55,8 @@ def _find_cells_on(cells: SurfaceCells, mesh: MeshData) -> Flags:
     has_area = (normals != 0).any(axis=1)
     corners, normals = corners[has_area], normals[has_area]
     for voxel, face in iterate_triangle_cells(corners / cells.cell + 0.5):
-        found = cells.find_cells(voxel.astype(np.float64) * cells.cell, normals[face])
-        is_touched[found[found >= 0]] = True
+        cell_rows = cells.find_cells(voxel.astype(np.float64) * cells.cell, normals[face])
+        is_touched[cell_rows[cell_rows >= 0]] = True
     return is_touched
 
 

@@ -68,7 +68,7 @@ class LaneBuffers:
     def allocate_arrays(self, arrays: Arrays, rows: int, other_count: int) -> None:
         """Use `arrays` as the memory for `rows` rows and eight spare rows at the end.
 
-        `others`: the number of agents in the largest species that is searched; buffers have this size."""
+        `other_count`: the number of agents in the largest species that is searched; buffers have this size."""
         self.arrays = arrays
         self.list_columns.clear()
         for number in range(len(self.code.list_instructions)):
@@ -122,8 +122,8 @@ class LaneBufferPool:
     def prepare_lane_buffers(self, parts: int, rows: int, other_count: int, pointers: NDArray[np.int64]) -> list[LaneBuffers]:
         """Return the memories of `parts` parts, for `rows` rows each. `pointers`: the addresses that are equal for all parts.
 
-        If there are several parts, `rows` must be a multiple of eight. `others`: the number of agents in the largest species that
-        is searched."""
+        If there are several parts, `rows` must be a multiple of eight. `other_count`: the number of agents in the largest species
+        that is searched."""
         while len(self.every) < parts:
             self.every.append(LaneBuffers(self.code, pointers))
         if rows != self._part_rows or parts > self._part_count or other_count > self._largest_species:
