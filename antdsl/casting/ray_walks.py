@@ -275,7 +275,7 @@ def _load_side_planes(rings: RingTables, f: I64) -> tuple[Plane, Plane, Plane]:
 
 @inlined
 def _evaluate_plane(plane: Plane, place: Vec3) -> F64:
-    """Return the value of a plane at a position. Same as `faces.evaluate_plane`."""
+    """Return the plane equation evaluated at a position, as `faces.evaluate_plane` does."""
     return ((plane[0] * place[0] + plane[1] * place[1]) + plane[2] * place[2]) + plane[3]
 
 

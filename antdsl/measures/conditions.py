@@ -71,7 +71,7 @@ def _make_spec_text(text: str) -> str:
 
 
 def _is_one_line(file: nodes.File) -> bool:
-    """Return whether the file consists of a single condition."""
+    """Return whether the file is one bare condition, so that it can be written in one line."""
     if len(file.items) != 1 or not isinstance(file.items[0], nodes.Spec):
         return False
     [*lines] = file.items[0].lines

@@ -131,7 +131,9 @@ def _check_elements(plan: Plan, reduction: PlanNode) -> Iterator[str]:
 
 
 def _iterate_pair_nodes(nodes: tuple[PlanNode, ...]) -> Iterator[PlanNode]:
-    """Yield the nodes at pair rate that belong to a reduction itself. Nodes of reductions nested inside it are omitted."""
+    """Yield the nodes of a reduction that are evaluated for each pair, without the nodes of nested reductions.
+
+    `nodes`: the operands of the reduction."""
     stack, visited = list(nodes), set()
     while stack:
         node = stack.pop()

@@ -46,8 +46,8 @@ class PathRefused(Exception):
 def record_requested_paths() -> Iterator[RequestedPaths]:
     """Record all files that are requested through this module within the context, in order, whether they exist or not.
 
-    The result maps each path to the root that contains it. Below the root, no link is followed. The root is None for a file that
-    the user named."""
+    It yields a mapping from each path to the root folder that must contain it, or to None if the user named the file. Links
+    below the root are not followed."""
     sought_files: RequestedPaths = {}
     token = _requested_paths.set(sought_files)
     try:

@@ -52,7 +52,9 @@ def read_program_file(path: str | os.PathLike[str], handle: int | None = None) -
 
 
 def decode_program(name: str, data: bytes) -> tuple[Source | None, Report]:
-    """Decode bytes like the content of a file in `read_program_file`. `name`: the name for messages."""
+    """Decode the bytes of a program by the rules of `read_program_file`. Returns None and errors if that is impossible.
+
+    `name`: the name of the program in messages."""
     report = Report()
     if len(data) > limits.MAX_PROGRAM_BYTES:
         _report_too_large(name, report)

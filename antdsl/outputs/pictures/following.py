@@ -159,8 +159,7 @@ class FollowingCamera:
         return replace(camera, centre=_smooth_values(track.place + shift, track.frames, track.reach / 2, has_trend=True))
 
     def make_camera(self, frame: int) -> Camera:
-        """Return the camera at a frame. Before the track it is that of the first frame, after the track that of the last
-        frame."""
+        """Return the camera at a frame. Frames before or after the track get the track's first or last camera."""
         track = self.track
         row = min(max(int(np.searchsorted(track.frames, frame, "right")) - 1, 0), len(track.frames) - 1)
         place, up, ahead = self.centre[row], track.up[row], track.ahead[row]

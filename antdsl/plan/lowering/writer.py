@@ -144,7 +144,7 @@ class PlanWriter:
         return self.b("load", attrs=(name, version), kind=register.kind)
 
     def read_previous(self, name: str) -> PlanNode:
-        """Return the node of a register's value before this step. Where the node is used in the step makes no difference."""
+        """Return a node for the value that a register had when the step began. Writes in the step do not change it."""
         if self.is_birth:
             return self.b.add_constant(self.registers[name].kind, self.registers[name].initial_value)
         return self.b("snap", attrs=(name,), kind=self.registers[name].kind)

@@ -105,7 +105,7 @@ def _report_unknown(scope: NameScope, node: nodes.Call, name: nodes.Name, expect
 
 
 def _find_first_argument_name(node: nodes.Call) -> str:
-    """Return the text of a call's first argument if this is a name, else `food`."""
+    """Return a call's first argument if it is a name. Otherwise return the example name `food`, for use in a suggestion."""
     first = node.arguments[0] if node.arguments else None
     named = isinstance(first, nodes.Argument) and isinstance(first.value, nodes.NameRef)
     return first.span.text if first is not None and named else "food"

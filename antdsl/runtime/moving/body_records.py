@@ -28,7 +28,8 @@ class BodyLimits(NamedTuple):
     `max_tilts`: the largest tilt of each agent in this step (radians). `max_turn`: its largest turn (rad/s). `size`: its size
     (mm). `max_speed`: its largest speed (mm/s). `body_numbers`: the index of its body in `unit_shapes`. `dt`: the duration of the
     step (s). `unit_shapes`: for each body of the species, the fields of its `BodyShape` at a size of 1 mm. `voluntary_shift`: how
-    far a body may shift without being forced to (body lengths). `max_shift`: the largest shift (body lengths)."""
+    much the shift of a body may change in the step to follow its ground (body lengths). `max_shift`: how much it may change to
+    leave an obstacle (body lengths)."""
 
     max_tilts: Array1[F32]
     max_turn: Array1[F32]

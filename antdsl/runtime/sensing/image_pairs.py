@@ -66,9 +66,10 @@ def measure_pairs_within(
     radius: Any,
     view: ViewConeColumns | None = None,
 ) -> PairColumns:
-    """Return the pairs within a radius (mm) and in view, by measuring all agents or items, each at its nearest image.
+    """Return the pairs within a radius (mm) and in view, found by measuring every pair (brute force).
 
-    Each agent gets at most `limits.MAX_QUERY_NEIGHBOURS` neighbours, the nearest by distance and id. Items are not limited.
+    In a periodic world, the nearest image of each agent or item counts. Each agent gets at most
+    `limits.MAX_QUERY_NEIGHBOURS` neighbours, the nearest by distance and id. Items are not limited.
     `ids`: the ids of the requesting agents if the others are of the same species, else None."""
     is_agents = isinstance(others, Population)
     source = others.start if isinstance(others, Population) else others.visible_values

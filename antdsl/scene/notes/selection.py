@@ -45,7 +45,7 @@ class SelectableCamera(Protocol):
         """Return the camera's position (3,)."""
 
     def find_visible(self, position: Floats, view: View) -> NDArray[np.bool_]:
-        """Return for each position (n, 3) whether it is in the part `view` of the camera's picture."""
+        """Return a mask of the positions (n, 3) that lie within the rectangle `view` of the camera's picture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

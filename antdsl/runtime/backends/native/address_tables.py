@@ -221,7 +221,7 @@ class AddressTables:
         return WatchedArrays(find, _make_arrays_getter(names), write_addresses)
 
     def _watch_mapping(self, find_owner: OwnerFinder, names: NamedIndices) -> WatchedArrays:
-        """Return watched arrays with these `names`, in the mapping that `find_owner` returns."""
+        """Return arrays to watch: those with these `names` in the mapping that `find_owner` returns for a population."""
 
         def write_addresses(world: World, population: Population, holder: Any, words: AddressWords) -> None:
             for name, place in names:

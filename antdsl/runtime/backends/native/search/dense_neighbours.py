@@ -146,7 +146,7 @@ class _DenseNeighbourSearch:
         self.writer.builder.store_lanes(self.buffer, count, self.writer.builder.make_constant(0, I32))
 
     def emit_neighbour_loads(self, index: Lanes) -> NeighbourLanes:
-        """Return eight of the listed agents, from `index` on."""
+        """Emit code that loads eight consecutive agents of the neighbour list, starting at `index`."""
         e = self.writer.builder
         is_present = index + e.make_lane_numbers() < e.load(self.count_address, I64)
         at = e.select_lanes(is_present, e.load_lanes(self.buffer, index, I32), e.make_constant(0, I32))
