@@ -70,7 +70,7 @@ def test_lines_with_other_feet_are_not_gone_on_from(scene: Path, tmp_path: Path)
     lines = [json.loads(line) for line in hashes.read_text().splitlines()]
     hashes.write_text("".join(json.dumps(line | {"feet": "0" * 32}) + "\n" for line in lines))
     recording = ran(scene, tmp_path / "out", 6, resume=True)
-    assert recording.resumed_from is None and "frame.0001.npz` differs from what was written" in recording.notes[0]
+    assert recording.resumed_from is None and "frame.0001.npz` was changed or damaged after it was written" in recording.notes[0]
 
 
 def test_a_checkpoint_with_other_feet_is_not_gone_on_from(scene: Path, tmp_path: Path) -> None:

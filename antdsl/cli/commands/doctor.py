@@ -167,7 +167,9 @@ def _check_files(problems: list[str]) -> None:
 
     is_complete = grammar_file("tables.json").is_file() and "steering" in list_library_names()
     _print_check(
-        "antdsl's files", is_complete, "grammar, library of behaviours" if is_complete else "grammar or behaviours not found"
+        "antdsl's files",
+        is_complete,
+        "grammar, library of behaviours" if is_complete else "files are missing: install antdsl again",
     )
     if not is_complete:
         problems.append("install antdsl again")

@@ -300,7 +300,7 @@ def _reject_collision(workspace: Workspace, document: OpenDocument, key: NameKey
                 and each[0] in ("own", "let", "inner", "thing", "field", "species", "event")
                 and _is_scope_shared(key, each)
             ):
-                raise RenameRejected(f"`{new_name}` already exists and would be used instead: {other.path.name}")
+                raise RenameRejected(f"`{other.path.name}` already declares a `{new_name}`, which would be used instead")
         if any(each.key[0] == "element" and each.span.text == new_name for each in other.occurrences):
             raise RenameRejected(f"a local `{new_name}` in {other.path.name} would hide it")
 

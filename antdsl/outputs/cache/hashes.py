@@ -136,7 +136,7 @@ def _find_hash_problem(path: Path, prefix: bytes, expected_hash: str) -> str | N
         return f"`{path}` cannot be read: {(error.strerror or str(error)).lower()}"
     finally:
         os.close(handle)
-    return None if actual == expected_hash else f"`{path}` differs from what was written"
+    return None if actual == expected_hash else f"`{path}` was changed or damaged after it was written"
 
 
 _STATIC_PREFIX = b"static "

@@ -95,8 +95,10 @@ def _note_missing_events(gallery: Gallery, frames: list[int]) -> list[str]:
     """Return messages about the kinds of events that the cache does not have."""
     arrays = gallery.cache.frame(frames[-1])
     lacks = [kind for kind in ("emit", "contact") if f"events.{kind}.id" not in arrays]
-    kinds = ", ".join(lacks)
-    return [f"the cache has no events {' and '.join(f'`{k}`' for k in lacks)}: `output: {{events: [{kinds}]}}`"] if lacks else []
+    if not lacks:
+        return []
+    kinds, names = ", ".join(lacks), " or ".join(f"`{kind}`" for kind in lacks)
+    return [f"the cache has no events {names}; add `output: {{events: [{kinds}]}}` to the scene"]
 
 
 def _iterate_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, EventRows]]:

@@ -99,7 +99,7 @@ class LayerNote:
     push: tuple[PlanNode, PlanNode, PlanNode]
 
 
-RESTING_TEXT = "no line steers, so the agent does not move: halt()"
+RESTING_TEXT = "no line of this state steers, so the agent stands still, as with halt()"
 
 
 def make_resting_site(species: str) -> str:

@@ -116,7 +116,7 @@ _KIND_BY_ONLY_KEY: Mapping[str, KeyKind] = {  # of keys that only one verb has
     "wear": KeyKind("layers", "", "[pack]", "the layers of the body that agents wear"),
     "count": KeyKind("count", "", "1", "the number of copies"),
     "ground": KeyKind("ground", "", "free", "`follow` keeps agents on the ground, `free` moves them rigidly"),
-    "axis": KeyKind("axis", "", "x", "the axis across the plane"),
+    "axis": KeyKind("axis", "", "x", "the axis perpendicular to the plane"),
 }
 _KIND_BY_KEY: Mapping[str, KeyKind] = {
     "play": _CLIP_KIND, "clip": _CLIP_KIND, "painted": _MAP_KIND, "for": _THING_KIND, "in_view": _CAMERA_KIND,

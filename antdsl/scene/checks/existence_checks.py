@@ -89,7 +89,7 @@ def check_dark_lamps(scene: Scene, program: Program, report: Report) -> None:
     lamps = [name for name, thing in scene.model.world.items() if _has_lamp(thing)]
     if scene.model.light.lamps == 0 and lamps:
         message = f"`lamps: 0` makes `{lamps[0]}` dark, in pictures and for `light({lamps[0]})`"
-        report.warning("wrong-value", message, scene.find_span("light", "lamps"), "write `lamps: 100 %`, or leave the lamp out")
+        report.warning("wrong-value", message, scene.find_span("light", "lamps"), "write `lamps: 100 %`, or remove the lamp")
     sensed = {
         thing.name: part
         for part in iterate_parts(tuple(program.species.values()))

@@ -195,7 +195,7 @@ def _check_cameras(scene: Scene, program: Program, report: Report) -> None:
             words = f"`{name}` is a view that every cache has, so no camera of the scene can have this name"
             report.error("duplicate-name", words, scene.find_span(*path, key=True), "write another name")
     if scene.model.camera is not None and DEFAULT_CAMERA_NAME in scene.model.cameras:
-        words = f"the camera of `camera` has the name `{DEFAULT_CAMERA_NAME}` too"
+        words = f"the camera under `camera` already has the name `{DEFAULT_CAMERA_NAME}`"
         place, label = (
             scene.find_span("cameras", DEFAULT_CAMERA_NAME, key=True),
             Label(scene.find_span("camera", key=True), "the other one"),

@@ -60,10 +60,10 @@ def _check_release(scene: Scene, report: Report, number: int) -> None:
             "wrong-value", f"`{line.rate.text}` creates no agent in this time", scene.find_span("crowd", number, "rate"), help
         )
     elif begin >= model.frames.last + 1:
-        help = f"write frames from {start} to {model.frames.last}"
+        help = f"write frames between {start} and {model.frames.last}"
         report.warning("out-of-range", f"the scene ends at frame {model.frames.last}, before any of these agents", place, help)
     elif count and end < start:
-        help = f"write frames from {start} to {model.frames.last}, or leave them out"
+        help = f"write frames between {start} and {model.frames.last}, or remove `frames`"
         report.warning(
             "out-of-range", f"the scene begins at frame {start}, so all of these agents are there at once", place, help
         )

@@ -270,7 +270,7 @@ class _BinaryBody:
 
     def _read_count(self, kind: str, offset: int, element: PlyElement, row: int) -> int:
         if offset + np.dtype(kind).itemsize > len(self._data):
-            raise HeaderError(f"{_TOO_SHORT_MESSAGE}: it ends in its {format_word(element.name.encode())} {row}")
+            raise HeaderError(f"{_TOO_SHORT_MESSAGE}: it ends within {format_word(element.name.encode())} {row}")
         count = np.frombuffer(self._data, self._byte_order + kind, 1, offset)[0]
         if not (count >= 0 and np.isfinite(count)):
             words = f"has a list of {count:,} values in its {format_word(element.name.encode())} {row}, more than the file has"
@@ -300,7 +300,7 @@ class _BinaryBody:
                             counts[key].append(count)
                     at += count * size
                 if at > len(data):
-                    raise HeaderError(f"{_TOO_SHORT_MESSAGE}: it ends in its {name} {row}")
+                    raise HeaderError(f"{_TOO_SHORT_MESSAGE}: it ends within {name} {row}")
         except (struct.error, OverflowError, ValueError):
             raise HeaderError(f"{_TOO_SHORT_MESSAGE}: it ends among its {name}s") from None
         self._offset = at

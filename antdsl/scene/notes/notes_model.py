@@ -35,7 +35,7 @@ from antdsl.scene.values import (
     parse_one_of,
 )
 
-_EDITS_HELP = "verbs that change a finished cache, such as `kill` and `move`, are those of `antdsl edit`"
+_EDITS_HELP = "`kill`, `move` and other verbs that change a finished cache are those of `antdsl edit`"
 NOTE_TAG_SUFFIX = "-note"  # of the tag of a verb's model
 Target = PointValue | AgentName | FacingDirection
 

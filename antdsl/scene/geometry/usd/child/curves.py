@@ -57,7 +57,7 @@ def read_curve_positions(stage: OpenStage) -> Floats:
     for k, time in enumerate(times):
         line = _read_polyline(curve, import_pxr_module("Usd").TimeCode(time), prim) if k and bends else first
         if len(line) != len(first):
-            raise UsdError("moving-topology", f"the curve `{prim.GetPath()}` has other points at other frames", BAKE_HELP)
+            raise UsdError("moving-topology", f"the number of points of the curve `{prim.GetPath()}` changes", BAKE_HELP)
         positions[k] = apply_transforms(transforms[min(k, len(transforms) - 1)], line)
     if not np.isfinite(positions).all():
         raise UsdError("bad-usd", f"`{prim.GetPath()}` has a point that is not finite")

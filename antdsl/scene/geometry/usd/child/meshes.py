@@ -229,7 +229,7 @@ def _compute_separate_offsets(stage: OpenStage, shape: _MeshShape, is_separate: 
     )
     if len(points) != len(shape.points):
         path = shape.placed_mesh.prim.GetPath()
-        raise UsdError("moving-topology", f"the mesh `{path}` has other points at other frames", BAKE_HELP)
+        raise UsdError("moving-topology", f"the number of points of the mesh `{path}` changes between frames", BAKE_HELP)
     transforms = shape.placed_mesh.transforms[is_separate]
     shift = apply_transforms(transforms[:, min(k, transforms.shape[1] - 1), None], points) - apply_transforms(
         transforms[:, 0, None], shape.points

@@ -75,7 +75,7 @@ def _read_points_prim(stage: OpenStage, prim: Any) -> UsdPoints:
     for k, time in enumerate(times):
         frame_points = np.array(attribute.Get(import_pxr_module("Usd").TimeCode(time)) or [], np.float64).reshape(-1, 3)
         if len(frame_points) != count:
-            raise UsdError("moving-topology", f"`{path}` has other points at other frames", BAKE_HELP)
+            raise UsdError("moving-topology", f"the number of points of `{path}` changes between frames", BAKE_HELP)
         positions[k] = apply_transforms(transforms[min(k, len(transforms) - 1)], frame_points)
     widths = np.array(points.GetWidthsAttr().Get(stage.first_time) or [], np.float64)
     one = find_uniform_scale(transforms[0])
