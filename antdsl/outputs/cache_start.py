@@ -78,7 +78,9 @@ def start_from_cache(shot: Shot, world: World) -> None:
         cache = open_cache(folder)
         arrays = cache.read_checkpoint(start.frame)
     except ManifestError as error:
-        raise _make_error(shot, "no-such-file", str(error), "cache", "name the folder of a cache below the scene's own") from None
+        raise _make_error(
+            shot, "no-such-file", str(error), "cache", ("write the path of a cache inside the scene's folder")
+        ) from None
     except CacheError:
         raise _make_missing_error(shot, folder) from None
     source_origin = np.array(cache.manifest.origin) * UNIT_MM[cache.manifest.units]
@@ -86,13 +88,15 @@ def start_from_cache(shot: Shot, world: World) -> None:
     if "origin" in cache.manifest.model_fields_set and (source_origin != world.origin).any():
         a, b = (" ".join(f"{x / 1000:.15g}" for x in each) for each in (source_origin, world.origin))
         words = f"the world of `{start.cache}` has its origin at {a} m, and this scene's world at {b} m"
-        raise _make_error(shot, "wrong-value", words, "cache", "give the surfaces the same meshes at the same places")
+        raise _make_error(shot, "wrong-value", words, "cache", "use the same meshes at the same positions for all surfaces")
     first, params, state = world.frame, dict(world.params), select_by_prefix(arrays, "world.")
     try:
         restore_checkpoint(world, state)
     except CheckpointError as error:
         words = f"frame {start.frame} of `{start.cache}` belongs to different programs: {error}"
-        raise _make_error(shot, "wrong-value", words, "cache", "start from a cache of the same programs") from None
+        raise _make_error(
+            shot, "wrong-value", words, "cache", ("start from a cache that was made with the same programs")
+        ) from None
     shift = first - world.frame
     world.frame = first
     restore_line_tables(world, state, is_run_start=True)
@@ -106,8 +110,8 @@ def start_from_cache(shot: Shot, world: World) -> None:
         population.born = population.born + shift
         footed = world.ground.position(population.footing)
         if len(footed) and np.abs(footed - population.position).max() > _COINCIDENT_DISTANCE_MM:
-            words = f"the agents of `{start.cache}` are on other meshes than those of this scene"
-            raise _make_error(shot, "wrong-value", words, "cache", "give the surfaces the same meshes, in the same order")
+            words = f"the agents of `{start.cache}` stand on other meshes than this scene has"
+            raise _make_error(shot, "wrong-value", words, "cache", "use the same meshes for all surfaces, in the same order")
 
 
 def _make_missing_error(shot: Shot, folder: Path) -> StartError:
@@ -117,9 +121,9 @@ def _make_missing_error(shot: Shot, folder: Path) -> StartError:
     try:
         checkpoints = open_cache(folder).checkpoints()
     except ManifestError as error:
-        return _make_error(shot, "no-such-file", str(error), "cache", "name the folder of a cache below the scene's own")
+        return _make_error(shot, "no-such-file", str(error), "cache", "write the path of a cache inside the scene's folder")
     near = sorted(checkpoints, key=lambda frame: abs(frame - start.frame))[:3]
-    help = "write one of " + ", ".join(map(str, sorted(near))) if near else "run the other scene first"
+    help = "write one of " + ", ".join(map(str, sorted(near))) if near else "run the scene of this cache first"
     return _make_error(shot, "no-such-file", f"`{start.cache}` has no intact checkpoint at frame {start.frame}", "frame", help)
 
 

@@ -44,7 +44,7 @@ def find_agent(text: str, manifest: Manifest) -> ChosenAgent:
     if len(agents) != 1:
         name, _, ids = text.split(",")[0].strip().partition(".")
         example = f"{name}.{ids.partition('.')[0] or 0}" if name[:1].isalpha() else name
-        raise UnknownAgent(f"`{text}` names {len(agents):,} agents", f"name one, such as `{example}`")
+        raise UnknownAgent(f"`{text}` names {len(agents):,} agents", f"write a single agent, such as `{example}`")
     return agents[0]
 
 
@@ -65,7 +65,9 @@ def _find_agents_of_word(word: str, manifest: Manifest) -> Iterator[ChosenAgent]
     try:
         name = parse_agent_name(word)
     except PydanticCustomError as why:
-        raise UnknownAgent(str((why.context or {})["words"]), "write an id, `17`, or a name, `guards.17`") from None
+        raise UnknownAgent(
+            str((why.context or {})["words"]), ("write an id, such as `17`, or a name, such as `guards.17`")
+        ) from None
     for problem in find_selector_problems(name, list_selector_names(manifest)):
         raise UnknownAgent(problem.message, problem.help)
     line = next((each for each in manifest.lines if each.name == name.name), None)
@@ -84,7 +86,7 @@ def _parse_ids(word: str) -> range:
     except QuantityError:
         low, high = 1, 0
     if not 0 <= low <= high < low + _MAX_IDS or high > _MAX_ID:
-        raise UnknownAgent(f"`{word}` names no agents", "write ids, `3,8..12`, or names, `guards.17`")
+        raise UnknownAgent(f"`{word}` names no agents", "write ids, such as `3,8..12`, or names, such as `guards.17`")
     return range(low, high + 1)
 
 

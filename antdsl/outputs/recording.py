@@ -178,7 +178,7 @@ def _resume_recording(recording: Recording, intact: IntactPart, options: Options
     if beyond:
         which = f"frame {beyond[0]} is" if len(beyond) == 1 else f"{len(beyond)} frames, {beyond[0]} to {beyond[-1]}, are"
         notes.append(f"{which} beyond frame {shot.frames.last}, the last, and {'is' if len(beyond) == 1 else 'are'} removed")
-    recording.notes = notes + [f"{why}; it is left unchanged" for why in intact.cache.describe_stray_files()]
+    recording.notes = notes + [f"{why}; the file is left unchanged" for why in intact.cache.describe_stray_files()]
 
 
 def _find_damaged_checkpoints(recording: Recording, cache: Cache, lines: Mapping[int, HashLine], limit: int) -> Iterator[str]:
@@ -188,7 +188,7 @@ def _find_damaged_checkpoints(recording: Recording, cache: Cache, lines: Mapping
         why = cache.find_checkpoint_damage(frame, lines.get(frame)) if frame < limit else None
         if why is not None:
             recording.damaged_checkpoints.append(frame)
-            yield f"{why}, and is removed"
+            yield f"{why}, so the checkpoint is removed"
 
 
 def _restore_checkpoint(recording: Recording, cache: Cache, frame: int, line: HashLine) -> str | None:

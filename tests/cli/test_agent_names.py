@@ -56,7 +56,7 @@ def test_texts_name_agents_of_lines_species_and_all_with_an_id(folder: Path) -> 
         ("queen.3", "`queen.3` does not exist: `queen` has 1 agent", "write `queen.0`"),
         ("guards.4", "`guards` has 4 agents", "write a number from 0 to 3"),
         ("beetle", "`beetle` is a species", "`beetle.0..9`"),
-        ("guards", "`guards` names 4 agents", "name one, such as `guards.0`"),
+        ("guards", "`guards` names 4 agents", "write a single agent, such as `guards.0`"),
         ("guards.", "names no agents", "`guards.17`"),
         ("-3", "names no agents", "`3,8..12`"),
         ("ant.0..99999999", "more than a million ids", "fewer"),

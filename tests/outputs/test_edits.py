@@ -136,7 +136,7 @@ CALLS = {  # mistakes in a line, and what to write instead
         ("edits: [{kill: guards.4}]", "0 to 3"),
         ("edits: [{kill: bug, shar: 30 %}]", "did you mean `share`"),
         ("edits: [{kill: bug, share: 130 %}]", "`0 %` to `100 %`"),
-        ("edits: [{kill: bug, frames: 90..95}]", "it has 1 to 24"),
+        ("edits: [{kill: bug, frames: 90..95}]", "the cache has frames 1 to 24"),
         ("edits: [{kill: bug, frames: 9..5}]", "ends before"),
         ("edits: [{kill: {near: lef, within: 5 mm}}]", "did you mean `leaf`"),
         ("edits: [{kill: {state: fly}}]", "no species has a state"),

@@ -139,7 +139,7 @@ def _run_blender(request: str) -> Iterator[int]:
             elif line.strip():
                 messages.append(line.rstrip())
         if process.wait() != 0:
-            raise BlenderError("Blender ended before the pictures were rendered:\n" + "\n".join(messages))
+            raise BlenderError("Blender stopped before it had rendered all pictures:\n" + "\n".join(messages))
     finally:
         process.kill()
         process.wait()

@@ -68,7 +68,7 @@ class DifferentInputs(Exception):
 
     def __init__(self, manifest: Manifest, names: list[str], choices: Sequence[str] = ()) -> None:
         problems = [f"the cache was made {' and '.join(choices)}"] if choices else []
-        problems += [f"the cache belongs to different inputs: {', '.join(f'`{name}`' for name in names)}"] if names else []
+        problems += [f"the cache was made from other inputs: {', '.join(f'`{name}`' for name in names)}"] if names else []
         super().__init__("; ".join(problems))
         self.manifest, self.names = manifest, names
 
@@ -150,7 +150,7 @@ class DifferentHashes(Exception):
     """Error for a cache with state hashes of another method, which cannot be compared."""
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(f"`{folder}` was written by an antdsl that hashes states in another way")
+        super().__init__(f"`{folder}` was written by a version of antdsl that computes state hashes in another way")
 
 
 @dataclass(frozen=True, slots=True)

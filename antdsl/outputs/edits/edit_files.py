@@ -52,7 +52,7 @@ def read_edit_files(edits: EditList, manifest: Manifest, folder: Path) -> tuple[
             except MeshError as why:
                 report.error("bad-mesh", f"the mesh `{file.path}` {why}", span, why.help)
             except ManifestError as why:
-                report.error("cannot-read", str(why), span, "name the folder of a cache")
+                report.error("cannot-read", str(why), span, "write the path of a cache")
     return arrays, caches, report
 
 

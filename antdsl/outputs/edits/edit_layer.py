@@ -59,7 +59,8 @@ class AgentsLine(EditLine, SelectorKeys):
     def _check_ever(self) -> AgentsLine:
         if self.ever is not None and not needs_frame(self.selector):
             raise make_value_error(
-                "`ever` has no effect without a condition on places or states", "add one, such as `in_view: shot`"
+                "`ever` has no effect without a condition on places or states",
+                ("add such a condition, for example `in_view: shot`"),
             )
         return self
 

@@ -134,6 +134,6 @@ def _check_names(report: Report, edits: EditList, edit: PlacedEdit, manifest: Ma
         if frames is not None and (frames.last < manifest.first or frames.first > manifest.last):
             message, help = (
                 f"the cache has no frames {frames.first} to {frames.last}",
-                f"it has {manifest.first} to {manifest.last}",
+                f"the cache has frames {manifest.first} to {manifest.last}",
             )
             report.error("wrong-value", message, edits.span(edit, key), help)

@@ -139,7 +139,7 @@ class _BodyCollector:
                     else f"more than {_MAX_FILE_BYTES >> 20} MiB of keys"
                 )
                 raise ExportUnavailable(
-                    f"glTF is for small crowds, but this one has {many}", f"{FEWER_AGENTS_ADVICE}, or write USD: `.usdc`"
+                    f"glTF is for small crowds, but this crowd has {many}", f"{FEWER_AGENTS_ADVICE}, or write USD: `.usdc`"
                 )
         return output
 

@@ -56,7 +56,7 @@ def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[
         points = int(np.prod([8 * int(n) for n in bricks.shape], dtype=np.float64))
         if points * 4 > limits.GIB:
             raise ExportUnavailable(
-                f"the volume of `{name}` has {points:,} points, more than the limit", "write it as a mesh: `.ply`"
+                f"the volume of `{name}` has {points:,} points, more than the limit", "export the solid as a mesh: `.ply`"
             )
         arrays |= {
             f"{name}.distance": volume.make_dense_distances() * np.float32(scale),

@@ -57,7 +57,7 @@ class SkeletonWriter:
         """Return messages about features of the bodies that UsdSkel cannot represent."""
         messages = [note for _, definition in self._bodies.values() for note in definition.notes]
         if self._has_shear:
-            messages.append(f"joints of `{self._species.name}` are sheared: UsdSkel has no shear, it is left out")
+            messages.append(f"joints of `{self._species.name}` are sheared: UsdSkel has no shear, so it is left out")
         return messages
 
     def sample(self, time_sample: TimeSample) -> None:

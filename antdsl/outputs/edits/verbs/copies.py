@@ -52,7 +52,9 @@ class DuplicateLayer(EditLayer):
         """Return the manifest, in which the copies have the bodies of their originals."""
         for species in manifest.species:
             if inputs.next_ids[species.name] * (line.count + 1) > MAX_COUNTED_ID:
-                raise NotEditable(f"the ids of so many copies of copies of `{species.name}` are too large: use fewer `duplicate`")
+                raise NotEditable(
+                    f"so many copies of copies of `{species.name}` need ids that are too large: use `duplicate` fewer times"
+                )
         entries = (
             each.model_copy(update={"copies": (*each.copies, max(inputs.next_ids[each.name], 1))}) for each in manifest.species
         )

@@ -54,7 +54,9 @@ class MergeLayer(EditLayer):
         for name in _COMPARED_FIELDS:
             if getattr(other, name) != getattr(manifest, name):
                 own, theirs = getattr(manifest, name), getattr(other, name)
-                raise NotEditable(f"`{line.path}` has `{name}: {theirs}`, this cache `{own}`: caches to merge have the same")
+                raise NotEditable(
+                    f"`{line.path}` has `{name}: {theirs}`, this cache `{own}`; merge only caches with equal values"
+                )
         numbers, entries = find_matching_species(manifest, other), list(manifest.species)
         for number, species in zip(numbers, other.species, strict=True):
             if number < len(manifest.species):
