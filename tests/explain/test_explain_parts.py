@@ -330,7 +330,7 @@ def test_changed_programs_are_rejected(copy: Cache) -> None:
 def test_other_hash_versions_are_rejected(copy: Cache) -> None:
     path = copy.folder / "manifest.json"
     path.write_text(path.read_text().replace('"state_hash": 2', '"state_hash": 1'))
-    assert "hashes states in another way" in str(refused(open_cache(copy.folder), 1, 10, "bug"))
+    assert "computes state hashes in another way" in str(refused(open_cache(copy.folder), 1, 10, "bug"))
 
 
 def test_damaged_checkpoints_are_skipped_and_missing_ones_reported(copy: Cache) -> None:

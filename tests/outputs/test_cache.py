@@ -336,17 +336,17 @@ def in_line_of(folder: Path, frame: int) -> int:
 # What may happen to a cache of 60 frames with checkpoints at 1, 9, 17, …; the frame that a run goes on after; the message.
 DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
     "nothing": (lambda f: None, 60, ""),
-    "a frame cut off": (lambda f: os.truncate(make_frame_path(f, 12), 100), 9, "frame.0012.npz` differs from what was"),
-    "an empty frame": (lambda f: os.truncate(make_frame_path(f, 30), 0), 25, "frame.0030.npz` differs from what was"),
-    "a bit of a frame": (lambda f: flipped(make_frame_path(f, 47), 0.5), 41, "frame.0047.npz` differs from what was"),
+    "a frame cut off": (lambda f: os.truncate(make_frame_path(f, 12), 100), 9, "frame.0012.npz` was changed or damaged"),
+    "an empty frame": (lambda f: os.truncate(make_frame_path(f, 30), 0), 25, "frame.0030.npz` was changed or damaged"),
+    "a bit of a frame": (lambda f: flipped(make_frame_path(f, 47), 0.5), 41, "frame.0047.npz` was changed or damaged"),
     "a bit of a name in a frame": (
-        lambda f: flipped(make_frame_path(f, 47), 0.999), 41, "frame.0047.npz` differs from what was",
+        lambda f: flipped(make_frame_path(f, 47), 0.999), 41, "frame.0047.npz` was changed or damaged",
     ),
     "the first frame": (lambda f: flipped(make_frame_path(f, 1), 0.7), None, "frames 1 to 60 are computed again"),
     "two frames swapped": (
         lambda f: swapped(make_frame_path(f, 20), make_frame_path(f, 22)), 17, "frames 18 to 60 are computed again",
     ),
-    "a whole frame with another's number": (lambda f: renumbered(f, 34), 33, "frame.0034.npz` differs from what was"),
+    "a whole frame with another's number": (lambda f: renumbered(f, 34), 33, "frame.0034.npz` was changed or damaged"),
     "a missing frame": (lambda f: make_frame_path(f, 26).unlink(), 25, "frame.0026.npz` does not exist"),
     "missing frames": (lambda f: [make_frame_path(f, n).unlink() for n in range(20, 50)], 17, "frame.0020.npz` does not exist"),
     "a pipe for a frame": (
@@ -357,24 +357,24 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
     ),
     "a bit of a checkpoint": (lambda f: flipped(make_checkpoint_path(f, 60), 0.5), 57, "checkpoint.0060.npz"),
     "a checkpoint cut off": (lambda f: os.truncate(make_checkpoint_path(f, 60), 5000), 57, "frames 58 to 60 are computed again"),
-    "an early checkpoint": (lambda f: flipped(make_checkpoint_path(f, 9), 0.5), 60, "and is removed"),
+    "an early checkpoint": (lambda f: flipped(make_checkpoint_path(f, 9), 0.5), 60, "so the checkpoint is removed"),
     "two checkpoints swapped": (
-        lambda f: swapped(make_checkpoint_path(f, 60), make_checkpoint_path(f, 49)), 57, "0060.npz` differs from what was",
+        lambda f: swapped(make_checkpoint_path(f, 60), make_checkpoint_path(f, 49)), 57, "0060.npz` was changed or damaged",
     ),
     "a checkpoint of another run": (
-        lambda f: of_another_run(make_checkpoint_path(f, 60)), 57, "checkpoint.0060.npz` differs from what was",
+        lambda f: of_another_run(make_checkpoint_path(f, 60)), 57, "checkpoint.0060.npz` was changed or damaged",
     ),
     "an early one of another run": (
-        lambda f: of_another_run(make_checkpoint_path(f, 9)), 60, "checkpoint.0009.npz` differs from what was",
+        lambda f: of_another_run(make_checkpoint_path(f, 9)), 60, "checkpoint.0009.npz` was changed or damaged",
     ),
     "other meshes": (
-        lambda f: swapped(f / "static.npz", make_checkpoint_path(f, 9)), 60, "static.npz` differs from what was",
+        lambda f: swapped(f / "static.npz", make_checkpoint_path(f, 9)), 60, "static.npz` was changed or damaged",
     ),
     "no meshes": (lambda f: (f / "static.npz").unlink(), 60, "static.npz` does not exist; it is written again"),
     "no checkpoints": (lambda f: [p.unlink() for p in (f / "checkpoints").iterdir()], None, "no checkpoint with complete frames"),
-    "a hash of another state": (lambda f: lines_changed(f, 33, hash="0" * 32), 25, "frame.0033.npz` differs from what was"),
-    "a hash of another file": (lambda f: lines_changed(f, 12, file="0" * 32), 9, "frame.0012.npz` differs from what was"),
-    "a hash of other feet": (lambda f: lines_changed(f, 33, feet="0" * 32), 25, "frame.0033.npz` differs from what was"),
+    "a hash of another state": (lambda f: lines_changed(f, 33, hash="0" * 32), 25, "frame.0033.npz` was changed or damaged"),
+    "a hash of another file": (lambda f: lines_changed(f, 12, file="0" * 32), 9, "frame.0012.npz` was changed or damaged"),
+    "a hash of other feet": (lambda f: lines_changed(f, 33, feet="0" * 32), 25, "frame.0033.npz` was changed or damaged"),
     "no hash of a checkpoint": (lambda f: lines_changed(f, 60, checkpoint=""), 57, "checkpoint.0060.npz` has no hash in"),
     "a cut line": (lambda f: os.truncate(f / HASHES_FILE_NAME, in_line_of(f, 31)), 25, "has no hash in `hashes.jsonl`"),
     "no hashes": (lambda f: (f / HASHES_FILE_NAME).unlink(), None, "frame.0001.npz` has no hash in `hashes.jsonl`"),
@@ -521,7 +521,7 @@ def test_a_damaged_frame_is_reported_and_rewritten(tmp_path: Path) -> None:
         open_cache(folder).frame(12)
     code, words = ran(scene, "--frames", "1..20", "--resume")
     assert code == 0 and "continues after frame 9" in words, words
-    assert "frame.0012.npz` differs from what was" in words and "frames 10 to 20 are computed again" in words
+    assert "frame.0012.npz` was changed or damaged" in words and "frames 10 to 20 are computed again" in words
     assert make_frame_path(folder, 12).read_bytes() == intact_bytes
 
 
@@ -657,7 +657,7 @@ def test_states_hashed_with_another_method_are_reported_and_not_compared(
     assert said.pop("state_hash") == STATE_HASH_VERSION
     manifest.write_text(json.dumps(said))
     stopped = CliRunner().invoke(app, ["run", str(scene), "--resume"]).exception
-    assert isinstance(stopped, CommandError) and "hashes states in another way" in stopped.message
+    assert isinstance(stopped, CommandError) and "computes state hashes in another way" in stopped.message
     assert CliRunner().invoke(app, ["info", str(manifest.parent), "--verify"]).exit_code == 0
 
 

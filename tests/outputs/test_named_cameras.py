@@ -248,7 +248,7 @@ def test_a_scene_places_the_cameras_that_programs_sense(folder: Path) -> None:  
         (CAMERAS, "", "missing-thing", "the program's camera `shot` has no place in the scene"),
         (SHOT, "camera: fit", "wrong-kind", "when pictures are made"),
         (SHOT, "camera: {follow: guards.1}", "wrong-kind", "follows one"),
-        ("wide:", "shot:", "duplicate-name", "the camera of `camera` has the name `shot` too"),
+        ("wide:", "shot:", "duplicate-name", "the camera under `camera` already has the name `shot`"),
         ("wide:", "top:", "duplicate-name", "`top` is a view that every cache has"),
         ("guards.2", "gards.2", "unknown-thing", "no crowd line or species is named `gards`"),
         ("guards.2", "guards.5", "unknown-thing", "`guards` has 5 agents"),
