@@ -118,7 +118,7 @@ def open_shot(
         words = f"the cache was made by a spec that sets `{spec[0].removeprefix(_SPEC_INPUT_PREFIX)}`"
         raise ExplainError(words, "only caches of `antdsl run` can be explained")
     if manifest.state_hash != STATE_HASH_VERSION:
-        words = f"`{cache.folder}` was written by an antdsl that hashes states in another way"
+        words = f"`{cache.folder}` was written by a version of antdsl that computes state hashes in another way"
         raise ExplainError(words, "run the scene again: then repeated steps can be compared with the cache")
     params = {name.removeprefix(_SET_PREFIX): text for name, text in manifest.inputs.items() if name.startswith(_SET_PREFIX)}
     choices = RunChoices(grants or {}, FrameRange(manifest.first, manifest.last), manifest.seed, params)

@@ -93,7 +93,7 @@ def test_exit_codes(arm: Path, tmp_path: Path) -> None:
     assert left(str(tmp_path / "gone.json"))[0] == ExitCode.INPUT_OUTPUT
     assert left(str(tmp_path))[0] == ExitCode.FINDINGS  # a folder is no kind of file that has a body
     code, text = left(str(tmp_path / "ant.fbx"))
-    assert code == ExitCode.FINDINGS and "export it as glTF or USD" in text
+    assert code == ExitCode.FINDINGS and "export the body as glTF or USD" in text
     (tmp_path / "body.json").write_text('{"antdsl_body": 1, "rig": {"file": "assets:rig.json"}, "length": 1}')
     assert "root-not-granted" in left(str(tmp_path / "body.json"))[1]
     (tmp_path / "assets").mkdir()

@@ -32,7 +32,7 @@ def test_the_last_hare_is_caught(tmp_path: Path) -> None:
 
 
 def test_specs_can_ask_for_what_is_reachable(tmp_path: Path) -> None:
-    text = block("specs.md", "Ask whether agents can reach", "ant").replace("for 10 s", "for 0.1 s")
+    text = block("specs.md", "test whether agents can reach", "ant").replace("for 10 s", "for 0.1 s")
     (tmp_path / "walker.ant").write_text("ant 1\nuse steering\n" + text)
     (tmp_path / "ground.ply").write_bytes(build_ground_ply(9, 80.0))
     (tmp_path / "scene.yaml").write_text(

@@ -198,7 +198,7 @@ def test_a_voxel_that_cannot_be_is_refused_before_memory_is_taken(voxel: float) 
 
 def test_too_many_voxels_name_a_size_that_will_do() -> None:
     problem = Volume.from_mesh(*meshes.ball(12.0), 0.5, cap=10_000)
-    assert isinstance(problem, UnusableMeshReason) and "more than 10,000" in problem.message
+    assert isinstance(problem, UnusableMeshReason) and "more than the limit of 10,000" in problem.message
     size = float(problem.help.split("voxel: ")[1].split(" mm")[0])
     assert isinstance(Volume.from_mesh(*meshes.ball(12.0), size, cap=10_000), Volume)
 

@@ -269,7 +269,7 @@ def test_a_full_disk_ends_no_run(folder: Path, monkeypatch: pytest.MonkeyPatch) 
 
     with monkeypatch.context() as patch:
         patch.setattr("antdsl.atomic_write._replace_file", full)
-        in_memory(cache, "make room")
+        in_memory(cache, "free some disk space")
     assert list(folder.iterdir()) == [], "nothing is left of what was begun"
     cache.store_bytes(KEY, CODE)
     assert ObjectCache(folder).get(KEY) == CODE
