@@ -160,7 +160,7 @@ def test_a_bundle_is_known_by_its_hash_and_stays_in_its_folder(tmp_path: Path) -
     with pytest.raises(TaskRejectedError, match="were changed during the transfer"):
         FileBundle(dict.fromkeys(bundle.files, b"two"), bundle.digest).unpack(tmp_path / "other")
     outside = {"../x": b"1"}
-    with pytest.raises(TaskRejectedError, match="out of its folder"):
+    with pytest.raises(TaskRejectedError, match="out of the project's folder"):
         FileBundle(outside, hash_files(outside)).unpack(tmp_path / "third")
     visible_file = VisibleFile.from_path(tmp_path / "a" / "x.txt")
     assert visible_file.is_visible() and os.path.isabs(visible_file.path)
