@@ -14,6 +14,7 @@ from antdsl.fields.growing import GrowingCells
 from antdsl.fields.periodic_cells import CellsDoNotFit, PeriodicCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.fields.vector_field import VectorField
+from antdsl.ground.protocol import Floats, Index
 from antdsl.plan import ir
 from antdsl.plan.field_components import name_field_components
 from antdsl.runtime.binding.binding_cache import BindingCache
@@ -34,6 +35,7 @@ def bind_fields(
 ) -> None:
     """Create all fields of the plan in the world. Add errors to the report."""
     cells: dict[tuple[tuple[str, ...], float], SurfaceCells] = {}
+    start_values: dict[str, list[tuple[Index, Floats]]] = {}  # of the program's fields; the components of a vector share them
     for plan in world.plan.fields.values():
         size = value(world, plan.cell)
         keep = 1.0 if plan.retained_share is None else value(world, plan.retained_share)
@@ -70,13 +72,17 @@ def bind_fields(
             deposits_first=plan.deposits == "first",
             has_signed_amounts=bool(plan.vector_field),
         )
-        own_meshes = {name: mesh for name in plan.surfaces if (mesh := meshes.get(name)) is not None}
-        component = name_field_components(plan.vector_field).index(plan.name) if plan.vector_field else None
-        for number, start in enumerate(world.setting.field_start.get(plan.vector_field or plan.name, ())):
-            cell_rows, start_values = find_start_values(world, field.cells, start, own_meshes, component)
-            field.amounts[cell_rows] = start_values
-            if not len(cell_rows) and len(field.cells) and not component:
-                world.unreached_field_starts.append((plan.vector_field or plan.name, number))
+        program_name = plan.vector_field or plan.name
+        if program_name not in start_values:
+            own_meshes = {name: mesh for name in plan.surfaces if (mesh := meshes.get(name)) is not None}
+            starts = world.setting.field_start.get(program_name, ())
+            start_values[program_name] = [find_start_values(world, field.cells, start, own_meshes) for start in starts]
+            for number, (cell_rows, _) in enumerate(start_values[program_name]):
+                if not len(cell_rows) and len(field.cells):
+                    world.unreached_field_starts.append((program_name, number))
+        part = name_field_components(program_name).index(plan.name) if plan.vector_field else None
+        for cell_rows, values in start_values[program_name]:
+            field.amounts[cell_rows] = values if part is None else values[:, part]
         world.fields[plan.name] = field
         world.field_rates[plan.name] = (np.float32(keep), diffuse)
         components = name_field_components(plan.vector_field)

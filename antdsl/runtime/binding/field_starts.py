@@ -19,16 +19,12 @@ _EDGE_TOLERANCE = 1e-9  # share of a sample or of a width; exceeds the rounding 
 
 
 def find_start_values(
-    world: World,
-    cells: SurfaceCells,
-    start: FieldStartData | FieldGridData,
-    meshes: Mapping[str, MeshData],
-    component: int | None = None,
+    world: World, cells: SurfaceCells, start: FieldStartData | FieldGridData, meshes: Mapping[str, MeshData]
 ) -> tuple[Index, Floats]:
-    """Return the cells that a starting value of a field reaches, ascending, and the value of each, float64[cells].
+    """Return the cells that a starting value of a field reaches, ascending, and the value of each.
 
-    `meshes`: the surfaces of the field. Positions are relative to the world's origin.
-    `component`: 0, 1 or 2 for a component of a vector; None for fields of numbers."""
+    Values have the type float64[cells], or float64[cells, 3] for fields of vectors.
+    `meshes`: the surfaces of the field. Positions are relative to the world's origin."""
     chosen = np.ones(len(cells), np.bool_)
     if start.on is not None and start.on in meshes:
         chosen = _find_cells_on(cells, meshes[start.on])
@@ -36,15 +32,13 @@ def find_start_values(
         reached = meshes if start.on is None else {name: mesh for name, mesh in meshes.items() if name == start.on}
         rows, columns, is_inside = _find_samples(world, cells, start, reached)
         cell_rows = np.flatnonzero(chosen & is_inside)
-        values = start.values[rows[cell_rows], columns[cell_rows]]
-        return cell_rows, values if component is None else values[:, component]
+        return cell_rows, start.values[rows[cell_rows], columns[cell_rows]]
     if start.around is not None:
         away = cells.compute_offsets(cells.position, np.asarray([start.around], np.float64) - world.origin)
         distance = np.sqrt((away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2])
         chosen &= distance <= (np.inf if start.radius is None else start.radius)
     cell_rows = np.flatnonzero(chosen)
-    value = start.value if component is None else np.asarray(start.value)[component]
-    return cell_rows, np.full(len(cell_rows), value, np.float64)
+    return cell_rows, np.full((len(cell_rows), *np.shape(start.value)), start.value, np.float64)
 
 
 def _find_cells_on(cells: SurfaceCells, mesh: MeshData) -> Flags:

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.body_positions import LIFT_REGISTERS
-from antdsl.runtime.moving.body_records import BodyPoses
-from antdsl.runtime.moving.clearance.body_tables import compute_unit_shapes
+from antdsl.runtime.moving.clearance.body_tables import make_unlimited_bodies
 from antdsl.runtime.moving.clearance.mesh_clearance import shift_rows_outside_meshes
 from antdsl.runtime.moving.crouching import compute_lowering
 from antdsl.runtime.world import Population, World
@@ -33,14 +32,15 @@ def find_bodies_inside(world: World, population: Population, rows: NDArray[np.in
     It is also inside if the distance of a face from the axis is less than the radius minus 1 % of the body length. It is
     inside a solid if the solid is that near to the middle or an end of the axis."""
     now = population.now
-    size, (shapes, body) = now["size"].take(rows).astype(np.float64), compute_unit_shapes(world, population, 0.0)
-    poses = BodyPoses(vec.get_vector_registers(now, "up"), vec.get_vector_registers(now, "heading"))
+    bodies = make_unlimited_bodies(world, population)
+    poses, shapes, body = bodies[0].pose, bodies[1].unit_shapes, bodies[1].body_numbers
+    size = now["size"].take(rows).astype(np.float64)
     zero = np.zeros(len(population), np.float32)
     lift = vec.get_vector_registers(now, "~lift") if LIFT_REGISTERS[0] in now else (zero, zero.copy(), zero.copy())
     lowering = np.minimum(compute_lowering(population), _measure_room_below(shapes)[body] * now["size"])
     x, y, z = (along - above * lowering for along, above in zip(lift, poses.up, strict=True))
     lift = x, y, z
-    depths = shift_rows_outside_meshes(world, population, rows, lift, 0, 1)
+    depths = shift_rows_outside_meshes(world, bodies, rows, lift, 0, 1)
     is_inside: NDArray[np.bool_] = depths > _VISIBLE_DEPTH
     up, heading = (np.stack(vec.take_rows(each, rows)).astype(np.float64) for each in poses)
     place = population.position[rows].T + np.stack(vec.take_rows(lift, rows))

@@ -11,14 +11,8 @@ from antdsl.ground.mesh.surface import SHARP_EDGE_REACH_BODY_LENGTHS, MeshGround
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import VectorArrays
-from antdsl.runtime.moving.body_records import SHARP_BEND_LEVEL
-from antdsl.runtime.moving.clearance.body_tables import (
-    ROWS_PER_THREAD,
-    Rows,
-    compute_row_dots,
-    make_contact_faces,
-    make_unlimited_bodies,
-)
+from antdsl.runtime.moving.body_records import SHARP_BEND_LEVEL, BodyLimits, BodyStances
+from antdsl.runtime.moving.clearance.body_tables import ROWS_PER_THREAD, Rows, compute_row_dots, make_contact_faces
 from antdsl.runtime.moving.clearance.clearance_kernels import shift_bodies
 from antdsl.runtime.moving.clearance.obstacle_clearance import mark_near_obstacles
 from antdsl.runtime.world import Population, World
@@ -28,18 +22,18 @@ _MAX_LEAN_COSINE = _F(0.9998)  # cosine of the angle between a body and its grou
 
 
 def shift_rows_outside_meshes(
-    world: World, population: Population, rows: Rows, lift: VectorArrays, max_rounds: int, threads: int
+    world: World, bodies: tuple[BodyStances, BodyLimits], rows: Rows, lift: VectorArrays, max_rounds: int, threads: int
 ) -> NDArray[np.float32]:
     """Shift the bodies of `rows` out of faces around them: change their `lift` (mm, float32[n] for each axis) in place.
 
-    Returns their remaining depths (body lengths). With 0 `max_rounds`, the depths are only measured."""
+    `bodies`: as `make_unlimited_bodies` returns them. Returns the remaining depths (body lengths). With 0 `max_rounds`, the
+    depths are only measured."""
     depths, outs = np.zeros(len(rows), np.float32), np.zeros((3, len(rows)), np.float32)
-    now, meshes = population.now, world.ground.meshes
-    largest = float(np.fmax.reduce(now["size"].take(rows), initial=0.0))
+    (stances, limits), meshes = bodies, world.ground.meshes
+    largest = float(np.fmax.reduce(limits.size.take(rows), initial=0.0))
     walk = meshes.build_crowd_walk(0.0, largest) if isinstance(meshes, MeshGround) else None
     if walk is None or not len(rows):
         return depths
-    stances, limits = make_unlimited_bodies(world, population)
     previous = vec.take_rows(lift, rows)
     faces = make_contact_faces(world, walk, len(rows), threads)
     work = partial(shift_bodies, *faces, rows, stances, limits, lift, previous, depths, outs, max_rounds)

@@ -72,27 +72,27 @@ def _find_shifts(world: World, population: Population) -> Floats:
     """Return the shifts (n, 3) mm that bring capsules outside of all solids, meshes and obstacles."""
     shifts, now = np.zeros((len(population), 3)), population.now
     size = np.where(now["size"] > 0, now["size"], 0).astype(np.float64)
-    _leave_solids(world, population, shifts, np.arange(len(population)))
+    bodies = make_unlimited_bodies(world, population)
+    _leave_solids(world, bodies, shifts, np.arange(len(population)))
     rows = find_rows_near_faces(world, population, size)
     for _ in range(_MAX_MESH_ROUNDS):
         if not len(rows):
             break
         lift = vec.split_columns(shifts, _F)
-        shift_rows_outside_meshes(world, population, rows, lift, MAX_SHIFT_ROUNDS, world.options.threads)
+        shift_rows_outside_meshes(world, bodies, rows, lift, MAX_SHIFT_ROUNDS, world.options.threads)
         new = np.stack(vec.take_rows(lift, rows), axis=1)
         has_moved = (new != shifts[rows].astype(_F)).any(axis=1)
         rows = rows[has_moved]
         shifts[rows] = new[has_moved]
-        _leave_solids(world, population, shifts, rows)
+        _leave_solids(world, bodies, shifts, rows)
     return shifts
 
 
-def _leave_solids(world: World, population: Population, shifts: Floats, rows: Rows) -> None:
+def _leave_solids(world: World, bodies: tuple[BodyStances, BodyLimits], shifts: Floats, rows: Rows) -> None:
     """Bring the capsules of `rows` outside of all solids: change their `shifts` (n, 3) mm in place."""
-    bodies, threads = make_unlimited_bodies(world, population), world.options.threads
     for volume in world.solids.values():
         work = partial(leave_solid, make_brick_tables(volume.bricks), rows, *bodies, shifts)
-        parallel.run_in_parts(work, len(rows), threads, ROWS_PER_THREAD)
+        parallel.run_in_parts(work, len(rows), world.options.threads, ROWS_PER_THREAD)
 
 
 @kernel
